@@ -19,9 +19,9 @@ RUN := runs/swim-$(shell date +%Y%m%d-%H%M%S)
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
 
-swim: $(CORE) ## evolve the swimmer of Iwadate 2010 and film the best (RUN=folder)
+swim: $(CORE) ## evolve the swimmer of Iwadate 2010 and film its story (RUN=folder)
 	$(BIN)/evo-cpg train configs/iwadate2010_swimmer.yaml --out $(RUN)
-	$(BIN)/evo-cpg render $(RUN)
+	$(BIN)/evo-cpg render $(RUN) --story --size 1280x720
 
 test: $(DEV) ## run the fast tests
 	$(BIN)/pytest

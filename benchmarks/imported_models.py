@@ -43,6 +43,9 @@ from evo_cpg.spatial.linear import expand_dims_like
 # Spread of random angles (rad or m) and rates (rad/s or m/s).
 _ANGLE, _RATE = 0.5, 2.0
 
+# Accelerations (rad/s^2 or m/s^2) below which a model counts as at rest.
+_RESTING = 1e-3
+
 # Bodies of the smallest model that counts, with the world.
 _FEWEST = 3
 
@@ -74,24 +77,30 @@ def largest_difference(path: Path, states: int = 100, drop: bool = False, seed: 
     compiled = compile_model(path, drop)
     with jax.enable_x64(True):
         sample = sampled(imported, creature, tree, compiled, states, np.random.default_rng(seed))
-        found = np.asarray(_accelerations(World(tree, config.world.gravity), sample))
-    scale = np.abs(sample.expected).max(0)
+        world = World(tree, config.world.gravity)
+        found = np.asarray(accelerations(world, sample.state, sample.command))
+    scale = np.maximum(np.abs(sample.expected).max(0), _RESTING)
     return float((np.abs(found - sample.expected).max(0) / scale).max())
 
 
 @jax.jit
-def _accelerations(world: World, sample: Sample) -> jax.Array:
-    tree, state = world.tree, sample.state.placed(world.tree)
+def accelerations(world: World, state: State, command: MotorCommand) -> jax.Array:
+    """Return the accelerations in many states, as by a step of no time: root (if free), joints.
+
+    Springs, dampers, rotors, motors and tendons act. Contact, limits and dry friction do not.
+    """
+    tree = world.tree
+    state = state.placed(tree)
     kin = kinematics(tree, state)
     inertia, bias = body_equations(world, kin, 0.0)
     passive, derivative = passive_torque(tree, state, 0.0)
-    motor = clamp_torque(tree, motor_torque(tree, state, sample.command, 0.0).start)
+    motor = clamp_torque(tree, motor_torque(tree, state, command, 0.0).start)
     rotor = derivative + expand_dims_like(tree.armature, motor)
     if tree.tendons is None:
         found = solve(tree, kin, inertia, bias, passive + motor, rotor)
         free = () if tree.hanging is not None else (found.root,)
         return jnp.concatenate([*free, found.qdd])
-    laws = tendon_laws(tree.tendons, state, sample.command, 0.0)
+    laws = tendon_laws(tree.tendons, state, command, 0.0)
     assert laws is not None
     pull = laws.passive + clamp_torque(tree.tendons, laws.motor.start)
     still = jnp.zeros((ROOT_DOFS, *motor.shape[1:]))
@@ -256,7 +265,7 @@ def _command(tree: Tree, compiled: Compiled, data: Any, dofs: list[Dof]) -> Moto
 
 
 def _switch_off(compiled: Compiled, floats: bool) -> None:
-    """Switch off what the comparison leaves out, and actuators that the import dropped."""
+    """Switch off what the comparison leaves out."""
     model, flags = compiled.model, compiled.mujoco.mjtDisableBit
     off = flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT | flags.mjDSBL_FRICTIONLOSS
     model.opt.disableflags |= off | flags.mjDSBL_EQUALITY

@@ -5,12 +5,14 @@ import csv
 import io
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 from evo_cpg.errors import UserError
+from evo_cpg.system import resolved
 
 
 class OutputError(UserError, OSError):
@@ -45,7 +47,8 @@ def in_one_piece(path: Path) -> Iterator[Path]:
     """Yield a temporary file in the same folder, which replaces the file after the ``with`` block.
 
     Args:
-        path: path of the file. An existing file is replaced.
+        path: path of the file. An existing file is replaced, and its permissions stay. If the path
+            is a link, the file that it leads to is replaced.
 
     Yields:
         Path of the temporary file, which is empty and has the same suffix.
@@ -53,6 +56,8 @@ def in_one_piece(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the file cannot be written, for instance because the disk is full.
     """
+    if path.is_symlink():
+        path = resolved(path)
     try:
         # A unique name keeps programs apart that write the same file.
         handle, name = tempfile.mkstemp(
@@ -62,7 +67,7 @@ def in_one_piece(path: Path) -> Iterator[Path]:
         partial = Path(name)
         try:
             yield partial
-            os.chmod(partial, 0o644)
+            os.chmod(partial, _permissions(path))
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
@@ -70,6 +75,14 @@ def in_one_piece(path: Path) -> Iterator[Path]:
         raise
     except OSError as error:
         raise cannot_write(path, error) from None
+
+
+def _permissions(path: Path) -> int:
+    """Return the permissions of a file, or those of a new file."""
+    try:
+        return stat.S_IMODE(os.stat(path).st_mode)
+    except OSError:
+        return 0o644
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:

@@ -7,8 +7,10 @@ working folder. The program continues without the folders that it does not need.
 import atexit
 import contextlib
 import os
+import re
 import shutil
 import tempfile
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 from typing import IO
@@ -97,3 +99,22 @@ def described_by(file: Path) -> str:
         return file.read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ""
+
+
+def folded(words: str, stream: IO[str]) -> str:
+    """Return text whose lines end between words if a stream is a terminal, else the same text.
+
+    Commands in backticks stay on one line.
+    """
+    if stream is None or not stream.isatty():
+        return words
+    width = shutil.get_terminal_size().columns
+    # A space that `textwrap` does not break.
+    glued = re.sub(r"`[^`]*`", lambda command: command[0].replace(" ", "\0"), words)
+    lines = (
+        textwrap.wrap(line, width, break_long_words=False, break_on_hyphens=False) or [""]
+        if len(line) > width
+        else [line]
+        for line in glued.split("\n")
+    )
+    return "\n".join(part for line in lines for part in line).replace("\0", " ")

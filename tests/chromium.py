@@ -105,9 +105,9 @@ class Page:
             raise RuntimeError(f"{script}: {answer['exceptionDetails']}")
         return answer["result"].get("value")
 
-    def wait(self, condition: str) -> None:
-        """Wait until a JavaScript expression is true."""
-        until = time.monotonic() + _PATIENCE
+    def wait(self, condition: str, patience: float = _PATIENCE) -> None:
+        """Wait until a JavaScript expression is true, at most some time, s."""
+        until = time.monotonic() + patience
         while not self.run(condition):
             if time.monotonic() > until:
                 raise TimeoutError(condition)
@@ -140,6 +140,11 @@ class Page:
         """Press, move or release the left button."""
         self.call("Input.dispatchMouseEvent", type=what, x=place[0], y=place[1], button="left",
                   buttons=0 if what == "mouseReleased" else 1, clickCount=1)  # fmt: skip
+
+    def give_file(self, selector: str, path: Path) -> None:
+        """Choose a file in a field of files."""
+        field = self.call("Runtime.evaluate", expression=f"document.querySelector({selector!r})")
+        self.call("DOM.setFileInputFiles", files=[str(path)], objectId=field["result"]["objectId"])
 
     def paper(self) -> bytes:
         """Return a PDF of the page."""

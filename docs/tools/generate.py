@@ -8,6 +8,8 @@ A generated part stands between `<!-- begin KIND ARGUMENTS -->` and `<!-- end --
 - `begin table FILE`: a table that `evo-cpg reproduce` made. FILE is relative to the page.
 - `begin configuration`: all keys of a configuration file.
 - `begin import`: what an import of a MuJoCo model maps, refuses and leaves out.
+- `begin animal NAME`: the page of a shipped animal (see `animal_pages.page`).
+- `begin gallery NAME ...`: cards of animals, of all without a name.
 - `begin api NAME ...`: public names with their docstrings (see `api_pages.reference`).
 """
 
@@ -15,6 +17,7 @@ import re
 import sys
 from pathlib import Path
 
+import animal_pages
 import api_pages
 import configuration_tables
 import import_tables
@@ -49,12 +52,22 @@ def _made(page: Path, kind: str, arguments: list[str]) -> str:
         return import_tables.tables()
     if kind == "api":
         return api_pages.reference(arguments)
-    raise ValueError(f"{page}: unknown kind {kind!r}. Allowed: table, configuration, import, api")
+    if kind == "animal":
+        return animal_pages.page(arguments[0])
+    if kind == "gallery":
+        return animal_pages.cards(arguments)
+    allowed = "table, configuration, import, api, animal, gallery"
+    raise ValueError(f"{page}: unknown kind {kind!r}. Allowed: {allowed}")
 
 
 def main(check: bool) -> int:
     """Write all stale pages, or with `check` only list them and return 1 if there are any."""
     stale = 0
+    for page in animal_pages.new_pages():
+        stale += 1
+        print(f"{page.relative_to(DOCS)}: {'missing. Run `make format`' if check else 'written'}")
+        if not check:
+            page.write_text(animal_pages.empty_page(page.stem), encoding="utf-8")
     for page in sorted(DOCS.rglob("*.md")):
         text = filled(page)
         if text != page.read_text(encoding="utf-8"):

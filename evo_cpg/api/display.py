@@ -12,18 +12,22 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import (
     BarColumn,
     Progress,
     ProgressColumn,
     SpinnerColumn,
+    Task,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
 from typing_extensions import override
+
+from evo_cpg.system import folded
 
 # Longest time without a line, s.
 LONGEST_SILENCE = 10.0
@@ -51,8 +55,8 @@ class Work:
     def reached(self, done: int, total: int) -> None:
         """Report how much of the work is done."""
 
-    def step(self, line: str, seconds: float, onward: str, done: int, total: int) -> None:
-        """Report a finished step and its duration, s, and name the next part of the work."""
+    def step(self, name: str, state: str, seconds: float, done: int, total: int) -> None:
+        """Report a finished step, with the name of all steps, the state, and the duration, s."""
 
 
 class Heartbeat(Work):
@@ -97,9 +101,10 @@ class Heartbeat(Work):
             self._done = done, total
 
     @override
-    def step(self, line: str, seconds: float, onward: str, done: int, total: int) -> None:
-        self.say(f"{line}  {seconds:6.2f} s")
-        self.doing(onward)
+    def step(self, name: str, state: str, seconds: float, done: int, total: int) -> None:
+        count = f"{done:4d}/{total} {name}"
+        self.say(f"{count}  {state}  {seconds:6.2f} s")
+        self.doing(f"{count}, and the next one" if done < total else count)
 
     def due(self) -> str | None:
         """Return the line that is due, else None. The line counts as printed."""
@@ -155,21 +160,44 @@ def _announced(what: str, expected: float | None) -> str:
 class _Line(Work):
     """Progress on a terminal."""
 
-    def __init__(self, bars: Progress, bar: TaskID):
+    def __init__(self, bars: "_Bars", bar: TaskID):
         self._bars, self._bar = bars, bar
 
     def say(self, line: str) -> None:
         self._bars.console.print(line, markup=False, highlight=False)
 
     def doing(self, what: str, expected: float | None = None) -> None:
-        self._bars.update(self._bar, description=_announced(what, expected))
+        self._bars.update(self._bar, description=_announced(what, expected).lstrip())
 
     def reached(self, done: int, total: int) -> None:
         self._bars.update(self._bar, completed=done, total=total)
 
-    def step(self, line: str, seconds: float, onward: str, done: int, total: int) -> None:
-        self.doing(line)
+    def step(self, name: str, state: str, seconds: float, done: int, total: int) -> None:
+        self._bars.state = f"{state}  {seconds:.2f} s"
+        self.doing(f"{done}/{total} {name}")
         self.reached(done, total)
+
+
+class _TimeLeft(TimeRemainingColumn):
+    """Remaining time, or nothing before it is known."""
+
+    @override
+    def render(self, task: Task) -> Text:
+        if not task.time_remaining:
+            return Text("")
+        return Text.assemble(super().render(task), " left,")
+
+
+class _Bars(Progress):
+    """Progress lines of a terminal, with a line about the state below them."""
+
+    state = ""
+
+    @override
+    def get_renderables(self) -> Iterator[RenderableType]:
+        yield from super().get_renderables()
+        if self.state:
+            yield Text(self.state)
 
 
 @contextlib.contextmanager
@@ -196,17 +224,18 @@ def working(
         SpinnerColumn(finished_text=""),
         TextColumn("{task.description}", markup=False),
     ]
-    columns += [BarColumn(bar_width=24), TimeRemainingColumn()] if counted else []
+    if counted:
+        columns += [BarColumn(bar_width=20), _TimeLeft()]
     # Text that the work prints goes above the progress line, unless standard output is a pipe.
     redirect = sys.stdout.isatty()
-    with Progress(
+    with _Bars(
         *columns,
         TimeElapsedColumn(),
         console=console,
         redirect_stdout=redirect,
         transient=not stays,
     ) as bars:
-        yield _Line(bars, bars.add_task(_announced(what, expected), total=None))
+        yield _Line(bars, bars.add_task(_announced(what, expected).lstrip(), total=None))
 
 
 @contextlib.contextmanager
@@ -240,10 +269,8 @@ def progress(
         def show(state: str, seconds: float | None = None) -> None:
             nonlocal number, since
             number, before, since = number + 1, since, time.perf_counter()
-            done = f"{number:4d}/{total} {step}"
             took = since - before if seconds is None else seconds
-            onward = f"{done}, and the next one" if number < total else done
-            work.step(f"{done}  {state}", took, onward, number, total)
+            work.step(step, state, took, number, total)
             if last and number == total:
                 work.doing(last)
 
@@ -258,4 +285,4 @@ def say(line: str) -> None:
     """Print a line about work that continues."""
     global _printed_at
     _printed_at = time.monotonic()
-    print(line, file=sys.stderr, flush=True)
+    print(folded(line, sys.stderr), file=sys.stderr, flush=True)

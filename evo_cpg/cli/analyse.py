@@ -21,7 +21,7 @@ def analyse(
     trial: Trial = 0,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a page about a run, and print its numbers beside those of animals."""
+    """Write a page about a run, and print the numbers of its gait."""
     from evo_cpg.api.analyse import numbers_path, write_page
     from evo_cpg.api.display import working
     from evo_cpg.cli.champions import open_champion

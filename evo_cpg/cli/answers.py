@@ -11,7 +11,7 @@ import numpy as np
 from evo_cpg.api.display import working
 from evo_cpg.api.lab import subject_of
 from evo_cpg.cli.errors import UsageError, require_free, warn
-from evo_cpg.cli.tables import show_table
+from evo_cpg.cli.tables import show_table, show_words
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.laboratory.ask import Answer, ask
 from evo_cpg.laboratory.columns import shown_columns
@@ -130,7 +130,7 @@ def show_answer(name: str, answer: Answer, place: Path) -> None:
     if len(rows) > _MOST_ROWS:
         print(f"and {len(rows) - _MOST_ROWS} more settings in the file")
     for note in answer.notes[:_MOST_ROWS]:
-        print(note)
+        show_words(note)
     table = place / _TABLE
     write_table(table, rows)
     meanings = [{"column": name, **each._asdict()} for name, each in answer.meanings.items()]

@@ -1,7 +1,6 @@
 """Tables, files and messages of the command `audit`."""
 
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,9 +12,9 @@ from evo_cpg.api.audit import Audit
 from evo_cpg.api.display import working
 from evo_cpg.api.training import now
 from evo_cpg.cli.champions import open_champion
-from evo_cpg.cli.errors import ExitCode, UsageError
+from evo_cpg.cli.errors import ExitCode, UsageError, tell
 from evo_cpg.cli.options import Which
-from evo_cpg.cli.tables import show_table
+from evo_cpg.cli.tables import show_table, show_words
 from evo_cpg.exchange.second_opinion import Opinion
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.probe import UNSEEING
@@ -73,7 +72,7 @@ def audit_champions(run: Path, limits: Sequence[str], which: Which, every: bool)
                 show_opinions(done.opinions)
             if done.missing:
                 none = "a second opinion is missing" if done.opinions else "no second opinion"
-                print(f"{none}: {done.missing}")
+                show_words(f"{none}: {done.missing}")
         title = f"{experiment.name}: audit" + (f" of run {champion.run}" if every else "")
         title += "" if which.cell is None else f" of cell {which.cell}"
         draw_audit(folder, name, title, done)
@@ -96,10 +95,7 @@ def champions_of(folder: RunFolder) -> list[Champion]:
         raise UsageError(f"--all: {folder.path} has no champion in its checkpoints")
     for run, champion in enumerate(champions):
         if champion is None:
-            print(
-                f"{folder.path}: run {run} has no champion to audit: every individual diverged",
-                file=sys.stderr,
-            )
+            tell(f"{folder.path}: run {run} has no champion to audit: every individual diverged")
     return found
 
 
@@ -120,7 +116,7 @@ def say_verdict(
             )
         whose = f"{run}: run {each.run}" if len(made) > 1 else run
         for line in lines:
-            print(f"{whose}: {line}", file=sys.stderr)
+            tell(f"{whose}: {line}")
     passed = sum(done.verdict.passed for done in made)
     if len(made) > 1:
         print(f"{run}: {passed} of {len(made)} champions pass their audit")

@@ -6,6 +6,7 @@ from enum import IntEnum
 from pathlib import Path
 
 from evo_cpg.errors import UserError
+from evo_cpg.system import folded
 
 
 class ExitCode(IntEnum):
@@ -33,7 +34,12 @@ class UsageError(UserError):
 
 def warn(words: object) -> None:
     """Print a warning to standard error."""
-    print(f"evo-cpg: warning: {words}", file=sys.stderr)
+    tell(f"evo-cpg: warning: {words}")
+
+
+def tell(words: str) -> None:
+    """Print words to standard error. On a terminal, no word is broken."""
+    print(folded(words, sys.stderr), file=sys.stderr)
 
 
 def require_free(output: Path, overwrite: bool) -> None:

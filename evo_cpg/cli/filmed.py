@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from evo_cpg.analysis.gait_numbers import gait_numbers
 from evo_cpg.api.display import working
 from evo_cpg.api.opened import OpenedChampion, Replay
@@ -11,8 +13,10 @@ from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_motion, open_champi
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.options import Which
 from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
 from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.view.frames import Film
 from evo_cpg.view.scene import Panel, panel_of
 from evo_cpg.view.signals import Signals, signals_of
 from evo_cpg.view.units import terms_text
@@ -42,6 +46,33 @@ def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
     # The map keeps only those terms of an elite that are axes of the map. The panel shows them all.
     title = f"{experiment.name}, cell {which.cell}"
     return panel_of(experiment, recording, title, strip, terms_text(opened.champion.terms))
+
+
+def crowd_panel(run: Path, generation: int, which: Which, film: Film) -> Panel:
+    """Return a panel with all animals of a generation: the leader, and the others as ghosts.
+
+    Raises:
+        UsageError: the run has no such generation.
+        RunFolderError: the generation cannot be made anew.
+    """
+    opened = open_champion(run, which)
+    experiment, number = opened.experiment, opened.champion.run
+    done = opened.folder.newest
+    if generation > done:
+        raise UsageError(f"--crowd: {run} has {done} generations. The next one is {done}")
+    opened.require_configured()
+    simulation = experiment.simulation
+    seconds = min(film.seconds or simulation.duration, simulation.duration)
+    with working(f"breeding generation {generation} again"):
+        (genes,) = populations_at(experiment, opened.folder, [generation])
+        rate = film.fps / film.speed
+        motion = compile_crowd_motion(experiment, seconds, rate, number, which.trial)
+        crowd = motion(np.split(genes, experiment.runs, axis=1)[number], generation)
+    if not crowd.count:
+        raise RunFolderError(f"{run}: every animal of generation {generation} diverges")
+    leader, others = crowd.led(experiment.creature.root_index, simulation.task.heading)
+    title = f"generation {generation}: {crowd.count} animals"
+    return panel_of(experiment, leader, title)._replace(crowd=others)
 
 
 def lineage_panels(

@@ -1,12 +1,11 @@
 """`evo-cpg import`: read an experiment from a MuJoCo model."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from evo_cpg.cli.errors import UsageError, require_free
+from evo_cpg.cli.errors import UsageError, require_free, tell
 from evo_cpg.cli.options import Overwrite
 
 
@@ -38,7 +37,7 @@ def import_(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Import a creature and its world from a MuJoCo model or a URDF."""
+    """Import a creature and its world from MJCF or URDF."""
     from evo_cpg.config.schema.section import LARGEST
     from evo_cpg.exchange.imported_files import write_imported
     from evo_cpg.exchange.mjcf_import import read_model
@@ -54,10 +53,10 @@ def import_(
     imported = read_model(model, motor_gain, drop, free)
     files = write_imported(imported, model, output, creature)
     if imported.left_out:
-        print(f"left out, without harm: {', '.join(imported.left_out)}", file=sys.stderr)
+        tell(f"left out, without harm: {', '.join(imported.left_out)}")
     for sentence in imported.dropped:
-        print(f"dropped: {sentence}", file=sys.stderr)
+        tell(f"dropped: {sentence}")
     for warning in imported.warnings:
-        print(f"note: {warning}", file=sys.stderr)
+        tell(f"note: {warning}")
     for file in files:
         print(file)

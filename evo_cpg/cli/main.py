@@ -17,7 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from evo_cpg.cli import streams
-from evo_cpg.cli.errors import ExitCode, message_for, warn
+from evo_cpg.cli.errors import ExitCode, message_for, tell, warn
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 
 # Names of all commands, in the order of the help text. `import` is a keyword, so its file is
@@ -201,7 +201,7 @@ def main() -> None:
         words = message_for(error)
         if words is None:
             raise
-        print(f"evo-cpg: {words}", file=sys.stderr)
+        tell(f"evo-cpg: {words}")
         raise SystemExit(ExitCode.WRONG_INPUT) from None
 
 
@@ -216,7 +216,7 @@ def program() -> None:
         error = streams.output_error()
         if error is not None:
             words = f"cannot write to standard output ({error.strerror or error})"
-            print(f"evo-cpg: {words}", file=sys.stderr)
+            tell(f"evo-cpg: {words}")
             if not stop.code and _command() not in _EVOLVING:
                 raise SystemExit(ExitCode.WRONG_INPUT) from None
         if not waits_for_threads() and isinstance(stop.code, int | None):

@@ -29,20 +29,16 @@ def model(
 ) -> None:
     """Draw a creature on a page in the browser."""
     from evo_cpg.cli.advice import advice
-    from evo_cpg.drawing.page.server import PageServer
+    from evo_cpg.drawing.page.server import DrawingServer
     from evo_cpg.drawing.session import Session
-    from evo_cpg.files import OutputError
+    from evo_cpg.view.page.server import opened
 
     document = _document(config)
-    try:
-        server = PageServer(Session(document, advice), port)
-    except OSError as error:
-        raise OutputError(f"port {port} cannot be used ({error.strerror or error})") from None
-    with server:
+    with DrawingServer(Session(document, advice), port) as server:
         print(f"{document.path}: open this address in a browser of this machine")
         print(server.address)
         print("Control-C ends the program.", flush=True)
-        if browser and not _opened(server.address):
+        if browser and not opened(server.address):
             print("No browser was found. Open the address yourself.", file=sys.stderr)
         try:
             server.serve_forever()
@@ -75,13 +71,3 @@ def _free(stem: str) -> Path:
     """Return a .yaml file that does not exist: of this name, or with a number."""
     names = itertools.chain([stem], (f"{stem}{i}" for i in itertools.count(2)))
     return next(path for name in names if not (path := Path(f"{name}.yaml")).exists())
-
-
-def _opened(address: str) -> bool:
-    """Open a page in the browser, if there is one and a display."""
-    import os
-    import webbrowser
-
-    if sys.platform == "linux" and not ("DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ):
-        return False
-    return webbrowser.open(address)

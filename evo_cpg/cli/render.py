@@ -62,6 +62,24 @@ def render(
         list[Path] | None,
         typer.Option(metavar="RUN", help="Also show the champion of this run. Repeatable."),
     ] = None,
+    crowd: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="GENERATION",
+            help="Show all animals of this generation together: the leader in colours, the others "
+            "as ghosts.",
+        ),
+    ] = None,
+    story: Annotated[
+        bool,
+        typer.Option(
+            "--story",
+            help="Tell the run in 15 s: the first generation as a crowd, later ones, the champion "
+            "in slow motion. Writes a wide film, a tall film and a loop for a web page. With "
+            "--size: one film and the loop.",
+        ),
+    ] = False,
     fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,
     speed: Annotated[float, typer.Option(min=0.01, help="Speed of the film (1: real time).")] = 1.0,
     seconds: Annotated[
@@ -70,7 +88,22 @@ def render(
     which: Which = BEST,
     cores: Cores = None,
 ) -> None:
-    """Film the champion of a run, or the elite of one cell of its map of gaits."""
+    """Film the champion of a run, or an elite of its map of gaits."""
+    alone = {
+        "--lineage": lineage, "--beside": beside, "--signals": signals, "--cell": which.cell,
+    }  # fmt: skip
+    if story:
+        fixed = {
+            "--sheet": sheet, "--crowd": crowd is not None, "--seconds": seconds,
+            "--camera": camera != View.FOLLOW, "--fps": fps != 30, "--speed": speed != 1,
+        }  # fmt: skip
+        _require_none("--story", alone | fixed)
+        if len(title or ()) > 1:
+            raise UsageError(f"--title: {len(title or ())} titles for one story. Give one")
+        from evo_cpg.cli.story import tell
+
+        tell(run, output, None if size is None else pixels_of(size), title, which, cores)
+        return
     others = beside or []
     moments = None if sheet is None else _moments(sheet)
     several = lineage is not None or bool(others)
@@ -78,6 +111,8 @@ def render(
     if lineage is not None and (which.cell is not None or others):
         wrong = "--cell" if which.cell is not None else "--beside"
         raise UsageError(f"--lineage and {wrong} exclude each other. Leave out one of them")
+    if crowd is not None:
+        _require_none("--crowd", alone)
     if title and lineage is not None:
         raise UsageError(
             "--title: animals of --lineage are captioned with generation and fitness. "
@@ -91,11 +126,12 @@ def render(
         raise UsageError(f"--beside: {len(others) + 1} runs are too many. Allowed: up to {_MOST}")
     generations = None if lineage is None else _generations(lineage)
     name = "lineage" if lineage is not None else which.of_cell.removeprefix("_") or "champion"
+    name = name if crowd is None else f"crowd{crowd}"
     name += which.of_trial + ("_beside_others" if others else "")
     name += ("" if camera == "follow" else f"_{camera}") + "_signals" * signals
     name += ".mp4" if moments is None else "_sheet.png"
     from evo_cpg.api.display import working
-    from evo_cpg.cli.filmed import champion_panel, lineage_panels
+    from evo_cpg.cli.filmed import champion_panel, crowd_panel, lineage_panels
     from evo_cpg.files import make_folder
     from evo_cpg.training.devices import available_cores
     from evo_cpg.training.run_folder import RunFolder
@@ -106,7 +142,9 @@ def render(
     RunFolder(run).require()
     # Check the path before making the folder of films.
     film_path(output or run / name, film, signals)
-    if lineage is not None:
+    if crowd is not None:
+        panels = [crowd_panel(run, crowd, which, film)]
+    elif lineage is not None:
         panels = lineage_panels(run, generations, which, signals)
     else:
         panels = [champion_panel(run, which, signals)]
@@ -120,6 +158,16 @@ def render(
             panels, path, film, processes=cores or available_cores(), progress=work.reached
         )
     print(made)
+
+
+def _require_none(option: str, others: dict[str, object]) -> None:
+    """Check that none of the options is given that do not fit another one.
+
+    Raises:
+        UsageError: one of them is given.
+    """
+    if found := next((name for name, given in others.items() if given), None):
+        raise UsageError(f"{option} and {found} exclude each other. Leave out one of them")
 
 
 def _generations(lineage: str) -> list[int] | None:

@@ -1,7 +1,6 @@
 """Rhythm of a configuration's oscillators, and search for settings with a requested rhythm."""
 
 import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,8 +18,8 @@ from evo_cpg.analysis.limit_cycle import (
 from evo_cpg.analysis.reference_rhythm import Rhythm, reference_rhythm, rhythm
 from evo_cpg.cli.advice import about_oscillators
 from evo_cpg.cli.building import build
-from evo_cpg.cli.errors import ExitCode, UsageError, warn
-from evo_cpg.cli.tables import show_table
+from evo_cpg.cli.errors import ExitCode, UsageError, tell, warn
+from evo_cpg.cli.tables import show_table, show_words
 from evo_cpg.config.errors import nearest
 from evo_cpg.config.load import load_config
 from evo_cpg.control.couplings import ring_members
@@ -92,22 +91,24 @@ def show_rhythm(
             cycle, first = cycles[part[0]], tree.dof_names[part[0]]
             behind = {tree.dof_names[i]: cycle.lags((part[0], i))[1] for i in part[1:]}
             listed = ", ".join(f"{name} {round(lag)}" for name, lag in behind.items())
-            print(f"lag of each oscillator behind {first}, deg: {listed}")
+            show_words(f"lag of each oscillator behind {first}, deg: {listed}")
     for i, ring in enumerate(cpg.rings):
         members = ring_members(tree, ring, i)
         if members[0] in cycles:
             lags = ", ".join(f"{lag:.1f}" for lag in cycles[members[0]].lags(members))
             names = ", ".join(tree.dof_names[member] for member in members)
-            print(f"ring of {names}: each lags behind the one before by {lags} deg")
+            show_words(f"ring of {names}: each lags behind the one before by {lags} deg")
     for reason, joints in rests.items():
-        print(f"{', '.join(joints)}: {reason}")
+        show_words(f"{', '.join(joints)}: {reason}")
     if cpg.feedback is not None:
-        print("open loop: without the senses of controller.cpg.feedback, which change the rhythm")
+        show_words(
+            "open loop: without the senses of controller.cpg.feedback, which change the rhythm"
+        )
     for line in about_oscillators(simulation):
         warn(f"{path}: {line}")
     if failures:
         for reason, joints in failures.items():
-            print(f"evo-cpg: {path}: {', '.join(joints)}: {reason}", file=sys.stderr)
+            tell(f"evo-cpg: {path}: {', '.join(joints)}: {reason}")
         raise SystemExit(ExitCode.FAULT)
 
 
@@ -194,7 +195,7 @@ def find_rhythm(
         hint = ". Search for a rhythm with --lag" if lag is None else ""
         raise UsageError(f"{path}: {chain.name}: {error}{hint}") from None
     except RhythmSearchError as error:
-        print(f"evo-cpg: {path}: {chain.name}: {error}", file=sys.stderr)
+        tell(f"evo-cpg: {path}: {chain.name}: {error}")
         raise SystemExit(ExitCode.FAULT) from None
     _show_found(chain, settings, b, before, found)
     changes = _changes(settings, found)

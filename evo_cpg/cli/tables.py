@@ -1,6 +1,14 @@
-"""Tables on the terminal."""
+"""Tables and sentences on the terminal."""
 
+import sys
 from collections.abc import Iterable, Sequence
+
+from evo_cpg.system import folded
+
+
+def show_words(words: str) -> None:
+    """Print words to standard output. On a terminal, no word is broken."""
+    print(folded(words, sys.stdout))
 
 
 def show_table(

@@ -24,7 +24,7 @@ from evo_cpg.cli.advice import advise, animal_digest, expected_to_compile
 from evo_cpg.cli.building import build
 from evo_cpg.cli.champions import open_and_build
 from evo_cpg.cli.distributed import Distribution, require_same, together
-from evo_cpg.cli.errors import UsageError, warn
+from evo_cpg.cli.errors import UsageError, tell, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
 from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import load_run_config
@@ -243,16 +243,16 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
                 expected_to_compile(experiment.simulation, animal),
             ) as show:
 
-                def tell(rows: list[dict[str, float]]) -> None:
+                def report(rows: list[dict[str, float]]) -> None:
                     show(_standing(rows), rows[0]["seconds"])
                     if scalars is not None:
                         scalars.add(rows)
 
                 with contextlib.closing(scalars) if scalars else contextlib.nullcontext():
-                    champion = evolve(experiment, folder, tell, recorder, team)
+                    champion = evolve(experiment, folder, report, recorder, team)
             _record(recorder, champion, folder)
     except KeyboardInterrupt:
-        print(f"interrupted. Continue with `evo-cpg resume {folder.path}`", file=sys.stderr)
+        tell(f"interrupted. Continue with `evo-cpg resume {folder.path}`")
         raise
     terms = ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items())
     origin = f"generation {champion.generation}"
@@ -261,7 +261,7 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
     fitness = f"fitness {champion.fitness:.4f}"
     if champion.expected is not None:
         fitness += f" in training, mean {champion.expected:.4f} over {champion.lives} new draws"
-    print(f"champion of {origin}: {fitness} ({terms})", file=sys.stderr)
+    tell(f"champion of {origin}: {fitness} ({terms})")
     if recorder.seen is not None:
         _say_first_look(recorder.seen, folder, not experiment.simulation.noise.silent)
     print(folder.path)
@@ -280,10 +280,9 @@ def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
         except KeyboardInterrupt:
             recorder.skip()
             wait_for_no_thread()
-            print(
+            tell(
                 "skipped: the champion was not tested at half the step. "
-                f"`evo-cpg audit {folder.path}` tests it",
-                file=sys.stderr,
+                f"`evo-cpg audit {folder.path}` tests it"
             )
     recorder.finish()
 
@@ -295,7 +294,7 @@ def _say_first_look(seen: Check, folder: RunFolder, noisy: bool) -> None:
     if not seen.passed:
         causes = "the step length or the noise" if noisy else "the step length"
         kept = f"warning: {kept} ({seen.detail}). It may exploit {causes}"
-    print(f"{kept}. For a full test, run `evo-cpg audit {folder.path}`", file=sys.stderr)
+    tell(f"{kept}. For a full test, run `evo-cpg audit {folder.path}`")
 
 
 def _standing(rows: list[dict[str, float]]) -> str:

@@ -1,13 +1,12 @@
 """`evo-cpg validate`: build configurations, and report their sizes or errors."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from evo_cpg.cli.completion import complete_config
-from evo_cpg.cli.errors import ExitCode, UsageError
+from evo_cpg.cli.errors import ExitCode, UsageError, tell
 from evo_cpg.cli.options import Strict
 
 
@@ -43,7 +42,7 @@ def validate(
             require_genes(experiment, path)
         except (ConfigError, UsageError) as error:
             wrong += 1
-            print(f"evo-cpg: {error}", file=sys.stderr)
+            tell(f"evo-cpg: {error}")
         else:
             tree = experiment.simulation.world.tree
             print(

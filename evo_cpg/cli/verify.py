@@ -1,9 +1,8 @@
 """`evo-cpg verify`: check that a champion is unchanged and replays as recorded."""
 
-import sys
 from pathlib import Path
 
-from evo_cpg.cli.errors import ExitCode
+from evo_cpg.cli.errors import ExitCode, tell
 from evo_cpg.cli.options import CoresOfRun, Run
 
 
@@ -49,7 +48,7 @@ def verify(run: Run, cores: CoresOfRun = None) -> None:
             differences.append(f"{name}: recorded {value:.6g}, replayed {now:.6g}")
     here = machine_fingerprint(experiment.simulation.engine, opened.devices)
     for changed in machine_changes(folder.read_meta(), here):
-        print(f"{run}: {changed}. The last digits may differ", file=sys.stderr)
+        tell(f"{run}: {changed}. The last digits may differ")
     _report(run, differences)
     same = all(np.array_equal(found[name], recorded[name], True) for name in recorded)
     exact = "exactly" if same else f"to {REPLAY_TOLERANCE:g}"
@@ -59,5 +58,5 @@ def verify(run: Run, cores: CoresOfRun = None) -> None:
 def _report(run: Path, differences: list[str]) -> None:
     if differences:
         for difference in differences:
-            print(f"evo-cpg: {run}: {difference}", file=sys.stderr)
+            tell(f"evo-cpg: {run}: {difference}")
         raise SystemExit(ExitCode.NOT_PASSED)

@@ -8,21 +8,25 @@ the newest champion.
 import contextlib
 import math
 import os
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evo_cpg.cli.errors import message_for, warn
+from evo_cpg.cli.errors import UsageError, message_for, warn
+from evo_cpg.cli.interrupts import wait_for_no_thread
 from evo_cpg.cli.options import Run
 from evo_cpg.cli.streams import is_read
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from evo_cpg.training.checkpoint import Champion, Checkpoint
+    from evo_cpg.live.replays import Replays
+    from evo_cpg.live.standing import Standing
+    from evo_cpg.training.checkpoint import Champion
     from evo_cpg.training.run_folder import RunFolder
 
 PICTURE = "watch.png"
@@ -34,29 +38,6 @@ _SELDOM, _LARGEST_FRACTION = 10.0, 0.2
 _NICE = 15
 
 
-class Standing(NamedTuple):
-    """State of a run.
-
-    Attributes:
-        checkpoint: newest checkpoint, or None before the first generation is done.
-        generations: requested number of generations in all.
-        choosing: whether the champion is chosen with fresh noise after the last generation.
-        changed: time of the last change to metrics.csv, s since the epoch, or None if unknown.
-    """
-
-    checkpoint: "Checkpoint | None"
-    generations: int
-    choosing: bool
-    changed: float | None
-
-    @property
-    def finished(self) -> bool:
-        """Return whether all generations are done and the champion is chosen."""
-        if self.checkpoint is None or self.checkpoint.generation < self.generations:
-            return False
-        return not self.choosing or bool(self.checkpoint.chosen)
-
-
 def watch(
     run: Run,
     once: Annotated[
@@ -65,18 +46,36 @@ def watch(
     picture: Annotated[
         bool, typer.Option(help="Draw the newest champion into RUN/watch.png.")
     ] = True,
+    page: Annotated[
+        bool,
+        typer.Option(
+            "--page",
+            help="Show the run on a page in the browser: the champion in 3D, curves, and the "
+            "population. RUN may not exist yet.",
+        ),
+    ] = False,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the page (default: a free one).")
+    ] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+    ] = True,
 ) -> None:
     """Follow a run while it evolves."""
+    if page:
+        if once:
+            raise UsageError("--once and --page exclude each other. Leave out one of them")
+        _on_a_page(run, port, browser)
+        return
     from rich.console import Console
     from rich.live import Live
 
     from evo_cpg.cli.watched import panel
-    from evo_cpg.training.run_folder import RunFolder, RunFolderError
+    from evo_cpg.live.standing import require_run, standing
+    from evo_cpg.training.run_folder import RunFolder
 
     folder = RunFolder(run)
-    # `require` would finish interrupted writes, which only the trainer may do.
-    if not folder.config.is_file():
-        raise RunFolderError(f"{run} is not a run folder (it has no config.yaml)")
+    require_run(folder)
     lower_priority()
     draw = _Pictures(folder).draw if picture else lambda champion, standing: None
     console = Console()
@@ -111,43 +110,35 @@ def lower_priority() -> None:
             os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
-def standing(folder: "RunFolder", before: Standing | None = None) -> Standing:
-    """Return the state of a run, or ``before`` if nothing is new.
+def _on_a_page(run: Path, port: int, browser: bool) -> None:
+    """Serve the live page until Control-C."""
+    from evo_cpg.live.following import Following
+    from evo_cpg.live.page.server import LiveServer
+    from evo_cpg.system import resolved
+    from evo_cpg.training.run_folder import RunFolder
+    from evo_cpg.view.page.server import opened
 
-    Args:
-        folder: folder of the run.
-        before: state that was seen last, if any.
-    """
-    done = folder.newest
-    if before is not None and before.checkpoint:
-        same = before.checkpoint.generation == done
-        # The last generation has a second checkpoint, with the chosen champion.
-        if same and (done < before.generations or before.finished):
-            return before
-    # The trainer may delete a checkpoint during the read. Then a newer checkpoint exists.
-    checkpoint = folder.load()
-    changed = None
-    if checkpoint is not None:
-        with contextlib.suppress(OSError):
-            changed = folder.metrics.stat().st_mtime
-    return Standing(checkpoint, *_plan(folder), changed)
-
-
-def _plan(folder: "RunFolder") -> tuple[int, bool]:
-    """Return the number of generations, and whether there is noise.
-
-    Both are read each time, because `resume` may change the configuration.
-    """
-    from evo_cpg.config.load import load_run_config
-
-    config = load_run_config(folder.config)
-    return config.evolution.generations, not config.noise.silent
+    followed = Following(RunFolder(run), lambda words: print(words, flush=True))
+    # A thread may compile for long, or wait in JAX.
+    wait_for_no_thread()
+    with LiveServer(followed, resolved(run).name, port) as server:
+        print(f"{run}: open this address in a browser of this machine")
+        print(server.address)
+        print("Control-C ends the program.", flush=True)
+        if browser and not opened(server.address):
+            print("No browser was found. Open the address yourself.", file=sys.stderr)
+        followed.start()
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever()
+        followed.close()
 
 
 def _in_lines(
     folder: "RunFolder", console: "Console", draw: "Callable[[Champion, Standing], Any]", once: bool
 ) -> None:
     """Print a line for each generation, for a log or pipe."""
+    from evo_cpg.live.standing import standing
+
     seen: Standing | None = None
     printed = 0
     while True:
@@ -169,7 +160,7 @@ def _in_lines(
         time.sleep(LOOK)
 
 
-def _line(row: dict[str, float], now: Standing) -> str:
+def _line(row: dict[str, float], now: "Standing") -> str:
     run = f"  run {int(row['run'])}" if "run" in row else ""
     return (
         f"{int(row['generation']) + 1:4d}/{now.generations} generations{run}  "
@@ -178,7 +169,7 @@ def _line(row: dict[str, float], now: Standing) -> str:
     )
 
 
-def _newest(now: Standing, draw: "Callable[[Champion, Standing], Any]") -> Path | None:
+def _newest(now: "Standing", draw: "Callable[[Champion, Standing], Any]") -> Path | None:
     champion = now.checkpoint.champion if now.checkpoint else None
     return None if champion is None else draw(champion, now)
 
@@ -194,9 +185,9 @@ class _Pictures:
         self._folder = folder
         self._drawn: tuple[float, ...] | None = None
         self._next = -math.inf
-        self._built: Any = None
+        self._replays: Replays | None = None
 
-    def draw(self, champion: "Champion", now: Standing) -> Path | None:
+    def draw(self, champion: "Champion", now: "Standing") -> Path | None:
         """Draw a new champion if a picture is due, and return the path of the picture, if any."""
         which = (champion.run, champion.generation, champion.fitness)
         began = time.monotonic()
@@ -214,34 +205,20 @@ class _Pictures:
         self._next = time.monotonic() + max(_SELDOM, took / _LARGEST_FRACTION)
         return made
 
-    def _make(self, champion: "Champion", now: Standing) -> Path:
-        if self._built is None:
-            self._built = self._build()
-        experiment, live = self._built
+    def _make(self, champion: "Champion", now: "Standing") -> Path:
+        from evo_cpg.cli.building import build
+        from evo_cpg.live.replays import Replays
         from evo_cpg.training.checkpoint import history_columns
         from evo_cpg.view.watch_picture import watch_picture
 
         assert now.checkpoint is not None
-        _, _, recording = live(champion)
+        self._replays = self._replays or Replays(self._folder, build)
+        experiment = self._replays.experiment
         return watch_picture(
             experiment,
-            recording,
+            self._replays.champion(champion),
             history_columns(now.checkpoint.history),
             f"{experiment.name}: champion of generation {champion.generation}, "
             f"fitness {champion.fitness:.4f}",
             self._folder.path / PICTURE,
         )
-
-    def _build(self) -> tuple[Any, Any]:
-        """Build the experiment and compile its replay, on one core."""
-        from evo_cpg.api.opened import class_folders
-        from evo_cpg.cli.building import build
-        from evo_cpg.config.load import load_run_config
-        from evo_cpg.training.devices import use_cores
-        from evo_cpg.training.replay import compile_replay
-
-        use_cores(1)
-        config = load_run_config(self._folder.config)
-        experiment = build(config, self._folder.config, class_folders(self._folder))
-        devices = self._folder.read_meta().get("devices", 1)
-        return experiment, compile_replay(experiment, devices)

@@ -1,7 +1,6 @@
 """Display of `watch` on a terminal: numbers, and curves of 2 by 4 Braille dots per character."""
 
 import math
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -11,10 +10,11 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from evo_cpg.live.standing import duration
 from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
-    from evo_cpg.cli.watch import Standing
+    from evo_cpg.live.standing import Standing
 
 _HEIGHT, _MARGIN = 9, 16
 _COLORS = (("champion", "bright_blue"), ("mean", "grey58"))
@@ -71,16 +71,13 @@ def _table(now: "Standing") -> Table:
     history, champion = now.checkpoint.history, now.checkpoint.champion
     rows = [row for row in history if row["generation"] == history[-1]["generation"]]
     table = Table.grid(padding=(0, 3))
-    done, left = now.checkpoint.generation, now.generations - now.checkpoint.generation
-    seconds = float(np.median([row["seconds"] for row in history[-20:]]))
-    when = "finished" if not left else f"about {_duration(left * seconds)} to go"
+    done, left, seconds = now.checkpoint.generation, now.left, now.seconds
+    when = "finished" if not left else f"about {duration(left * seconds)} to go"
     table.add_row(
         Text(f"{done}/{now.generations} generations", style="bold"), f"{seconds:.3g} s each", when
     )
-    if now.changed is not None and left:
-        quiet = time.time() - now.changed
-        if quiet > max(60.0, 10 * seconds):
-            table.add_row(Text(f"no new generation for {_duration(quiet)}", style="yellow"), "", "")
+    if now.quiet:
+        table.add_row(Text(f"no new generation for {now.quiet}", style="yellow"), "", "")
     if champion is not None:
         whose = f" of run {champion.run}" if len(now.checkpoint.champions) > 1 else ""
         table.add_row(
@@ -92,14 +89,6 @@ def _table(now: "Standing") -> Table:
     diverged = int(sum(row["diverged"] for row in rows))
     table.add_row(f"mean {mean:.4f}", f"diverged {diverged}", "")
     return table
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    if seconds < 6000:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h"
 
 
 def curve(values: Sequence[float], width: int, height: int) -> list[str]:

@@ -6,13 +6,15 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.config.errors import KeyProblem, under
+from evo_cpg.config.glb import read_glb
 from evo_cpg.config.schema.ground import MOST_HEIGHTS, ReliefFileConfig
 from evo_cpg.config.schema.shape import MeshFileConfig
 from evo_cpg.config.trust import named_file
 from evo_cpg.config.wording import checked
-from evo_cpg.creature.mesh import MeshError, convex_mesh
+from evo_cpg.creature.mesh import MeshError, convex_mesh, few_corners_hull
 from evo_cpg.system import lend_matplotlib_a_folder
 
+MESH_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
 _ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
 
@@ -29,7 +31,7 @@ def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
     """
     shape = checked(MeshFileConfig, given)
     with under("file"):
-        path = named_file(source, shape.file, (".obj", ".stl"))
+        path = named_file(source, shape.file, MESH_SUFFIXES)
         try:
             vertices, faces = _triangles(path)
         except Exception as error:
@@ -40,6 +42,8 @@ def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
         with np.errstate(over="ignore"):
             vertices = vertices * np.array(shape.scale)
         try:
+            if shape.hull:
+                vertices, faces = few_corners_hull(vertices)
             convex_mesh(vertices, faces)
         except MeshError as error:
             raise KeyProblem((), f"{shape.file}: {error}") from None
@@ -50,7 +54,10 @@ def _triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return the vertices without duplicates, and the triangles."""
     import trimesh
 
-    mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+    if path.suffix.lower() == ".glb":
+        mesh = read_glb(path)
+    else:
+        mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("a coordinate of a vertex is not a finite number")
     # Merging rounds positions to integers. Positions that overflow are refused later.

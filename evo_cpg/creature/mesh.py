@@ -318,6 +318,42 @@ def convex_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[ConvexMesh, np
     return shape, centre
 
 
+def few_corners_hull(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices and faces of the convex hull of a mesh, with few enough triangles.
+
+    Raises:
+        MeshError: a coordinate is not finite, or the vertices lie in a plane.
+    """
+    if not np.isfinite(vertices).all():
+        raise MeshError("a coordinate of a vertex is not a finite number")
+    points, faces = hull(vertices, "its vertices")
+    if len(faces) <= MOST_TRIANGLES:
+        return points, faces
+    # A closed surface of triangles has twice as many faces as vertices, less four.
+    first = int(np.linalg.norm(points - points.mean(0), axis=1).argmax())
+    return hull(points[_far_apart(points, first, MOST_TRIANGLES // 2)], "its vertices")
+
+
+def hull(points: np.ndarray, whose: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices ``(v, 3)`` and the faces ``(f, 3)`` of the convex hull of points.
+
+    Args:
+        points: points ``(n, 3)``, m.
+        whose: what the points are, for the error message.
+
+    Raises:
+        MeshError: the points lie in a plane.
+    """
+    from scipy.spatial import QhullError
+
+    try:
+        faces = _hull(points)
+    except QhullError:
+        raise MeshError(f"{whose} enclose no volume") from None
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return points[used], renumbered.reshape(faces.shape)
+
+
 def _require_triangles(vertices: np.ndarray, faces: np.ndarray) -> None:
     if not len(faces):
         raise MeshError("it has no faces")

@@ -16,7 +16,8 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.decisions import Condition, chosen
 from evo_cpg.spatial.numerics import Numbers, xp
 
-# Widening of joint limits (rad), because loads push joints beyond their soft limits.
+# Widening of joint limits, because loads push joints beyond their soft limits: an angle (rad), and
+# for a slide a fraction of its range, which has no common size in m.
 _GIVE = 0.15
 
 # Ranges of the elements of all rotation matrices.

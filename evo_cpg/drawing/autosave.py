@@ -21,17 +21,22 @@ class Autosave:
     def __init__(self, path: Path):
         self.path = path.parent / f".{path.name}.autosave"
 
-    def write(self, texts: Sequence[str | None], saved: Sequence[str | None] | None) -> None:
+    def write(self, texts: Sequence[str | None], saved: Sequence[str | None] | None) -> str | None:
         """Replace the autosave.
 
         Args:
             texts: texts of the document.
             saved: texts of its files, without which the autosave means nothing, or None without
                 files.
+
+        Returns:
+            The problem if it cannot be written, such as a full disk, or None.
         """
-        # A folder without write permission has no autosave. Saving reports it.
-        with contextlib.suppress(OutputError):
+        try:
             write_text(self.path, json.dumps({"base": _digests(saved), "texts": texts}))
+        except OutputError as error:
+            return str(error)
+        return None
 
     def read(self, saved: Sequence[str | None] | None) -> list[Any] | None:
         """Return the texts, or None if there are none for these files.

@@ -210,7 +210,7 @@ def _own_eye(eye: Data, body: Copy) -> Data:
 
 
 def _number(data: Data, name: str, key: str, count: int) -> str:
-    if not isinstance(count, int) or not 1 <= count <= 1000:
+    if not 1 <= count <= 1000:
         raise DrawingError(f"{key}: must be a whole number from 1 to 1000, got {count!r}")
     index, mark = entry_index(data, name), _MARKS[key]
     entry = bodies(data)[index]
@@ -364,6 +364,10 @@ def _reflect_shapes(entry: Data, axis: MirrorAxis) -> None:
         raise DrawingError(f"{entry['name']}: a mesh has no mirror image of its own in the file")
     if entry.get("inertia"):
         raise DrawingError(f"{entry['name']}: an inertia in numbers cannot be mirrored here")
+    for shape in shapes:
+        if isinstance(shape, dict) and shape.get("type") == "loft":
+            for section in shape["sections"]:
+                section["at"] = tidy(reflected_if(section["at"], axis))
     for each in further:
         each["at"] = tidy(reflected_if(each["at"], axis))
         if "rotation_deg" in each:

@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from evo_cpg.config.errors import KeyProblem
-from evo_cpg.drawing import blocks, parts, placing, sensors, world
+from evo_cpg.creature.creature import CreatureError
+from evo_cpg.drawing import blocks, joints, lofting, parts, placing, sensors, world
+from evo_cpg.drawing.arguments import checked_arguments
 from evo_cpg.drawing.document import Data, DrawingError, Edit
 
 COMMANDS: Mapping[str, Callable[..., Any]] = {
@@ -18,9 +20,14 @@ COMMANDS: Mapping[str, Callable[..., Any]] = {
         parts.remove_part,
         parts.rename_part,
         parts.set_shape,
-        parts.set_joint,
+        joints.set_joint,
+        joints.set_axes,
         parts.resize,
         parts.stretch,
+        lofting.add_section,
+        lofting.remove_section,
+        lofting.move_section,
+        lofting.scale_section,
         placing.shift,
         placing.turn,
         blocks.mirror,
@@ -48,19 +55,15 @@ def edit(command: str, source: Path, given: Mapping[str, Any]) -> Edit:
         given: arguments of the command.
 
     Raises:
-        DrawingError: there is no such command, or an argument is missing or unknown. The edit
-            raises it if it is not possible.
+        DrawingError: there is no such command, or an argument is missing, unknown or of a wrong
+            type. The edit raises it if it is not possible.
     """
     function = COMMANDS.get(command)
     if function is None:
         raise DrawingError(f"there is no command {command!r}. Commands: {', '.join(COMMANDS)}")
-    known = dict(given)
+    known = checked_arguments(command, function, given)
     if "source" in inspect.signature(function).parameters:
         known["source"] = source
-    try:
-        inspect.signature(function).bind({}, **known)
-    except TypeError as error:
-        raise DrawingError(f"{command}: {error}") from None
 
     def apply(data: Data) -> None:
         try:
@@ -72,6 +75,8 @@ def edit(command: str, source: Path, given: Mapping[str, Any]) -> Edit:
             raise DrawingError(
                 f"first mend {'.'.join(map(str, error.key))}: {error.problem}"
             ) from None
+        except CreatureError as error:
+            raise DrawingError(f"first mend the creature: {error}") from None
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             raise DrawingError(f"{command} is not possible here ({error})") from None
 

@@ -6,6 +6,7 @@ the texts, so it is exact.
 """
 
 import copy
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,11 +64,13 @@ class Document:
         path: file that `save` writes.
         texts: current texts.
         recovered: whether an autosave replaced the texts of the files.
+        unsafe: problem with the autosave, such as a full disk, or None.
     """
 
     def __init__(self, path: Path, texts: Texts, on_disk: Texts | None):
         self.path, self.texts = path, texts
         self.recovered = False
+        self.unsafe: str | None = None
         self._on_disk = on_disk
         self._undo: list[Texts] = []
         self._redo: list[Texts] = []
@@ -183,6 +186,8 @@ class Document:
     def save(self) -> None:
         """Write the files that differ, each whole or not at all, and drop the autosave.
 
+        A configuration that was deleted since it was opened is written again.
+
         Raises:
             DrawingError: a file has changed since it was opened.
             OutputError: a file cannot be written.
@@ -192,7 +197,11 @@ class Document:
             if self.path.exists():
                 raise DrawingError(f"{self.path} exists. Save under another name")
             write_text(self.path, self.texts.main)
+            self._bytes[self.path] = "", "\n"
         else:
+            if not os.path.lexists(self.path):
+                mark, end = self._bytes[self.path]
+                write_text(self.path, mark + self._on_disk.main.replace("\n", end))
             if self._read() != self._on_disk:
                 raise DrawingError(
                     f"{self.path} has changed on the disk since it was opened. Save under another "
@@ -216,7 +225,7 @@ class Document:
                 write_text(file, mark + new.replace("\n", end))
                 # If the next file cannot be written, this one is saved all the same.
                 self._on_disk = self._on_disk._replace(**{name: new})
-        self._on_disk, self.recovered = self.texts, False
+        self._on_disk, self.recovered, self.unsafe = self.texts, False, None
         self._autosave.drop()
 
     def save_as(self, path: Path) -> None:
@@ -234,6 +243,7 @@ class Document:
         self._autosave.drop()
         self.path, self.texts, self._autosave = path, Texts(text), Autosave(path)
         self._bytes, self._on_disk = {path: ("", "\n")}, self.texts
+        self.recovered, self.unsafe = False, None
 
     def discard(self) -> None:
         """Return to the texts before the recovery, as an edit that can be undone."""
@@ -245,8 +255,9 @@ class Document:
     def _show(self, texts: Texts) -> None:
         self.texts = texts
         if self.is_changed:
-            self._autosave.write(texts, self._on_disk)
+            self.unsafe = self._autosave.write(texts, self._on_disk)
         else:
+            self.unsafe = None
             self._autosave.drop()
 
     def _recover(self) -> None:

@@ -1,14 +1,16 @@
 """Edits of parts: add, remove, rename, and change shapes."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from evo_cpg.config.schema.copies import copies_named, fill
+from evo_cpg.config.schema.section import Finite, Vector
 from evo_cpg.drawing.document import Data, DrawingError
+from evo_cpg.drawing.lofting import loft_half_extents, new_loft, stretch_loft
 from evo_cpg.drawing.lookup import (
     Posed,
     all_copies,
@@ -17,7 +19,6 @@ from evo_cpg.drawing.lookup import (
     entry_index,
     entry_of,
     free_name,
-    joint_of,
     parent_of,
     posed,
     tidy,
@@ -47,8 +48,8 @@ def add_part(
     data: Data,
     source: Path,
     parent: str,
-    place: Sequence[float],
-    normal: Sequence[float],
+    place: Vector,
+    normal: Vector,
     name: str = "part",
     each: bool = True,
     shape: Data | None = None,
@@ -109,8 +110,8 @@ def add_shape(
     data: Data,
     source: Path,
     part: str,
-    place: Sequence[float],
-    normal: Sequence[float],
+    place: Vector,
+    normal: Vector,
     shape: Data | None = None,
 ) -> None:
     """Add a further shape to a body, rigidly joined to it, on its surface.
@@ -158,12 +159,12 @@ def _solid(here: Posed, name: str) -> Any:
 
 
 def _surface(
-    place: Sequence[float], normal: Sequence[float], half_extents: np.ndarray
+    place: Vector, normal: Vector, half_extents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a checked place and normal, in the body's planes of symmetry if they are close."""
     at, out = np.asarray(place, float), np.asarray(normal, float)
-    if not (np.isfinite(at).all() and np.isfinite(out).all() and np.linalg.norm(out) > 0):
-        raise DrawingError("place and normal must be finite, and the normal not zero")
+    if not np.linalg.norm(out) > 0:
+        raise DrawingError("the normal of a surface must not be zero")
     return on_planes(at, out, half_extents)
 
 
@@ -253,10 +254,26 @@ def rename_references(data: Data, names: dict[str, str]) -> None:
         }
 
 
-def set_shape(data: Data, name: str, type: str) -> None:
-    """Replace the shape of a part by one of another type, with about the same extents."""
+def set_shape(data: Data, source: Path, name: str, type: str, further: int | None = None) -> None:
+    """Replace a shape of a part by one of another type, with about the same extents.
+
+    Args:
+        data: data of the document.
+        source: file of the document.
+        name: name of the part.
+        type: type of the new shape.
+        further: number of a further shape of the part, from 0, or None for its own shape.
+    """
     entry = entry_of(data, name)
-    x, y, z = _half_extents(entry["shape"])
+    owner = entry if further is None else entry["parts"][further]
+    old = owner["shape"] or {}
+    if old.get("type") == "mesh":
+        here = posed(data, source)
+        index = here.creature.body_index(here.copies[here.index(name)].name)
+        index += 0 if further is None else further + 1
+        x, y, z = map(float, here.creature.bodies[index].shape.half_extents)
+    else:
+        x, y, z = _half_extents(old)
     across = (y + z) / 2
     made: dict[str, Data] = {
         "box": {"size": [2 * x, 2 * y, 2 * z]},
@@ -265,16 +282,19 @@ def set_shape(data: Data, name: str, type: str) -> None:
         "capsule": {"radius": across, "length": max(2 * x - 2 * across, 0.1 * across)},
         "cylinder": {"radius": across, "length": 2 * x},
     }
-    if type not in made:
-        raise DrawingError(f"{type!r}: choose one of {', '.join(made)}")
-    shape = {"type": type} | {key: tidy(value) for key, value in made[type].items()}
-    new = _half_extents(shape)
-    factors = np.array(new) / np.array([x, y, z])
-    entry["shape"] = shape
-    _carry(data, str(entry["name"]), factors)
+    if type != "loft" and type not in made:
+        raise DrawingError(f"{type!r}: choose one of {', '.join([*made, 'loft'])}")
+    if type == "loft":
+        shape = new_loft((x, y, z))
+    else:
+        shape = {"type": type} | {key: tidy(value) for key, value in made[type].items()}
+    owner["shape"] = shape
+    if further is None:
+        factors = np.array(_half_extents(shape)) / np.array([x, y, z])
+        _carry(data, str(entry["name"]), factors)
 
 
-def resize(data: Data, name: str, key: str, value: Any) -> None:
+def resize(data: Data, name: str, key: str, value: Finite | Vector) -> None:
     """Set a size of a part's shape, and move what sits on its surface.
 
     Args:
@@ -287,14 +307,17 @@ def resize(data: Data, name: str, key: str, value: Any) -> None:
     shape = entry["shape"]
     if key not in _LENGTHS.get(shape.get("type"), {}):
         raise DrawingError(f"{name}: its shape has no size {key!r}")
+    if isinstance(value, tuple) != isinstance(shape[key], list):
+        count = "three numbers" if isinstance(shape[key], list) else "one number"
+        raise DrawingError(f"{key}: must be {count}")
     if not (np.asarray(value, float) > 0).all():
         raise DrawingError(f"{key}: must be greater than 0, got {value}")
     before = np.array(_half_extents(shape))
-    shape[key] = value
+    shape[key] = np.asarray(value).tolist()
     _carry(data, str(entry["name"]), np.array(_half_extents(shape)) / before)
 
 
-def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
+def stretch(data: Data, name: str, factors: Vector) -> None:
     """Stretch a part along its own axes, and move what sits on its surface.
 
     Args:
@@ -303,7 +326,7 @@ def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
         factors: factors along x, y and z.
     """
     ratios = np.asarray(factors, float)
-    if ratios.shape != (3,) or not np.isfinite(ratios).all() or (ratios <= 0).any():
+    if (ratios <= 0).any():
         raise DrawingError("the factors of a stretch must be three positive numbers")
     entry = entry_of(data, name)
     shape = entry["shape"]
@@ -313,6 +336,8 @@ def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
             raise DrawingError(f"{name}: only a mesh from a file can be stretched")
         scale = np.broadcast_to(np.asarray(shape.get("scale", 1.0), float), 3)
         shape["scale"] = tidy(scale * ratios)
+    elif kind == "loft":
+        stretch_loft(shape, ratios)
     elif kind in _LENGTHS:
         before = np.array(_half_extents(shape))
         for key, axes in _LENGTHS[kind].items():
@@ -383,6 +408,8 @@ def _half_extents(shape: Data | None) -> tuple[float, float, float]:
         case "cylinder":
             y = z = shape["radius"]
             x = shape["length"] / 2
+        case "loft":
+            x, y, z = loft_half_extents(shape)
         case other:
             raise DrawingError(f"a shape of type {other!r} has no sizes that can be changed here")
     return float(x), float(y), float(z)
@@ -410,15 +437,3 @@ def _gain(shape: Data, density: float) -> Any:
     x, y, z = _half_extents(shape)
     inertia = density * 8 * x * y * z * (2 * x) ** 2 / 3
     return float(f"{_STIFF * inertia:.1e}") or 1e-9
-
-
-def set_joint(data: Data, name: str, key: str, value: Any) -> None:
-    """Set a key of a part's joint, or leave it out (None).
-
-    Without limits, ``limits_deg`` is null, which differs from left out.
-    """
-    joint = joint_of(data, name)
-    if value is None and key != "limits_deg":
-        joint.pop(key, None)
-    else:
-        joint[key] = value

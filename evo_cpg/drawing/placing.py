@@ -8,13 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from evo_cpg.config.schema.copies import MirrorAxis
 from evo_cpg.config.schema.frames import reflected
+from evo_cpg.config.schema.section import Vector
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.drawing.lookup import Posed, bodies, posed, tidy
 
 # Angle within which a direction counts as one of the parent's axes, degrees.
 _SNAP_DEG = 4.0
 # Distance from a plane of symmetry within which a place is in the plane, in half extents.
-_NEAR = 0.06
+_NEAR = 0.15
 # A part that points backward by more than this cosine keeps its parent's axes, as in a spine.
 _BACKWARD = -0.5
 
@@ -63,7 +64,7 @@ def _snapped(direction: np.ndarray) -> np.ndarray:
     return direction
 
 
-def shift(data: Data, source: Path, part: str, by: Sequence[float]) -> None:
+def shift(data: Data, source: Path, part: str, by: Vector) -> None:
     """Move a part along its parent's surface or away from it, with everything that it carries.
 
     Args:
@@ -79,7 +80,7 @@ def shift(data: Data, source: Path, part: str, by: Sequence[float]) -> None:
     joint["at"] = tidy(_written(here, index, at))
 
 
-def turn(data: Data, source: Path, part: str, rotation: Sequence[Sequence[float]]) -> None:
+def turn(data: Data, source: Path, part: str, rotation: tuple[Vector, Vector, Vector]) -> None:
     """Turn a part about its joint.
 
     Args:
@@ -92,7 +93,7 @@ def turn(data: Data, source: Path, part: str, rotation: Sequence[Sequence[float]
     index = here.index(part)
     joint, parent = _joint(data, here, index)
     turned = np.asarray(rotation, float)
-    if turned.shape != (3, 3) or not np.allclose(turned @ turned.T, np.eye(3), atol=1e-3):
+    if not np.allclose(turned @ turned.T, np.eye(3), atol=1e-3):
         raise DrawingError("a turn needs a rotation matrix")
     body = here.copies[index]
     between = here.rotations[parent].T @ turned

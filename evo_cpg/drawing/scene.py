@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from evo_cpg.config.schema.shape import LoftConfig
 from evo_cpg.creature.creature import NO_LIMIT, length_of, lowest_height, neutral_pose
+from evo_cpg.creature.loft import outline, section_axes
 from evo_cpg.drawing.document import Data
 from evo_cpg.drawing.lookup import Posed, posed
 from evo_cpg.view.clip import quaternions
@@ -63,17 +65,40 @@ def scene(data: Data, source: Path) -> dict[str, Any]:
                 "copies": sum(each.entry == copied.entry for each in here.copies),
                 "frame": frame.tolist(),
                 "turned": turned.T.tolist(),
+                "sections": [] if body.whole else _sections(here, index, frame),
             }
         bodies.append(found)
     return {
         "bodies": bodies,
         "eyes": _eyes(here),
+        "pressure": list(creature.pressure_sensors),
         "length": float(length_of(creature)),
         "lowest": float(lowest_height(creature)),
         "mass": float(creature.mass),
         "axes": sum(len(body.joint.dofs) for body in creature.bodies if body.joint),
         "arrays": arrays,
     }
+
+
+def _sections(here: Posed, index: int, frame: np.ndarray) -> list[dict[str, Any]]:
+    """Return the cross-sections of a body that is a loft, in the frame at its centre of mass."""
+    copied = here.copies[index]
+    shape = here.config.bodies[copied.entry].shape
+    if not isinstance(shape, LoftConfig):
+        return []
+    if copied.mirror:
+        shape = shape.mirrored(copied.mirror)
+    sections = shape.drawn
+    corners = outline(shape.corners)
+    return [
+        {
+            "place": (frame + each.at).tolist(),
+            "across": (each.width / 2 * across).tolist(),
+            "up": (each.height / 2 * up).tolist(),
+            "outline": corners.tolist(),
+        }
+        for each, (across, up) in zip(sections, section_axes(sections), strict=True)
+    ]
 
 
 def _mesh(shape: Any, arrays: dict[str, str]) -> dict[str, str] | None:

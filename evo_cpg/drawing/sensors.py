@@ -1,11 +1,11 @@
 """Edits of sensors: eyes, depth gauges and pressure sensors."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from evo_cpg.config.schema.section import Vector
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.drawing.lookup import all_copies, bodies, copies_of, posed, tidy
 from evo_cpg.drawing.placing import on_planes, reflected_if
@@ -17,8 +17,8 @@ def add_eye(
     data: Data,
     source: Path,
     part: str,
-    place: Sequence[float],
-    axis: Sequence[float],
+    place: Vector,
+    axis: Vector,
     each: bool = True,
     field_of_view_deg: float = 180,
 ) -> None:
@@ -39,14 +39,12 @@ def add_eye(
             "body": carrier,
             "position": tidy(at),
             "axis": tidy(out / np.linalg.norm(out)),
-            "field_of_view_deg": field_of_view_deg,
+            "field_of_view_deg": tidy(field_of_view_deg),
         }
     )
 
 
-def add_depth_gauge(
-    data: Data, source: Path, part: str, place: Sequence[float], each: bool = True
-) -> None:
+def add_depth_gauge(data: Data, source: Path, part: str, place: Vector, each: bool = True) -> None:
     """Add a depth gauge on a surface, see `add_eye`."""
     carrier, at, _ = _place(data, source, part, place, (0, 0, 1), each)
     _list(data, "depth_sensors").append({"body": carrier, "position": tidy(at), "full_scale": 1})
@@ -83,17 +81,15 @@ def _place(
     data: Data,
     source: Path,
     part: str,
-    place: Sequence[float],
-    axis: Sequence[float],
+    place: Vector,
+    axis: Vector,
     each: bool,
 ) -> tuple[str, np.ndarray, np.ndarray]:
     """Return the name of the carrier, and place and direction in the frame of its entry."""
     here = posed(data, source)
     body = here.copies[here.index(part)]
     at, out = np.asarray(place, float), np.asarray(axis, float)
-    if not (at.shape == out.shape == (3,) and np.isfinite([at, out]).all()):
-        raise DrawingError("a place and a direction must be three finite numbers")
-    if not out.any():
+    if not np.linalg.norm(out) > 0:
         raise DrawingError("the axis of an eye must not be zero")
     shape = here.creature.bodies[here.creature.body_index(body.name)].shape
     at, out = on_planes(at, out, shape.half_extents)

@@ -1,13 +1,16 @@
 """One person's work on a document: requests of the page, one at a time, and their answers."""
 
 import threading
+import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from evo_cpg.config.errors import KeyProblem
 from evo_cpg.config.trust import is_trusted, trusting
+from evo_cpg.config.wording import short
 from evo_cpg.creature.creature import CreatureError
+from evo_cpg.drawing.arguments import checked_arguments
 from evo_cpg.drawing.commands import edit
 from evo_cpg.drawing.document import Document, DrawingError
 from evo_cpg.drawing.lookup import bodies
@@ -15,10 +18,19 @@ from evo_cpg.drawing.mesh_file import add_mesh_file
 from evo_cpg.drawing.problems import Advice, Problem, no_advice, problems
 from evo_cpg.drawing.scene import scene
 from evo_cpg.drawing.training_run import TrainingRun
-from evo_cpg.drawing.trying import simulate
+from evo_cpg.drawing.trying import How, simulate
 from evo_cpg.errors import UserError
 
 Answer = dict[str, Any]
+
+# Requests that mean the same on a page that shows a former state of the document.
+_ALWAYS = ("open", "stop", "champion")
+_STALE = (
+    "another page or window has changed the animal. This page shows it now. Look at it, and repeat "
+    "your last step"
+)
+# Longest name of a file, bytes. The names of its autosave and of temporary files are longer.
+_LONGEST = 200
 
 
 class Session:
@@ -41,14 +53,15 @@ class Session:
         self._requests: Mapping[str, Callable[..., Any]] = {
             "open": self._open,
             "edit": self._edit,
-            "undo": lambda: document.undo(),
-            "redo": lambda: document.redo(),
-            "discard": lambda: document.discard(),
+            "undo": document.undo,
+            "redo": document.redo,
+            "discard": document.discard,
             "save": self._save,
             "try": self._start_try,
             "train": self._train,
             "stop": self._stop,
             "champion": self._champion,
+            "watch": self._watch,
         }
 
     def answer(self, request: str, given: Mapping[str, Any]) -> Answer:
@@ -56,22 +69,36 @@ class Session:
 
         Args:
             request: name of the request.
-            given: its arguments.
+            given: its arguments. ``seen`` is the revision that the page shows. If another page has
+                changed the document since, the request is refused, because it may mean another
+                part.
 
         Returns:
             The state of the document, with ``error`` for a refused request, or with ``lost`` for an
             edit that waits for consent.
         """
+        arguments = dict(given)
+        seen = arguments.pop("seen", None)
         with self._lock, trusting(self._trusted):
             extra: Answer = {}
             try:
                 if request not in self._requests:
                     raise DrawingError(f"there is no request {request!r}")
-                extra = self._requests[request](**given) or {}
-            except TypeError as error:
-                extra = {"error": f"{request}: {error}"}
+                if seen not in (None, self._revision):
+                    # The page may lack shapes that another page has received.
+                    self._sent = set()
+                    if request not in _ALWAYS:
+                        raise DrawingError(_STALE)
+                work = self._requests[request]
+                extra = work(**checked_arguments(request, work, arguments)) or {}
             except UserError as error:
                 extra = {"error": str(error)}
+            except RecursionError:
+                extra = {"error": f"{request}: the values are nested too deeply"}
+            except Exception as error:
+                # A fault of this program must not end the page, and the document is unchanged.
+                traceback.print_exc()
+                extra = {"error": f"{request} met a fault of the program: {error!r}"}
             return self._state() | extra
 
     def check(self) -> Answer:
@@ -91,10 +118,10 @@ class Session:
         return {"try": self._try, "run": run.state() if run else None}
 
     def upload(self, name: str, content: bytes) -> Answer:
-        """Take a mesh file. Return its name beside the document, or an error."""
+        """Take a mesh file, see `add_mesh_file`. Return an ``error`` if it is refused."""
         with self._lock:
             try:
-                return {"file": add_mesh_file(self.document.path, name, content)}
+                return dict(add_mesh_file(self.document.path, name, content))
             except UserError as error:
                 return {"error": str(error)}
 
@@ -127,12 +154,15 @@ class Session:
         if name is None:
             self.document.save()
         else:
-            if Path(name).name != name or not name.endswith((".yaml", ".yml")):
-                raise DrawingError(f"{name!r}: must be the name of a .yaml file, without a folder")
+            is_plain = name.isprintable() and len(name.encode(errors="replace")) <= _LONGEST
+            if not is_plain or Path(name).name != name or not name.endswith((".yaml", ".yml")):
+                raise DrawingError(
+                    f"{short(name)}: must be the name of a .yaml file, without a folder"
+                )
             self.document.save_as(self.document.path.parent / name)
         return {"saved": str(self.document.path)}
 
-    def _start_try(self, how: str) -> None:
+    def _start_try(self, how: How) -> None:
         if self._try["state"] == "running":
             raise DrawingError("the last try has not ended yet")
         data, source = self.document.data, self.document.path
@@ -141,7 +171,7 @@ class Session:
         def work() -> None:
             try:
                 with trusting(self._trusted):
-                    motion = simulate(data, source, how)  # pyright: ignore[reportArgumentType]
+                    motion = simulate(data, source, how)
                 self._try = {"state": "done", **motion}
             except (UserError, ValueError) as error:
                 self._try = {"state": "failed", "error": str(error)}
@@ -176,6 +206,11 @@ class Session:
             raise DrawingError("there is no run")
         return {"motion": self._run.champion()}
 
+    def _watch(self) -> Answer:
+        if self._run is None:
+            raise DrawingError("there is no run")
+        return {"address": self._run.watch()}
+
     def _state(self) -> Answer:
         document = self.document
         data = document.data
@@ -193,6 +228,7 @@ class Session:
             "path": str(document.path),
             "changed": document.is_changed,
             "recovered": document.recovered,
+            "unsafe": document.unsafe,
             "undo": document.can_undo,
             "redo": document.can_redo,
             "data": data,

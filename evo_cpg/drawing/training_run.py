@@ -2,10 +2,11 @@
 
 import csv
 import itertools
-import signal
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from evo_cpg.training.run_folder import RunFolder
 _CURVES = ("generation", "best", "mean")
 # Time that a process gets to end, s.
 _PATIENCE = 10.0
+# Time in which the live page must start, s.
+_START = 60.0
 # Number of characters of its output that are shown.
 _SHOWN = 2000
 
@@ -38,18 +41,14 @@ class TrainingRun:
         folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
         places = (config.parent / "runs" / named(folder) for folder in folders)
         self.folder = next(place for place in places if not place.exists())
-        trust = ["--trust"] if is_trusted() else []
-        command = [sys.executable, "-m", "evo_cpg", *trust, "train", str(config)]
-        command += ["--out", str(self.folder)]
+        command = ["train", str(config), "--out", str(self.folder)]
         if generations is not None:
             command.append(f"evolution.generations={generations}")
+        self._is_stopping = False
         self._scratch = tempfile.TemporaryDirectory()
-        # A file object of our own would share its position with the process that writes.
         self._output = Path(self._scratch.name) / "output.txt"
-        with self._output.open("wb") as output:
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
-            )
+        self._process = _started(command, self._output)
+        self._watching: subprocess.Popen | None = None
 
     @property
     def is_running(self) -> bool:
@@ -58,10 +57,14 @@ class TrainingRun:
 
     def state(self) -> dict[str, Any]:
         """Return the progress of the run, as JSON."""
-        words = self._output.read_text(encoding="utf-8", errors="replace")
+        try:
+            words = self._output.read_text(encoding="utf-8", errors="replace")
+        except OSError:  # The run was closed at this moment.
+            words = ""
         return {
             "folder": str(self.folder),
             "running": self.is_running,
+            "stopping": self._is_stopping,
             "code": self._process.poll(),
             "output": words[-_SHOWN:].strip(),
             "curves": self._curves(),
@@ -82,23 +85,52 @@ class TrainingRun:
             raise DrawingError("the champion has no recording")
         return motion(recording, [body.name for body in config.creature.build().bodies])
 
+    def watch(self) -> str:
+        """Open the live page of the run, which `evo-cpg watch` serves, and return its address.
+
+        Raises:
+            DrawingError: the program did not start.
+        """
+        output = Path(self._scratch.name) / "watch.txt"
+        if self._watching is None or self._watching.poll() is not None:
+            self._watching = _started(["watch", str(self.folder), "--page"], output)
+        until = time.monotonic() + _START
+        while time.monotonic() < until and self._watching.poll() is None:
+            words = output.read_text(encoding="utf-8", errors="replace").splitlines(True)
+            for line in words:
+                if line.startswith("http://") and line.endswith("\n"):
+                    return line.strip()
+            time.sleep(0.1)
+        raise DrawingError("the live page did not start")
+
     def stop(self) -> None:
-        """Interrupt the process as Control-C does, which keeps its generations."""
-        if self.is_running:
-            if sys.platform == "win32":
-                self._process.terminate()
-            else:
-                self._process.send_signal(signal.SIGINT)
-            try:
-                self._process.wait(_PATIENCE)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        """Interrupt the process as Control-C does, which keeps its generations.
+
+        The process ends after the generation that it computes. It is killed if it takes longer.
+        """
+        if self.is_running and not self._is_stopping:
+            self._is_stopping = True
+            # The process interrupts itself (`tethered`).
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+            threading.Thread(target=self._end, daemon=True).start()
 
     def close(self) -> None:
-        """Stop the process, and delete its output."""
+        """Stop the process and its live page, wait for their ends, and delete their output."""
         self.stop()
+        self._end()
+        if self._watching is not None:
+            self._watching.kill()
+            self._watching.wait()
         self._scratch.cleanup()
+
+    def _end(self) -> None:
+        """Wait for the end of the process, and kill it after some time."""
+        try:
+            self._process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
     def _curves(self) -> dict[str, list[float]]:
         try:
@@ -109,5 +141,26 @@ class TrainingRun:
         found = {}
         for name in _CURVES:
             if rows and name in rows[0]:
-                found[name] = [float(row[name]) for row in rows if row[name]]
+                found[name] = [value for row in rows if (value := _number(row[name])) is not None]
         return found
+
+
+def _number(text: str | None) -> float | None:
+    """Return the number of a cell, or None if the cell is not written yet."""
+    try:
+        return float(text or "")
+    except ValueError:
+        return None
+
+
+def _started(arguments: list[str], output: Path) -> subprocess.Popen:
+    """Start `evo-cpg`, which ends with this program, and write its output to a file.
+
+    A file object of our own would share its position with the process that writes.
+    """
+    trust = ["--trust"] if is_trusted() else []
+    command = [sys.executable, "-m", "evo_cpg.drawing.tethered", *trust, *arguments]
+    with output.open("wb") as file:
+        return subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=file, stderr=subprocess.STDOUT
+        )

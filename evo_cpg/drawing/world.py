@@ -3,6 +3,7 @@
 from typing import Any
 
 from evo_cpg.drawing.document import Data, DrawingError
+from evo_cpg.drawing.lookup import tidy
 
 _WATER: Data = {"density": 1000}
 # Contact of a new ground, as in the walkers that come with the program.
@@ -18,7 +19,7 @@ def set_water(data: Data, on: bool, surface: float | None = None) -> None:
     if not isinstance(world.get("water"), dict):
         world["water"] = dict(_WATER)
     if surface is not None:
-        world["water"]["surface"] = surface
+        world["water"]["surface"] = tidy(surface)
     else:
         world["water"].pop("surface", None)
 

@@ -123,7 +123,10 @@ class _Editor:
         before = len(self.edits)
         try:
             # An empty collection has no line of its own.
-            if isinstance(node, yaml.MappingNode) and isinstance(new, dict) and old and new:
+            in_line = isinstance(node, yaml.CollectionNode) and node.flow_style and not place.flow
+            if in_line and _is_nested(new) and not _is_nested(old):
+                self._replace(path, node, new, place)  # It needs lines of its own.
+            elif isinstance(node, yaml.MappingNode) and isinstance(new, dict) and old and new:
                 self._mapping(path, node, old, new, place)
             elif isinstance(node, yaml.SequenceNode) and isinstance(new, list) and old and new:
                 self._sequence(path, node, old, new, place)
@@ -349,12 +352,17 @@ def _inline(value: Any) -> str:
 
 def _is_long(value: Any, words: str) -> bool:
     """Return whether a value is a collection that needs lines of its own."""
-    nested = isinstance(value, dict) and any(
+    whole = isinstance(value, (dict, list)) and bool(value)
+    return whole and (len(words) > _LINE or _is_nested(value))
+
+
+def _is_nested(value: Any) -> bool:
+    """Return whether a value is a mapping that contains mappings, or lists of collections."""
+    return isinstance(value, dict) and any(
         isinstance(inner, dict)
         or (isinstance(inner, list) and any(isinstance(x, (list, dict)) for x in inner))
         for inner in value.values()
     )
-    return isinstance(value, (dict, list)) and bool(value) and (len(words) > _LINE or nested)
 
 
 def _block(value: Any, column: int) -> str:

@@ -1,6 +1,8 @@
 """A file compiled by MuJoCo, with the names, lines and places of its elements.
 
-All places are those of the neutral pose (``qpos0``), in world axes. MuJoCo computes them.
+All places are those of the neutral pose (``qpos0``), in world axes. MuJoCo computes them. If
+gravity is tilted, the whole world is turned until gravity points down. A level ground becomes a
+slope.
 """
 
 import importlib
@@ -38,6 +40,7 @@ class Compiled(NamedTuple):
         refusals: faults found so far, for which the file is refused.
         lines: known lines of the elements in the file, by kind and number.
         urdf: whether the file is a URDF.
+        tilt: angle by which the world is turned, so that gravity points down, rad.
     """
 
     mujoco: Any
@@ -47,6 +50,7 @@ class Compiled(NamedTuple):
     refusals: Refusals
     lines: Mapping[tuple[str, int], int]
     urdf: bool = False
+    tilt: float = 0.0
 
     def item(self, kind: str, number: int) -> "Item":
         """Return an element by its kind and number."""
@@ -97,11 +101,24 @@ class Item(NamedTuple):
         name = None if code is None else mujoco.mj_id2name(model, code, self.number)
         if name:
             return f"{self.kind} {name!r}"
-        owner = {"joint": "jnt_bodyid", "geom": "geom_bodyid"}.get(self.kind)
+        owner = self._owner()
         if owner is None:
             return f"{self.kind} number {self.number} (unnamed)"
-        body = self.compiled.item("body", int(getattr(model, owner)[self.number]))
-        return f"unnamed {self.kind} of {body}"
+        return f"unnamed {self.kind} of {owner}"
+
+    def _owner(self) -> "Item | None":
+        """Return the element that an element without a name belongs to, or None."""
+        mujoco, model = self.compiled.mujoco, self.compiled.model
+        if self.kind in ("joint", "geom"):
+            body = (model.jnt_bodyid if self.kind == "joint" else model.geom_bodyid)[self.number]
+            return self.compiled.item("body", int(body))
+        if self.kind != "equality":
+            return None
+        word = mujoco.mjtObj(model.eq_objtype[self.number]).name.removeprefix("mjOBJ_").lower()
+        if word == "unknown":
+            # MuJoCo gives the kind of the connected elements only for bodies and sites.
+            word = mujoco.mjtEq(model.eq_type[self.number]).name.removeprefix("mjEQ_").lower()
+        return self.compiled.item(word, int(model.eq_obj1id[self.number]))
 
     @property
     def line(self) -> int | None:
@@ -158,9 +175,10 @@ def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compile
         raise ExchangeError(
             f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}"
         ) from None
+    tilt = _set_upright(mujoco, model)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    return Compiled(mujoco, model, data, path, refusals, _lines(spec, path), urdf)
+    return Compiled(mujoco, model, data, path, refusals, _lines(spec, path), urdf, tilt)
 
 
 def _release(spec: Any, path: Path) -> None:
@@ -173,6 +191,46 @@ def _release(spec: Any, path: Path) -> None:
     if first.joints:
         raise ExchangeError(f"{path}: --free: the body {first.name!r} hangs on joints already")
     first.add_freejoint()
+
+
+def _set_upright(mujoco: Any, model: Any) -> float:
+    """Turn the world until gravity points down, and return the angle, rad."""
+    strength = float(np.linalg.norm(model.opt.gravity))
+    # A gravity that is not finite is refused later.
+    off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    if off or not 0 < strength < np.inf:
+        return 0.0
+    down = model.opt.gravity / strength
+    axis, sine = np.cross(down, [0.0, 0.0, -1.0]), float(np.hypot(down[0], down[1]))
+    angle = float(np.arctan2(sine, -down[2]))
+    if not angle:
+        return 0.0
+    turn = np.zeros(4)
+    # The world is turned about x if gravity points up, so that the front stays the front.
+    mujoco.mju_axisAngle2Quat(turn, axis / sine if sine else np.eye(3)[0], angle)
+
+    def turned(vector: np.ndarray) -> np.ndarray:
+        found = np.zeros(3)
+        mujoco.mju_rotVecQuat(found, vector, turn)
+        return found
+
+    def place(where: np.ndarray, attitude: np.ndarray) -> None:
+        where[:] = turned(where.copy())
+        mujoco.mju_mulQuat(attitude, turn, attitude.copy())
+
+    model.opt.gravity[:] = 0.0, 0.0, -strength
+    model.opt.wind[:] = turned(model.opt.wind)
+    for body in np.flatnonzero(model.body_parentid == WORLD)[1:]:
+        place(model.body_pos[body], model.body_quat[body])
+    for geom in np.flatnonzero(model.geom_bodyid == WORLD):
+        place(model.geom_pos[geom], model.geom_quat[geom])
+        # MuJoCo would take the frame of the world for a geom that had it.
+        model.geom_sameframe[geom] = 0
+    for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
+        address = int(model.jnt_qposadr[joint])
+        for pose in (model.qpos0, model.qpos_spring):
+            place(pose[address : address + 3], pose[address + 3 : address + 7])
+    return angle
 
 
 def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:

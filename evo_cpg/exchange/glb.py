@@ -138,8 +138,8 @@ class Glb:
         Args:
             name: name of the node.
             parent: parent node, which moves this one.
-            properties: properties of the specification: `mesh`, `translation`, `rotation`,
-                `extensions`.
+            properties: properties of the specification: `mesh`, `camera`, `translation`,
+                `rotation`, `extensions`.
         """
         node = self._add("nodes", {"name": name, **properties})
         nodes = self.document["nodes"]
@@ -170,6 +170,18 @@ class Glb:
         self._samplers.append(sampler)
         target = {"node": node, "path": path}
         self._channels.append({"sampler": len(self._samplers) - 1, "target": target})
+
+    def camera(self, name: str, angle: float, aspect: float, near: float) -> int:
+        """Add a camera, and return the value of its node's `camera`.
+
+        Args:
+            name: name of the camera.
+            angle: full vertical angle of view, rad.
+            aspect: width of the picture over its height.
+            near: least visible distance, m.
+        """
+        lens = {"yfov": angle, "aspectRatio": aspect, "znear": near}
+        return self._add("cameras", {"name": name, "type": "perspective", "perspective": lens})
 
     def light(self, name: str, kind: str, color: np.ndarray, intensity: float) -> dict[str, Any]:
         """Add a lamp (KHR_lights_punctual), and return the extensions of its node.

@@ -1,8 +1,8 @@
 """A recording as an animated glTF scene, for Blender, three.js and other programs.
 
-The scene shows the animal, ground, stones, water and light of our films. glTF also uses metres and
-seconds, but y points upwards. One node, ``world``, rotates all nodes below it. The file therefore
-holds the unchanged numbers of the trajectory, in our axes (z upwards).
+The scene shows the animal, ground, stones, water, light and camera of our films. glTF also uses
+metres and seconds, but y points upwards. One node, ``world``, rotates all nodes below it. The file
+therefore holds the unchanged numbers of the trajectory, in our axes (z upwards).
 """
 
 import numpy as np
@@ -19,18 +19,22 @@ from evo_cpg.view.look import Look, sun_direction
 from evo_cpg.view.meshes import pieces
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.scene import Panel, Scene, check_panel, scene_of
+from evo_cpg.view.stage import camera_path
 from evo_cpg.view.terrain import Terrain
 from evo_cpg.view.textures import floor_texture
 
 # Rotation from z upwards to y upwards: a quarter turn about x, as a quaternion x, y, z, w.
 Z_UP = (-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))
-# Distance that the ground reaches beyond the animal's path, in radii of the animal.
-_MARGIN = 6.0
+# Distance that level ground reaches beyond the path and the light, in radii of the animal. Viewers
+# show the whole scene at first, so the animal is small on a large ground.
+_MARGIN = 2.0
 _STONE, _WATER, _WATER_OPACITY = (0.55, 0.53, 0.5), "#4cadd2", 0.35
 # Illuminance by the sun, and by the light at a distance of one radius of the animal, lux. Viewers
 # show a white sheet under pi lux at full brightness.
 _SUN, _LAMP = 3.0, 2.0
 _FPS = 30.0
+# Width over height of the picture of the camera, and its nearest visible distance in radii.
+_ASPECT, _NEAR = 16 / 9, 0.05
 
 
 def gltf_film(panel: Panel) -> bytes:
@@ -58,6 +62,7 @@ def gltf_film(panel: Panel) -> bytes:
     name = _apart(creature, "sun")
     shone = glb.light(name, "directional", np.array(pv.Color(scene.look.sun).float_rgb), _SUN)
     glb.node(name, root, rotation=turn.as_quat().tolist(), extensions=shone)
+    _add_camera(glb, root, _apart(creature, "camera"), scene)
     return glb.to_bytes()
 
 
@@ -86,14 +91,41 @@ def _add_animal(glb: Glb, root: Node, creature: Creature, recording: Recording) 
         glb.animate(node, "rotation", times, quaternions(recording.rotation[:, i]))
 
 
+def _add_camera(glb: Glb, root: Node, name: str, scene: Scene) -> None:
+    """Add the camera of our films, which follows the animal."""
+    path = camera_path(scene, "follow", _ASPECT)
+    sight = path.focus - path.position
+    # A camera of glTF looks along its -z, and its y axis points up in the picture.
+    back = -sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right, axis=-1, keepdims=True)
+    turn = quaternions(np.stack([right, np.cross(back, right), back], -1))
+    angle = float(np.radians(path.view_angle))
+    node = glb.node(
+        name,
+        root,
+        camera=glb.camera(name, angle, _ASPECT, _NEAR * scene.radius),
+        translation=path.position[0].tolist(),
+        rotation=turn[0].tolist(),
+    )
+    times = glb.times(scene.clip.time - scene.clip.time[0])
+    glb.animate(node, "translation", times, path.position)
+    glb.animate(node, "rotation", times, turn)
+
+
 def _add_ground(glb: Glb, root: Node, scene: Scene) -> None:
     look, creature, obstacles = scene.look, scene.creature, scene.ground.obstacles
-    terrain = scene.terrain(_MARGIN * scene.radius)
     floor = scene.ground.floor
     if isinstance(floor, Plane) and tuple(floor.normal) == (0.0, 0.0, 1.0):
         # Two triangles are enough for level ground.
-        x, y = terrain.x[[0, -1]], terrain.y[[0, -1]]
+        shown = scene.clip.position.reshape(-1, 3)
+        if scene.goal is not None:
+            shown = np.concatenate([shown, scene.goal[None]])
+        margin = _MARGIN * scene.radius
+        x, y = np.stack([shown.min(0) - margin, shown.max(0) + margin])[:, :2].T
         terrain = Terrain(x, y, np.full((2, 2), float(floor.height)))
+    else:
+        terrain = scene.terrain(0.0)
     points = terrain.points()
     tile = floor_texture(look.floor, look.grid, look.checkered, scene.stands)
     texture = glb.texture(np.asarray(tile.to_array()))

@@ -27,10 +27,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.errors import ConfigError, KeyProblem
 from evo_cpg.config.load import check_config
 from evo_cpg.config.schema.creature import CreatureConfig
+from evo_cpg.config.schema.joint import JointConfig
 from evo_cpg.config.schema.shape import ShapeConfig
+from evo_cpg.config.wording import checked
 from evo_cpg.creature.creature import CreatureError, lowest_height
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import build_tree
@@ -56,12 +58,12 @@ from evo_cpg.exchange.mjcf_fields import (
     refuse_fields,
     require_numbers,
 )
-from evo_cpg.exchange.mjcf_joints import read_joint
+from evo_cpg.exchange.mjcf_joints import read_joint, refuse_effects_on_free_root
 from evo_cpg.exchange.mjcf_motors import read_motors
 from evo_cpg.exchange.mjcf_shapes import Placed, Solid, body_keys, place_body
 from evo_cpg.exchange.mjcf_tendons import read_tendons
 from evo_cpg.exchange.mjcf_world import experiment, read_world
-from evo_cpg.exchange.refusals import ExchangeError
+from evo_cpg.exchange.refusals import ExchangeError, Refusal
 from evo_cpg.exchange.rigid import Rigid, rigid_bodies, scenery
 
 # Density of bodies whose mass is given in numbers, kg/m^3. It has no effect.
@@ -122,30 +124,10 @@ def read_model(
     refuse_elements(compiled)
     refuse_fields(compiled)
     motors, tendon_motors = read_motors(compiled, motor_gain)
-    rigids: list[Rigid] = []
-    with refusals.collecting():
-        rigids = rigid_bodies(compiled)
-    if not rigids:
-        refusals.check()
-    names, axes = _body_names(compiled, rigids), root_axes(custom)
-    placed = [place_body(compiled, rigid, names[rigid.lead], axes) for rigid in rigids]
-    placed = [_with_exact_meshes(body, custom) for body in placed]
-    carrier = {body.rigid.lead: body for body in placed}
-    creature: dict[str, Any] = {"name": _model_name(compiled), "materials": {}, "bodies": []}
-    materials: dict[Material, str] = {}
-    volumes = []
-    for own in placed:
-        shapes = _shapes(compiled, own)
-        volumes.append(sum(float(shape.volume) for shape in shapes))
-        entry = {"name": own.name} | _substance(compiled, own, shapes, custom, materials)
-        creature["bodies"].append(entry)
-        if not own.rigid.free:
-            with refusals.collecting():
-                parent = None if own.rigid.parent is None else carrier[own.rigid.parent]
-                entry["joint"] = read_joint(compiled, own, parent, motors)
-                restore_muscles(custom, own.name, entry["joint"])
-    creature["materials"] = {name: dict(keys) for keys, name in materials.items()}
-    ground, others = read_ground(compiled, placed, scenery(compiled, rigids))
+    placed = _placed_bodies(compiled, custom)
+    creature, volumes = _creature_keys(compiled, placed, custom, motors)
+    fixed = scenery(compiled, [body.rigid for body in placed])
+    ground, others = read_ground(compiled, placed, fixed)
     _set_senses(creature, custom, bool(ground))
     creature["self_collision"] = read_self_collision(compiled, placed)
     world = read_world(compiled, placed, volumes, ground, bool(custom))
@@ -160,13 +142,14 @@ def read_model(
             creature["tendons"] = tendons
     refusals.check()
     built = _checked_creature(compiled, creature)
+    root, every_motor = placed[0], [*motors.values(), *tendon_motors.values()]
     data = experiment(
         _run_name(creature["name"]),
         creature,
         world,
-        _clearance(built, placed[0], world),
-        bool(placed[0].rigid.joints) or placed[0].rigid.free,
-        any("stiffness" in motor for motor in (*motors.values(), *tendon_motors.values())),
+        _clearance(built, root, world),
+        bool(root.rigid.joints) or root.rigid.free,
+        any("stiffness" in motor for motor in every_motor),
     )
     return Imported(
         data,
@@ -174,13 +157,68 @@ def read_model(
         tuple(refusals.dropped),
         joints,
         bool(custom),
-        tuple(_warnings(compiled, placed[0], bool(motors or tendon_motors))),
-        tuple(_centre_of(placed[0]).tolist()),
+        tuple(_warnings(compiled, root, bool(every_motor))),
+        tuple(_centre_of(root).tolist()),
     )
+
+
+def _placed_bodies(compiled: Compiled, custom: Custom) -> list[Placed]:
+    """Return the bodies of the animal, the root first.
+
+    Raises:
+        ExchangeError: nothing moves.
+    """
+    rigids: list[Rigid] = []
+    with compiled.refusals.collecting():
+        rigids = rigid_bodies(compiled)
+    if not rigids:
+        compiled.refusals.check()
+    names, axes = _body_names(compiled, rigids), root_axes(custom)
+    placed = [place_body(compiled, rigid, names[rigid.lead], axes) for rigid in rigids]
+    return [_with_exact_meshes(body, custom) for body in placed]
+
+
+def _creature_keys(
+    compiled: Compiled,
+    placed: Sequence[Placed],
+    custom: Custom,
+    motors: Mapping[int, dict[str, Any]],
+) -> tuple[dict[str, Any], list[float]]:
+    """Return the keys of the creature's bodies and materials, and the volume of each body, m^3."""
+    carrier = {body.rigid.lead: body for body in placed}
+    materials: dict[Material, str] = {}
+    bodies, volumes = [], []
+    for own in placed:
+        shapes = _shapes(compiled, own)
+        volumes.append(sum(float(shape.volume) for shape in shapes))
+        entry = {"name": own.name} | _substance(compiled, own, shapes, custom, materials)
+        bodies.append(entry)
+        if own.rigid.free:
+            refuse_effects_on_free_root(compiled, own.rigid.lead)
+        else:
+            parent = None if own.rigid.parent is None else carrier[own.rigid.parent]
+            entry["joint"] = read_joint(compiled, own, parent, motors)
+            restore_muscles(custom, own.name, entry["joint"])
+            _check_joint(compiled, own, entry["joint"])
+    named = {name: dict(keys) for keys, name in materials.items()}
+    return {"name": _model_name(compiled), "materials": named, "bodies": bodies}, volumes
+
+
+def _check_joint(compiled: Compiled, own: Placed, keys: dict[str, Any]) -> None:
+    """Refuse a joint that breaks a rule of joints, such as two parallel axes."""
+    try:
+        checked(JointConfig, keys)
+    except KeyProblem as error:
+        item = compiled.item("joint", own.rigid.joints[0])
+        problem = str(error).removeprefix(": ")
+        compiled.refusals.add(Refusal(str(item), problem, item.line, vital=True))
 
 
 def _warnings(compiled: Compiled, root: Placed, driven: bool) -> Iterator[str]:
     """Yield sentences about what a user may have to change before training."""
+    if compiled.tilt:
+        angle = np.rad2deg(compiled.tilt)
+        yield f"the world is turned by {angle:.3g} degrees, so that gravity points down"
     if not driven:
         yield "no joint has a motor. Give joints an actuator before training"
     if not (root.rigid.joints or root.rigid.free):
@@ -199,7 +237,7 @@ def _body_names(compiled: Compiled, rigids: Sequence[Rigid]) -> dict[int, str]:
         elif not given and rigid.joints:
             given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, rigid.joints[0])
         # Braces stand for numbers in our names, and these two words for all bodies and no body.
-        name = re.sub(r"[{}*]", "_", given or f"body{rigid.lead}")
+        name = re.sub(r"[{}*\x00-\x1f\x7f-\x9f\u2028\u2029]", "_", given or f"body{rigid.lead}")
         name = f"{name}_" if name in ("all", "world") else name
         while name in names.values():
             name += "_"

@@ -96,17 +96,12 @@ def read_joint(
         turn = np.rad2deg(matrix_to_euler(parent.turn.T @ own.turn))
         if np.any(turn := tidy_vector(turn)):
             keys["rotation_deg"] = turn
-    balls = [j for j in joints if int(model.jnt_type[j]) == kinds.mjJNT_BALL]
-    if balls and len(joints) > 1:
-        raise compiled.item("joint", balls[0]).refusal(
-            "it shares its body with other joints", "a ball joint alone in its body"
-        )
     if not joints:
         return keys
     limits, rests = [], []
     for joint in joints:
         limit, rest = _limits(compiled, joint), _rest(compiled, joint)
-        if joint in balls:
+        if int(model.jnt_type[joint]) == kinds.mjJNT_BALL:
             keys["axes"] = "ball"
             limits.append(limit and tidy_vector(np.rad2deg(limit)))
             rests.append(0.0)
@@ -133,6 +128,21 @@ def read_joint(
     if any(driven):
         keys["actuator"] = one_or_each(driven)
     return keys
+
+
+def refuse_effects_on_free_root(compiled: Compiled, body: int) -> None:
+    """Refuse springs, dampers, rotors and dry friction of a free joint, which a root cannot have.
+
+    Args:
+        compiled: the model.
+        body: MuJoCo's number of the root.
+    """
+    joint = int(compiled.model.body_jntadr[body])
+    effects = [name for name in _passive(compiled, [joint], [0.0]) if name != "rest_deg"]
+    if effects:
+        words = ", ".join(effects)
+        item = compiled.item("joint", joint)
+        item.refuse(f"it is a free joint with {words}", "<freejoint/>, which takes no defaults")
 
 
 def _passive(compiled: Compiled, joints: Iterable[int], rests: list[float]) -> dict[str, Any]:

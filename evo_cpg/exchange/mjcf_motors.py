@@ -98,6 +98,7 @@ def read_motors(
             motors[target] = _read_motor(compiled, number, kind, target, motor_gain)
     if compiled.urdf:
         of_joints |= _motors_of_efforts(compiled)
+    _refuse_shared_limits(compiled, of_joints, of_tendons)
     return of_joints, of_tendons
 
 
@@ -204,6 +205,41 @@ def _torque_limit(
     if not min(largest) > 0:
         raise item.refusal("its limits are 0", "a limit above 0")
     return tidy(min(largest))
+
+
+def _refuse_shared_limits(
+    compiled: Compiled,
+    of_joints: dict[int, dict[str, Any]],
+    of_tendons: dict[int, dict[str, Any]],
+) -> None:
+    """Refuse joints whose limit would cut the force of the motors of tendons."""
+    model = compiled.model
+    if not hasattr(model, "jnt_actfrcrange"):
+        return
+    largest: dict[int, float] = {}
+    for tendon, motor in of_tendons.items():
+        force = _largest(motor)
+        first = int(model.tendon_adr[tendon])
+        for wrap in range(first, first + int(model.tendon_num[tendon])):
+            if int(model.wrap_type[wrap]) == compiled.mujoco.mjtWrap.mjWRAP_JOINT:
+                joint = int(model.wrap_objid[wrap])
+                own = _largest(of_joints[joint]) if joint in of_joints else 0.0
+                lever = abs(float(model.wrap_prm[wrap]))
+                largest[joint] = largest.get(joint, own) + lever * force
+    for joint, force in largest.items():
+        lower, upper = map(float, model.jnt_actfrcrange[joint])
+        limited = model.jnt_actfrclimited[joint] and min(-lower, upper) < LARGEST
+        if limited and force > min(-lower, upper) * (1 + TOLERANCE):
+            compiled.item("joint", joint).refuse(
+                "its actuatorfrcrange limits the force of a tendon's motor",
+                "a forcerange of the actuator",
+            )
+
+
+def _largest(motor: dict[str, Any]) -> float:
+    """Return the largest force of a motor."""
+    limit = motor["torque_limit"]
+    return np.inf if limit is None else limit
 
 
 def _motors_of_efforts(compiled: Compiled) -> dict[int, dict[str, Any]]:

@@ -31,8 +31,9 @@ from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.exchange.rigid import Rigid, is_flat
 from evo_cpg.spatial.rotation import matrix_to_euler
 
-# Most corners of a mesh. Contact and buoyancy use fewer (`evo_cpg.creature.mesh`).
-_MOST_CORNERS = 100
+# Most corners of a mesh, and of further attempts: fewer corners are farther apart, so the hull has
+# no needles. Contact and buoyancy use at most 64 (`evo_cpg.creature.mesh`).
+_MOST_CORNERS = 100, 50, 25
 
 # Largest difference from the world's axes of a root's shape.
 _ALIGNED = 1e-12
@@ -281,8 +282,7 @@ def _read_mesh(compiled: Compiled, geom: int, axes: np.ndarray | None) -> Solid:
     if axes is not None:
         vertices, turn = vertices @ (axes.T @ turn).T, axes
     try:
-        shape = hull(vertices)
-        convex_mesh(np.array(shape["vertices"]), np.array(shape["faces"]))
+        shape = _body_of(vertices)
     except MeshError as error:
         raise compiled.item("geom", geom).refusal(
             f"its mesh cannot be a body: {error}", "a solid mesh of 1 mm to 100 m"
@@ -290,8 +290,27 @@ def _read_mesh(compiled: Compiled, geom: int, axes: np.ndarray | None) -> Solid:
     return Solid(geom, shape, centre, turn, float(np.prod(np.ptp(vertices, axis=0))))
 
 
-def hull(vertices: np.ndarray) -> dict[str, Any]:
-    """Return the convex hull of points as a shape, with at most `_MOST_CORNERS` corners.
+def _body_of(vertices: np.ndarray) -> dict[str, Any]:
+    """Return the hull of the most corners that can be a body.
+
+    Raises:
+        MeshError: no hull of the points can be a body.
+    """
+    fault: MeshError | None = None
+    for most in _MOST_CORNERS:
+        try:
+            shape = hull(vertices, most)
+            convex_mesh(np.array(shape["vertices"]), np.array(shape["faces"]))
+        except MeshError as error:
+            fault = fault or error
+        else:
+            return shape
+    assert fault is not None
+    raise fault
+
+
+def hull(vertices: np.ndarray, most: int) -> dict[str, Any]:
+    """Return the convex hull of points as a shape, with a largest number of corners.
 
     Raises:
         MeshError: the points lie in a plane.
@@ -300,8 +319,8 @@ def hull(vertices: np.ndarray) -> dict[str, Any]:
 
     try:
         points = vertices[ConvexHull(vertices).vertices]
-        if len(points) > _MOST_CORNERS:
-            points = points[_far_apart(points, _MOST_CORNERS)]
+        if len(points) > most:
+            points = points[_far_apart(points, most)]
         found = ConvexHull(points)
     except QhullError:
         raise MeshError("its corners lie in a plane") from None

@@ -129,7 +129,8 @@ def _lost(what: str, elements: list[str]) -> str:
     """Return a phrase about something that elements lose."""
     if len(elements) < 2:
         return " of ".join([what, *elements])
-    return f"{what} of {len(elements)} {_kind(elements[0])}s"
+    kind = _kind(elements[0])
+    return f"{what} of {len(elements)} {'bodies' if kind == 'body' else f'{kind}s'}"
 
 
 def _kind(element: str) -> str:

@@ -64,12 +64,10 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
         bodies.append(Rigid(root, fixed, None, ()))
     for lead in leads:
         parent = int(model.body_weldid[model.body_parentid[lead]])
-        joints = range(model.body_jntadr[lead], model.body_jntadr[lead] + model.body_jntnum[lead])
         free = is_free(compiled, lead)
+        joints = () if free else _joints(compiled, lead)
         carrier = root if parent == WORLD else parent
-        bodies.append(
-            Rigid(lead, tuple(welded[lead]), carrier, () if free else tuple(joints), free)
-        )
+        bodies.append(Rigid(lead, tuple(welded[lead]), carrier, joints, free))
     return bodies
 
 
@@ -78,6 +76,21 @@ def is_free(compiled: Compiled, body: int) -> bool:
     model = compiled.model
     first = int(model.body_jntadr[body])
     return first >= 0 and int(model.jnt_type[first]) == compiled.mujoco.mjtJoint.mjJNT_FREE
+
+
+def _joints(compiled: Compiled, body: int) -> tuple[int, ...]:
+    """Return the joints of a body. Refuse a ball beside other joints."""
+    model = compiled.model
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    joints = range(first, first + count)
+    balls = [j for j in joints if int(model.jnt_type[j]) == compiled.mujoco.mjtJoint.mjJNT_BALL]
+    if count == 1 or not balls:
+        return tuple(joints)
+    for ball in balls:
+        compiled.item("joint", ball).refuse(
+            "it shares its body with other joints", "a ball joint alone in its body"
+        )
+    return tuple(joint for joint in joints if joint not in balls)
 
 
 def scenery(compiled: Compiled, bodies: list[Rigid]) -> list[int]:
@@ -127,7 +140,7 @@ def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[i
         if top not in kept:
             problem = f"it moves beside {compiled.item('body', best)}"
             allowed = "one tree of bodies, or several that all hang on the world by joints"
-            compiled.item("body", top).refuse(problem, allowed, vital=motors[top] > 0)
+            compiled.item("body", top).refuse(problem, allowed)
     return kept
 
 

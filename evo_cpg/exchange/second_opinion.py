@@ -175,7 +175,7 @@ def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
         _upright_fraction(np.asarray(steps.after.orientation[:, each])),
         _airborne(simulation.world, held[each]),
         np.asarray(steps.after.q[:, each], float),
-        _slides(simulation),
+        simulation.world.tree.slides,
     )
 
 
@@ -229,7 +229,7 @@ def second_opinion(
         _upright_fraction(poses.orientation[:, 1:]),
         _airborne(world, np.array(held)),
         poses.q[:, 1:],
-        _slides(simulation),
+        simulation.world.tree.slides,
     )
 
 
@@ -475,11 +475,6 @@ def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "v t"]:
     rates = np.asarray(steps.before.rates, float)
     came = np.concatenate([rates[:, :1], np.asarray(steps.after.rates[:, :-1], float)], 1)
     return rates - came
-
-
-def _slides(simulation: Simulation) -> Bool[np.ndarray, " d"]:
-    """Return which degrees of freedom are displacements."""
-    return np.array([kind == "slide" for kind in simulation.world.tree.dof_kinds], bool)
 
 
 def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:

@@ -1,12 +1,15 @@
 """Preparation of URDF files for MuJoCo: the folders of meshes, and links without mass.
 
 A URDF names meshes as ``package://PACKAGE/FOLDER/FILE``. MuJoCo knows no packages. Each mesh is
-looked for in the folders above the file. Drawings beside collision shapes are left out. Bodies that
-are fixed to each other stay separate, so that the first one can be released.
+looked for in the folders above the file. Drawings beside collision shapes are left out, and joints
+that copy the angle of another one (``mimic``) are refused. Bodies that are fixed to each other stay
+separate, so that the first one can be released.
 
 Links without mass or inertia get very small ones: other programs take them, and MuJoCo does not.
+trimesh converts meshes that MuJoCo cannot read. It reads Collada files (``.dae``) with pycollada.
 """
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -50,13 +53,17 @@ def read_urdf(path: Path, refusals: Refusals) -> Urdf:
     meshes: dict[str, bytes] = {}
     for link in robot.iter("link"):
         for drawn in link.findall("visual"):
-            if link.find("collision") is not None or not _is_readable(path, drawn, meshes):
+            if link.find("collision") is not None:
+                link.remove(drawn)
+            elif not _is_readable(path, drawn, meshes):
+                refusals.leave_out("unreadable drawing", f"body {link.get('name', '')!r}")
                 link.remove(drawn)
         for solid in link.findall("collision"):
             if not _is_readable(path, solid, meshes):
                 _refuse(path, solid, refusals)
                 link.remove(solid)
         _give_inertia(link, refusals)
+    _refuse_mimics(robot, refusals)
     _set_compiler(robot)
     return Urdf(ElementTree.tostring(robot, encoding="unicode"), meshes)
 
@@ -64,9 +71,22 @@ def read_urdf(path: Path, refusals: Refusals) -> Urdf:
 def _refuse(path: Path, shape: Element, refusals: Refusals) -> None:
     mesh = shape.find("geometry/mesh")
     name = "" if mesh is None else mesh.get("filename", "")
-    problem = "it is missing" if _found(path, name) is None else "it cannot be read"
+    found = _found(path, name)
+    problem = "it is missing" if found is None else "it cannot be read"
+    if found is not None and found.suffix.lower() == ".dae" and find_spec("collada") is None:
+        problem = "it is a Collada file, and the package pycollada is not installed"
     allowed = "a .stl, .obj or .msh file in a folder beside or above the URDF"
     refusals.add(Refusal(f"mesh {name!r}", f"{problem}. Allowed: {allowed}"))
+
+
+def _refuse_mimics(robot: Element, refusals: Refusals) -> None:
+    """Refuse joints that copy the angle of another one. Some versions of MuJoCo ignore them."""
+    for joint in robot.iter("joint"):
+        for mimic in joint.findall("mimic"):
+            name = f"joint {joint.get('name', '')!r}"
+            problem = f"it mimics joint {mimic.get('joint', '')!r}. Allowed: no mimic"
+            refusals.add(Refusal(name, problem))
+            joint.remove(mimic)
 
 
 def _give_inertia(link: Element, refusals: Refusals) -> None:
@@ -144,7 +164,7 @@ def _converted(path: Path) -> bytes | None:
 
     try:
         mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
-        return export_stl(mesh)
+        return export_stl(mesh) if len(mesh.faces) else None
     except Exception:
         # Any error of the reader concerns the file.
         return None

@@ -3,7 +3,7 @@
 import dataclasses
 import fnmatch
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from evo_cpg.config.load import check_config
 from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.tree import Tree
+from evo_cpg.creature.tree import Tree, body_and_axis
 from evo_cpg.errors import nearest
 from evo_cpg.laboratory.settings import NOTHING, LabError, Setting
 from evo_cpg.simulation.batched import BatchedSimulation
@@ -47,6 +47,21 @@ _POWERS = {
     "stiffness": _INERTIA,
     "damping": _INERTIA,
     "armature": _INERTIA,
+}
+
+# The same for slides and for tendons whose length is in m. A slide that keeps its rates per length
+# of the animal needs masses for inertias, and a length more for forces.
+_FORCE = 4
+_SLIDING_POWERS = {
+    "gain": _VOLUME,
+    "stiffness": _VOLUME,
+    "damping": _VOLUME,
+    "armature": _VOLUME,
+    "gear": _FORCE,
+    "friction_loss": _FORCE,
+    "torque_limit": _FORCE,
+    "rest": _LENGTH,
+    "limits": _LENGTH,
 }
 
 
@@ -135,7 +150,7 @@ def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> Exper
     size = setting.get("size", 1.0)
     if size != 1:
         data = config.model_dump(mode="json")
-        data["creature"] = _scaled(data["creature"], float(size))
+        data["creature"] = _scaled_creature(config, float(size))
         # The animal sees a light from as many of its lengths as before.
         trials = data["simulation"]["trials"]
         for place in (data["task"], *(trials if isinstance(trials, list) else ())):
@@ -168,12 +183,61 @@ def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> Exper
     return with_numbers(config, numbers, source) if numbers else config
 
 
-def _scaled(place: Any, size: float, power: int = 0) -> Any:
-    """Return a section of a creature at another size."""
+def _scaled_creature(config: ExperimentConfig, size: float) -> dict[str, Any]:
+    """Return the creature's section at another size."""
+    given = config.creature.model_dump(mode="json")
+    scaled = _scaled(given, size)
+    for body, made in zip(given["bodies"], scaled["bodies"], strict=True):
+        if joint := body["joint"]:
+            made["joint"] |= _scaled_axes(joint, size)
+    for tendon, made in zip(given.get("tendons", ()), scaled.get("tendons", ()), strict=True):
+        sliding = {name for name in tendon["joints"] if body_and_axis(name)[1].startswith("slide")}
+        if sliding:
+            made |= _scaled(tendon, size, powers=_POWERS | _SLIDING_POWERS)
+            # Coefficients of turning axes are lever arms beside a slide.
+            made["joints"] = {
+                name: value if name in sliding else value * size
+                for name, value in tendon["joints"].items()
+            }
+    return scaled
+
+
+def _scaled_axes(joint: dict[str, Any], size: float) -> dict[str, Any]:
+    """Return the values of the axes of a joint with slides, one for each axis."""
+    axes = joint["axes"]
+    slides = [isinstance(axis, dict) and "slide" in axis for axis in axes]
+    if not any(slides):
+        return {}
+    powers = [_POWERS | _SLIDING_POWERS if slide else _POWERS for slide in slides]
+    values = {
+        name: joint[name] if isinstance(joint[name], list) else [joint[name]] * len(axes)
+        for name in ("stiffness", "damping", "armature", "friction_loss", "actuator")
+        if name in joint
+    }
+    return {
+        name: [
+            _scaled(value, size, own.get(name, 0), own)
+            for value, own in zip(each, powers, strict=True)
+        ]
+        for name, each in values.items()
+    }
+
+
+def _scaled(place: Any, size: float, power: int = 0, powers: Mapping[str, int] = _POWERS) -> Any:
+    """Return a section of a creature at another size.
+
+    Args:
+        place: the section, or a value in it.
+        size: factor of all lengths.
+        power: power with which a value grows.
+        powers: power with which the value of each key grows.
+    """
     if isinstance(place, dict):
-        return {name: _scaled(x, size, _POWERS.get(name, power)) for name, x in place.items()}
+        return {
+            name: _scaled(x, size, powers.get(name, power), powers) for name, x in place.items()
+        }
     if isinstance(place, list):
-        return [_scaled(each, size, power) for each in place]
+        return [_scaled(each, size, power, powers) for each in place]
     return place * size**power if isinstance(place, float) else place
 
 

@@ -111,8 +111,9 @@ class FewPairContacts(NamedTuple):
         """Return ``J rates``, m/s."""
         return (self.jacobian * rates[None]).sum(1)
 
-    def at(self, qdd: Float[Array, "d *n"]) -> "FewPairForces":
+    def at(self, qdd: Float[Array, "d *n"], sums: None = None) -> "FewPairForces":
         """Return the forces at joint accelerations, and their derivatives."""
+        del sums
         velocity = self.velocity(qdd)
         stiffness = expand_dims_like(self.pairs.stiffness / self.h, velocity)
         short = self.target_velocity - velocity
@@ -145,6 +146,11 @@ class FewPairForces(NamedTuple):
     velocity: Float[Array, "p *n"]
     force: Float[Array, "p *n"]
     derivative: Float[Array, "p *n"]
+
+    @property
+    def sums(self) -> None:
+        """None: code that is written out has nothing to save."""
+        return None
 
     @property
     def load(self) -> Float[Array, "*n"]:

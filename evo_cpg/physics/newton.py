@@ -13,14 +13,14 @@ points change by a dv. The derivative of the potential along the line, pairs lef
 Its root is found by regula falsi with the Illinois rule.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.fusion.converge import while_each
 from evo_cpg.physics.root import joint_part
-from evo_cpg.physics.step_problem import StepProblem
+from evo_cpg.physics.step_problem import Linearization, StepProblem
 from evo_cpg.spatial.linear import dot, matvec
 
 # Largest residual (`StepProblem.residual`) of a solution. The second serves while the friction
@@ -30,6 +30,20 @@ _TOLERANCE, _ROUGH, _EXACT = 1e-3, 0.05, 1e-10
 # Derivative at which a line search ends, as a fraction of the initial derivative, and the largest
 # number of evaluations in a search.
 _FLAT, _EVALUATIONS = 0.3, 30
+
+
+class Iterate(NamedTuple):
+    """An iterate, and results of its evaluation.
+
+    Attributes:
+        y: accelerations of root and joints.
+        velocity: velocities of the contact points, m/s, or None without ground.
+        pair_sums: `PairForces.sums`, or None if they are not known.
+    """
+
+    y: Float[Array, "v *n"]
+    velocity: Float[Array, "3 p *n"] | None
+    pair_sums: Any = None
 
 
 class _Bracket(NamedTuple):
@@ -44,6 +58,7 @@ class _Bracket(NamedTuple):
         slope: derivative at the latest length.
         moved: end that moved last: 1 the upper, -1 the lower, 0 none.
         evaluations: number of evaluations of the derivative.
+        pair_sums: `PairForces.sums` at the latest length.
     """
 
     low: Float[Array, "*n"]
@@ -54,6 +69,7 @@ class _Bracket(NamedTuple):
     slope: Float[Array, "*n"]
     moved: Int[Array, "*n"]
     evaluations: Int[Array, "*n"]
+    pair_sums: Any
 
 
 def tolerances(like: Array) -> tuple[float, float]:
@@ -76,8 +92,8 @@ def full_step(
 
 def damped_step(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
-) -> tuple[Float[Array, "v *n"], Float[Array, "3 p *n"] | None]:
-    """Return the next iterate, and the velocities of the contact points in it.
+) -> Iterate:
+    """Return the next iterate.
 
     Args:
         problem: problem of the step.
@@ -86,10 +102,11 @@ def damped_step(
     """
     velocity = problem.velocity(y)
     linear = problem.linearized(radius, joint_part(y), velocity)
+    end = problem.motion(linear)
     # If the potential falls more slowly than this, rounding would determine the step's length.
     tolerance, _ = tolerances(y)
     least = problem.h * tolerance**2 * problem.square_of_forces(y, linear)
-    return line_search(problem, radius, y, velocity, problem.motion(linear), least)
+    return line_search(problem, radius, y, velocity, linear, end, least)
 
 
 def line_search(
@@ -97,17 +114,19 @@ def line_search(
     radius: Float[Array, "p *n"],
     start: Float[Array, "v *n"],
     velocity: Float[Array, "3 p *n"] | None,
+    linear: Linearization,
     end: Float[Array, "v *n"],
     least: Float[Array, "*n"],
-) -> tuple[Float[Array, "v *n"], Float[Array, "3 p *n"] | None]:
-    """Return the accelerations with the least potential on a line, and the points' velocities.
+) -> Iterate:
+    """Return the iterate with the least potential on a line.
 
     Args:
         problem: problem with the potential.
         radius: radii of the friction cones, N.
         start: accelerations at the start of the line.
         velocity: velocities of the contact points at the start of the line, m/s.
-        end: accelerations at its end, under the laws linearized at the start.
+        linear: laws linearized at the start of the line.
+        end: accelerations at its end, under these laws.
         least: decrease per length (W) below which there is no search and the end is returned.
     """
     direction, h = end - start, problem.h
@@ -124,26 +143,27 @@ def line_search(
             return y, None
         return y, velocity + length[None, None] * change
 
-    def slope(length: Array) -> Array:
-        """Return phi' at a length, W."""
+    def slope(length: Array, laws: Linearization | None = None) -> tuple[Array, Any]:
+        """Return phi' at a length, W, and the sums of the pairs there."""
         y, point_velocity = at(length)
-        laws = problem.linearized(radius, joint_part(y), point_velocity)
+        if laws is None:
+            laws = problem.linearized(radius, joint_part(y), point_velocity)
         total = h * (linear_slope + length * curvature - dot(turning, problem.torque(y, laws)))
         if change is not None and laws.contact is not None:
             total = total - (change * laws.contact.force).sum((0, 1))
         if parting is not None and laws.pairs is not None:
             total = total - laws.pairs.power(parting)
-        return total
+        return total, None if laws.pairs is None else laws.pairs.sums
 
     one = jnp.ones_like(curvature)
-    start_slope, end_slope = slope(0 * one), slope(one)
+    (start_slope, _), (end_slope, end_sums) = slope(0 * one, linear), slope(one)
 
     def unfinished(bracket: _Bracket) -> Bool[Array, "*n"]:
         steep = jnp.abs(bracket.slope) > _FLAT * jnp.abs(start_slope)
         return steep & (bracket.evaluations < _EVALUATIONS)
 
     def narrowed(bracket: _Bracket) -> _Bracket:
-        low, low_slope, high, high_slope, length, here, moved, evaluations = bracket
+        low, low_slope, high, high_slope, length, here, moved, evaluations, _ = bracket
         rises = here > 0
         end_to_move = jnp.where(rises, 1, -1).astype(jnp.int32)
         again = moved == end_to_move
@@ -152,12 +172,14 @@ def line_search(
         low_slope = jnp.where(rises, jnp.where(again, 0.5 * low_slope, low_slope), here)
         high_slope = jnp.where(rises, here, jnp.where(again, 0.5 * high_slope, high_slope))
         length = low - low_slope * (high - low) / (high_slope - low_slope)
-        slopes = low, low_slope, high, high_slope, length, slope(length)
-        return _Bracket(*slopes, end_to_move, evaluations + 1)
+        found, pair_sums = slope(length)
+        slopes = low, low_slope, high, high_slope, length, found
+        return _Bracket(*slopes, end_to_move, evaluations + 1, pair_sums)
 
     none = jnp.zeros(start_slope.shape, jnp.int32)
     # A line along which the potential falls to its end needs no search.
     overshoots = (start_slope < -least) & (end_slope > 0)
     slope_now = jnp.where(overshoots, end_slope, 0.0)
-    first = _Bracket(0 * one, start_slope, one, end_slope, one, slope_now, none, none)
-    return at(while_each(unfinished, narrowed, first).length)
+    first = _Bracket(0 * one, start_slope, one, end_slope, one, slope_now, none, none, end_sums)
+    last = while_each(unfinished, narrowed, first)
+    return Iterate(*at(last.length), last.pair_sums)

@@ -9,7 +9,7 @@ these members:
 | ``bias`` | determines the velocity-product acceleration of the points along their normals |
 | ``with_bias(bias)`` | the contacts with another bias |
 | ``bias_at(qdd)`` | ``bias`` for the joint rates after a step with joint accelerations ``qdd`` |
-| ``at(qdd)`` | the `PairForces` at joint accelerations |
+| ``at(qdd, sums)`` | the `PairForces` at joint accelerations, ``sums`` included if known |
 | ``change(qdd)`` | the change of velocities that ``PairForces.power`` takes |
 | ``touches(qdd)`` | where any pair pushes |
 | ``drifts(qdd, bias)`` | where another bias would move a touching pair by over `LARGEST_DRIFT` |
@@ -17,6 +17,7 @@ these members:
 
 | `PairForces` | |
 |---|---|
+| ``sums`` | what an evaluation found, so that it need not be repeated |
 | ``force``, ``load`` | force of every point, and their sum, N |
 | ``torque`` | joint torques of the forces, ``J^T f``, N m |
 | ``power(change)`` | power of the forces, W |

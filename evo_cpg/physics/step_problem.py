@@ -23,7 +23,7 @@ points have the Jacobian J and the velocities ``v = v_0 + h J y``. Laws lineariz
 solved by elimination from the tips to the root (`evo_cpg.fusion.frontend.symmetric_solve`).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -160,6 +160,7 @@ class StepProblem(NamedTuple):
         radius: Float[Array, "p *n"],
         qdd: Float[Array, "d *n"],
         velocity: Float[Array, "3 p *n"] | None,
+        pair_sums: Any = None,
     ) -> Linearization:
         """Return the laws linearized at a motion.
 
@@ -167,6 +168,7 @@ class StepProblem(NamedTuple):
             radius: radii of the friction cones, N.
             qdd: joint accelerations, rad/s^2.
             velocity: velocities of the contact points, m/s, or None without ground.
+            pair_sums: `PairForces.sums` at this motion, or None to compute them.
         """
         tree, equations = self.world.tree, self.equations
         state, motor = equations.state, equations.motor
@@ -175,7 +177,7 @@ class StepProblem(NamedTuple):
         if contact_model is not None and contacts is not None and velocity is not None:
             linear = linearize_contacts(contact_model, contacts, radius, velocity, self.h)
         apart = self.equations.pairs
-        pushes = None if apart is None else apart.at(qdd)
+        pushes = None if apart is None else apart.at(qdd, pair_sums)
         tendons = equations.tendons
         pulls = None if tendons is None else tendons.linearized(qdd, self.h)
         balls = equations.balls

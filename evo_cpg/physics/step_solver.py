@@ -46,7 +46,7 @@ from evo_cpg.physics.equations import (
     with_mean_products,
 )
 from evo_cpg.physics.joint_torque import MotorCommand, clamp_torque
-from evo_cpg.physics.newton import damped_step, full_step, tolerances
+from evo_cpg.physics.newton import Iterate, damped_step, full_step, tolerances
 from evo_cpg.physics.outer_updates import Cone, PairBias, reduced
 from evo_cpg.physics.root import joint_part, root_part
 from evo_cpg.physics.state import State
@@ -220,12 +220,12 @@ def _solve(
         last_round_of_first_bias=none,
     )
     start = problem.with_restitution(begin.restitution)
-    begin = _updated(start, begin, first, start.velocity(first))
+    begin = _updated(start, begin, Iterate(first, start.velocity(first)))
 
     def advance(search: _Search) -> _Search:
         current = problem.with_restitution(search.restitution).with_pair_bias(search.bias.value)
-        y, velocity = damped_step(current, search.cone.radius, search.y)
-        return _updated(current, search._replace(iterations=search.iterations + 1), y, velocity)
+        iterate = damped_step(current, search.cone.radius, search.y)
+        return _updated(current, search._replace(iterations=search.iterations + 1), iterate)
 
     end = while_each(lambda search: ~search.done, advance, begin)
     cones = [end.visited.cones[0]]
@@ -237,23 +237,18 @@ def _solve(
     return answer, _Record(visited, end.restitution, end.bias.updates)
 
 
-def _updated(
-    problem: StepProblem,
-    search: _Search,
-    y: Float[Array, "v *n"],
-    velocity: Float[Array, "3 p *n"] | None,
-) -> _Search:
+def _updated(problem: StepProblem, search: _Search, iterate: Iterate) -> _Search:
     """Return the search with a new iterate, after the first outer update that it needs.
 
     Args:
         problem: problem with the restitution and the pair bias of the search.
         search: search before the update.
-        y: the new iterate.
-        velocity: velocities of the contact points at y, m/s.
+        iterate: the new iterate.
     """
+    y, velocity, pair_sums = iterate
     rounds, biases, qdd = _cone_rounds(problem), _pair_biases(problem), joint_part(y)
     cone, bias = search.cone, search.bias
-    linear = problem.linearized(cone.radius, qdd, velocity)
+    linear = problem.linearized(cone.radius, qdd, velocity, pair_sums)
 
     # Solved?
     tolerance, rough = tolerances(y)

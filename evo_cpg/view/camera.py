@@ -52,6 +52,9 @@ _ASPECTS = {"side": np.radians(4.0), "top": np.radians(88.0)}
 # Elevation of the circling camera, which shows the ground behind the animal and the horizon.
 _AROUND = np.radians(14.0)
 CAMERAS = ("follow", *_ASPECTS, "orbit")
+# The camera of an overview: angle between the line of sight and the way of the animals in wide and
+# in tall pictures, and its additional elevation in tall ones.
+_ACROSS, _ALONG, _STEEPER = np.radians(58.0), np.radians(14.0), np.radians(14.0)
 # Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
@@ -146,12 +149,41 @@ def follow(
     return _uncropped(best or seen(_BEARINGS[-1]), points, aspect)
 
 
+def overview(
+    points: Float[np.ndarray, "n 3"],
+    bearing: float,
+    elevation: float,
+    aspect: float,
+    nearness: Float[np.ndarray, " frames"],
+) -> CameraPath:
+    """Plan a camera that stands still, turned to one side, and shows some points in all frames.
+
+    Args:
+        points: the points, m.
+        bearing: direction in which the animals go, from the x axis, rad. It runs from the lower
+            left to the upper right of a wide picture, and upwards in a tall one.
+        elevation: height of the eye above the focus as an angle, rad.
+        aspect: width of the picture over its height.
+        nearness: distance in every frame, as a fraction of the least one that shows all points.
+    """
+    turn = _ACROSS if aspect >= 1 else _ALONG
+    sight = _direction(bearing + turn, elevation if aspect >= 1 else elevation + _STEEPER)
+    middle = (points.min(0) + points.max(0)) / 2
+    first = float(np.linalg.norm(np.ptp(points, axis=0))) / np.sin(np.radians(VIEW_ANGLE / 2))
+    path = CameraPath((middle - first * sight)[None], middle[None], VIEW_ANGLE)
+    path = _filled(path, points[None], aspect, np.zeros((0, 3)), True, (np.inf, np.inf))
+    back = (path.position - path.focus) * nearness[:, None]
+    focus = np.repeat(path.focus, len(nearness), 0)
+    return CameraPath(focus + back, focus, VIEW_ANGLE)
+
+
 def _filled(
     path: CameraPath,
     points: Float[np.ndarray, "frames n 3"],
     aspect: float,
     at_first: Float[np.ndarray, "m 3"],
     moves: bool,
+    fill: tuple[float, float] | None = None,
 ) -> CameraPath:
     """Return the path at the distance at which the animal fills its part of the frame.
 
@@ -161,8 +193,10 @@ def _filled(
         aspect: width of the picture over its height.
         at_first: points that the first frame shows, too, m.
         moves: whether the camera may move across the line of sight, too.
+        fill: largest parts of the frame's width and height that the points fill in half of the
+            frames, or None for an animal's.
     """
-    wide, high = _FILL if aspect >= 1 else _FILL_TALL, _FILL_HEIGHT
+    wide, high = fill or (_FILL if aspect >= 1 else _FILL_TALL, _FILL_HEIGHT)
     for _ in range(_ROUNDS):
         few, shown = _thinned(path, points)
         place = project(few, shown, aspect)

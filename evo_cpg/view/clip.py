@@ -48,6 +48,17 @@ def sample(
         end = min(end, start + seconds)
     # A hundredth of a frame keeps rounding from dropping the last frame.
     time = start + np.arange(int((end - start) * fps / speed + 1.01)) * (speed / fps)
+    return sample_at(recording, time, fps / speed)
+
+
+def sample_at(recording: Recording, time: Float[np.ndarray, " frames"], rate: float) -> Clip:
+    """Sample a recording at some instants, with interpolation between steps.
+
+    Args:
+        recording: the motion.
+        time: the instants, s.
+        rate: frames per second of recorded time.
+    """
     after = np.clip(np.searchsorted(recording.time, time), 1, max(len(recording.time) - 1, 1))
     after = np.minimum(after, len(recording.time) - 1)
     before = np.maximum(after - 1, 0)
@@ -66,8 +77,8 @@ def sample(
         position,
         left @ right,
         between(recording.distance),
-        mean_speed(position.mean(1), fps / speed),
-        fps / speed,
+        mean_speed(position.mean(1), rate),
+        rate,
     )
 
 

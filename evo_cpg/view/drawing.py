@@ -10,12 +10,14 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.physics.terrain import Part
+from evo_cpg.view.ghosts import add_ghosts
 from evo_cpg.view.ground import add_ground, add_numbers
 from evo_cpg.view.meshes import shape_mesh
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh
 from evo_cpg.view.offscreen import pixels, placed
-from evo_cpg.view.scenery import add_goal_light, add_particles, add_sky, add_trail
+from evo_cpg.view.scenery import add_goal_light, add_particles, add_shafts, add_sky, add_trail
 from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
+from evo_cpg.view.skin import add_skins
 from evo_cpg.view.stage import Stage, Update
 from evo_cpg.view.terrain import Terrain
 from evo_cpg.view.water import add_mirror, add_tint, add_waterlines
@@ -64,18 +66,23 @@ def _add_environment(stage: Stage) -> list[Update]:
     """
     scene, look = stage.scene, stage.look
     updates = [add_sky(stage), add_ground(stage)]
-    if scene.walks:
+    if scene.walks and scene.numbers:
         updates.append(add_numbers(stage))
     _add_stones(stage, scene.ground.obstacles)
     meshes = [shape_mesh(body.shape) for body in scene.creature.bodies]
     updates += [add_sun_shadows(stage, meshes), add_shadows(stage, scene.half_extents)]
     if scene.stands:
         updates.append(add_contacts(stage))
+    if scene.ghosts is not None:
+        updates.append(add_ghosts(stage))
     if scene.goal is not None:
         updates.append(add_goal_light(stage, scene.goal))
+    updates.append(add_skins(stage))
     updates.append(add_trail(stage))
     if look.particles:
         add_particles(stage)
+    if look.under_water:
+        add_shafts(stage)
     if scene.surface is not None and isinstance(stage.ground, Terrain):
         updates.append(add_tint(stage, stage.ground, scene.surface))
         updates.append(add_mirror(stage, scene.surface))

@@ -11,6 +11,7 @@ import matplotlib
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -23,6 +24,11 @@ INK, GREY, LIGHT_GREY = "#1f2937", "#6b7280", "#9ca3af"
 BLUE, ORANGE, RED, GREEN = "#0072B2", "#E69F00", "#D55E00", "#009E73"
 PINK, SKY, BROWN = "#CC79A7", "#56B4E9", "#7f5539"
 PALETTE = (BLUE, RED, GREEN, PINK, ORANGE, SKY, INK, BROWN, LIGHT_GREY)
+
+# Colours of time and of repeated lines. Their ends are left out, because they would vanish on white
+# or on the dark paper of a page.
+TIME = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.25, 0.75, 256)), "time")
+BLUES = ListedColormap(matplotlib.colormaps["Blues"](np.linspace(0.47, 0.85, 256)), "blues")
 
 _DPI = 160
 

@@ -1,5 +1,6 @@
 """Films and stills of recordings, rendered off screen."""
 
+import functools
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -100,7 +101,8 @@ def side_by_side(
         return path
     frames = Frames(panels, film)
     processes = drawing_processes(frames.count, processes)
-    with drawn_frames(panels, film, frames, processes) as drawn:
+    make = functools.partial(Frames, panels, film)
+    with drawn_frames(frames, make, processes) as drawn:
         counted = _counted(drawn, frames.count, progress)
         if numbered:
             save_numbered((picture_of(frame, frames.size) for frame in counted), path)

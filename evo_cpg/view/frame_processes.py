@@ -12,14 +12,12 @@ import itertools
 import multiprocessing
 import signal
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from typing import Protocol
 
 import jax
 import numpy as np
-
-from evo_cpg.view.frames import Film, Frames
-from evo_cpg.view.scene import Panel
 
 # Starting a process and building its scene takes as long as this many frames. Two processes took as
 # long as one for 240 frames of the swimmer on two cores. They took 40 s instead of 47 s for 1000
@@ -30,8 +28,32 @@ _MOST = 8
 # Frames for each process that are being drawn, or in memory, at once.
 _AHEAD = 3
 
-# Animals and settings, in a process that draws.
-_films: list[tuple[Sequence[Panel], Film]] = []
+
+class Reel(Protocol):
+    """Frames that can be drawn in any order, such as `evo_cpg.view.frames.Frames`.
+
+    Attributes:
+        count: number of frames.
+        size: width and height of a frame in the result, pixels.
+        rendered: width and height of a frame before averaging, pixels.
+    """
+
+    count: int
+    size: tuple[int, int]
+    rendered: tuple[int, int]
+
+    def drawn(self) -> contextlib.AbstractContextManager[Callable[[int], np.ndarray]]:
+        """Build the scenes, and close them at the end of the context.
+
+        Yields:
+            A function that draws the frame of a given number: ``(height, width, 3)`` bytes, bottom
+            row first. The next call may overwrite the result.
+        """
+        ...
+
+
+# Function that lays out the frames, in a process that draws.
+_makers: list[Callable[[], Reel]] = []
 
 
 class DrawingError(RuntimeError):
@@ -50,14 +72,13 @@ def drawing_processes(frames: int, cores: int) -> int:
 
 @contextlib.contextmanager
 def drawn_frames(
-    panels: Sequence[Panel], film: Film, frames: Frames, processes: int
+    frames: Reel, make: Callable[[], Reel], processes: int
 ) -> Iterator[Iterator[np.ndarray]]:
     """Draw all frames, one after the other.
 
     Args:
-        panels: the animals.
-        film: settings of the film.
-        frames: frames laid out from the animals and the settings.
+        frames: the frames.
+        make: function that lays out the same frames in another process.
         processes: number of drawing processes. With 1, this process draws.
 
     Yields:
@@ -72,7 +93,7 @@ def drawn_frames(
             yield map(draw, range(frames.count))
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context, _prepare, (panels, film)) as pool:
+    with ProcessPoolExecutor(processes, context, _prepare, (make,)) as pool:
         try:
             yield _in_order(pool, frames.count, _AHEAD * processes)
         finally:
@@ -91,13 +112,13 @@ def _in_order(pool: ProcessPoolExecutor, count: int, ahead: int) -> Iterator[np.
         awaited.extend(pool.submit(_draw, number) for number in itertools.islice(numbers, 1))
 
 
-def _prepare(panels: Sequence[Panel], film: Film) -> None:
-    """Store the animals and settings of this process."""
+def _prepare(make: Callable[[], Reel]) -> None:
+    """Store the function that lays out the frames."""
     # Ignore Ctrl-C, because the parent process stops this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # The CPU is enough for heights of the ground.
     jax.config.update("jax_platforms", "cpu")
-    _films[:] = [(panels, film)]
+    _makers[:] = [make]
 
 
 def _draw(number: int) -> np.ndarray:
@@ -108,4 +129,4 @@ def _draw(number: int) -> np.ndarray:
 def _scene() -> Callable[[int], np.ndarray]:
     stack = contextlib.ExitStack()
     atexit.register(stack.close)
-    return stack.enter_context(Frames(*_films[0]).drawn())
+    return stack.enter_context(_makers[0]().drawn())

@@ -32,13 +32,15 @@ class Look:
         halo: colour of the glow around that sphere.
         glow: opacity of the glow and of the pool of light on the floor, 0 to 1.
         text: colour of the captions.
+        ghost: colour of the other animals of a crowd.
         visibility: distance at which the floor has faded to a third.
         elevation: elevation of the camera above the focus, rad, when it looks towards a light.
         side_elevation: elevation when the camera looks at the animal's side, rad. On land it is low
             enough to show the horizon and the space under the animal.
         particles: whether specks drift in the medium.
         checkered: whether alternate grid cells differ in tone.
-        zenith: colour towards which the sky turns above the horizon, or None without a sky.
+        zenith: colour towards which the sky, or the water, turns above the horizon.
+        under_water: whether the viewer is in the water, which is lit from above.
     """
 
     distance: str
@@ -55,12 +57,14 @@ class Look:
     halo: str
     glow: float
     text: str
+    ghost: str
     visibility: float
     elevation: float
     side_elevation: float
     particles: bool
     checkered: bool
-    zenith: str | None
+    zenith: str
+    under_water: bool = False
 
 
 STYLES = {
@@ -79,12 +83,14 @@ STYLES = {
         halo="#ffe9a8",
         glow=0.5,
         text="#f2fbff",
+        ghost="#bfeef5",
         visibility=5.5,
-        elevation=np.radians(24),
-        side_elevation=np.radians(24),
+        elevation=np.radians(12),
+        side_elevation=np.radians(12),
         particles=True,
         checkered=False,
-        zenith=None,
+        zenith="#62d2dc",
+        under_water=True,
     ),
     "land": Look(
         distance="#ece9e1",
@@ -101,6 +107,7 @@ STYLES = {
         halo="#ffae1a",
         glow=0.3,
         text="#1d2530",
+        ghost="#5c7590",
         visibility=16.0,
         elevation=np.radians(18),
         side_elevation=np.radians(11),
@@ -131,6 +138,6 @@ def sun_direction(look: Look, sight: Float[np.ndarray, "3"]) -> Float[np.ndarray
         sight: the camera's direction of view in the first frame.
     """
     towards = np.array(_SUN_AT_SEA)
-    if look.zenith is not None:
+    if not look.under_water:
         towards = np.array(_SUN_SEEN) @ np.stack([*level_axes(sight), [0.0, 0.0, 1.0]])
     return towards / np.linalg.norm(towards)

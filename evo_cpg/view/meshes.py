@@ -16,6 +16,10 @@ from evo_cpg.creature.shapes import Shape
 _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
 # Radius of an eye, relative to the body's smallest half size.
 _EYE = 0.44
+# Eyes of an animal without light sensors: direction of its front, place on the way to the foremost
+# point, and direction of the left eye.
+_FRONT, _SET_BACK = np.array([1.0, 0.0, 0.35]), 0.82
+_FORWARD, _SIDE, _UP = 0.55, 0.8, 0.3
 # Colours of an eye.
 _WHITE, _PUPIL = "#fdfdf8", "#10151c"
 # Brightness of bodies on the left (y > 0), which the camera sees on the far side if there is no
@@ -90,6 +94,24 @@ def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv
     )
 
 
+def drawn_eyes(creature: Creature) -> list[LightSensor]:
+    """Return two eyes at the front of a blind animal's root body. They are only drawn."""
+    own = {creature.bodies[creature.root_index].name}
+    own |= {body.name for body in creature.bodies if body.whole in own}
+    centres, rotations = neutral_pose(creature)
+    solid = [i for i, body in enumerate(creature.bodies) if body.name in own and body.shape.exists]
+    if not solid:
+        return []
+
+    def front(i: int) -> np.ndarray:
+        return np.asarray(creature.bodies[i].shape.support(rotations[i].T @ _FRONT), float)
+
+    head = max(solid, key=lambda i: (centres[i] + rotations[i] @ front(i)) @ _FRONT)
+    body, place = creature.bodies[head].name, _SET_BACK * front(head)
+    axes = (rotations[head].T @ [_FORWARD, side, _UP] for side in (_SIDE, -_SIDE))
+    return [LightSensor(body, tuple(place), tuple(axis), np.pi) for axis in axes]
+
+
 class Piece(NamedTuple):
     """A surface that moves with a body, in the body's frame.
 
@@ -111,7 +133,7 @@ def pieces(creature: Creature) -> list[list[Piece]]:
         [Piece(shape_mesh(body.shape), color)]
         for body, color in zip(creature.bodies, colors, strict=True)
     ]
-    for number, sensor in enumerate(creature.light_sensors, 1):
+    for number, sensor in enumerate(creature.light_sensors or drawn_eyes(creature), 1):
         white, pupil = eye_meshes(creature, sensor)
         found[creature.body_index(sensor.body)] += [
             Piece(white, _WHITE, f"eye{number}"),

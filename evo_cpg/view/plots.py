@@ -21,6 +21,7 @@ from evo_cpg.view.figure import (
     INK,
     ORANGE,
     RED,
+    TIME,
     count_in_whole_numbers,
     draw_runs,
     framed,
@@ -247,15 +248,17 @@ def path_figure(recording: Recording, root_index: int) -> Figure:
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
     root = recording.position[:, root_index, :2]
     steps = np.stack([root[:-1], root[1:]], 1)
-    trace = LineCollection(list(steps), cmap="viridis", lw=2.2)
+    trace = LineCollection(list(steps), cmap=TIME, lw=2.2)
     trace.set_array(recording.time[:-1])
     above.add_collection(trace)
     chosen = np.linspace(0, len(recording.time) - 1, _SNAPSHOTS).astype(int)
     bodies = recording.position[chosen]
     instant = np.repeat(recording.time[chosen], bodies.shape[1])
-    dots = above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=trace.norm, lw=0)
+    dots = above.scatter(
+        bodies[..., 0], bodies[..., 1], s=14, c=instant, cmap=TIME, norm=trace.norm, lw=0
+    )
     every = (recording.time[-1] - recording.time[0]) / (_SNAPSHOTS - 1)
-    dots.set(alpha=0.6, label=f"bodies, every {every:.3g} s")
+    dots.set(alpha=0.8, label=f"bodies, every {every:.3g} s")
     above.plot(*root[0], "o", color=INK, ms=6, label="start of the root", zorder=3)
     lit = bool(np.isfinite(recording.goal).all())
     if lit:

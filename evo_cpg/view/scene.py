@@ -3,11 +3,13 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording, require_whole
+from evo_cpg.training.crowd_motion import CrowdMotion
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.view.camera import course
 from evo_cpg.view.clip import Clip
@@ -34,6 +36,8 @@ class Panel(NamedTuple):
         surface: height of the water's surface, m, or None without a surface.
         signals: signals in a strip below the animal, or None for no strip.
         note: text below the title, in small letters.
+        crowd: other animals of the same kind, which are drawn as ghosts, or None.
+        numbers: whether distances are painted on the ground.
     """
 
     creature: Creature
@@ -44,6 +48,20 @@ class Panel(NamedTuple):
     surface: float | None = None
     signals: Signals | None = None
     note: str = ""
+    crowd: CrowdMotion | None = None
+    numbers: bool = True
+
+
+class Ghosts(NamedTuple):
+    """Poses of other animals of the same kind, in every frame.
+
+    Attributes:
+        position: centres of the bodies, m.
+        rotation: rotations from body to world.
+    """
+
+    position: Float[np.ndarray, "frames n b 3"]
+    rotation: Float[np.ndarray, "frames n b 3 3"]
 
 
 def panel_of(
@@ -120,6 +138,8 @@ class Scene(NamedTuple):
         radius: distance of the animal's far ends from its middle at the start, m.
         bearing: bearing of the path from the x axis, rad.
         marks: pattern of the ground.
+        ghosts: other animals of the same kind, or None.
+        numbers: whether distances are painted on the ground.
     """
 
     creature: Creature
@@ -132,6 +152,8 @@ class Scene(NamedTuple):
     radius: float
     bearing: float
     marks: Marks
+    ghosts: Ghosts | None = None
+    numbers: bool = True
 
     @property
     def level(self) -> float | None:
@@ -186,7 +208,16 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
         lowest = lowest if goal is None else min(lowest, goal[2])
         ground = Ground(floor=Plane(height=float(lowest - _FLOOR_DEPTH * radius)))
         marks = Marks(np.zeros(2), 0.0, CELLS * grid_spacing(2 * radius))
-    return Scene(creature, clip, goal, ground, stands, surface, look, radius, bearing, marks)
+    ghosts = None if panel.crowd is None else ghosts_at(panel.crowd, clip)
+    world = goal, ground, stands, surface, look
+    return Scene(creature, clip, *world, radius, bearing, marks, ghosts, panel.numbers)
+
+
+def ghosts_at(crowd: CrowdMotion, clip: Clip) -> Ghosts:
+    """Return the poses of a crowd at the instants of a clip, which are the nearest known ones."""
+    middle = (crowd.time[1:] + crowd.time[:-1]) / 2
+    near = np.searchsorted(middle, clip.time)
+    return Ghosts(crowd.position[near], crowd.rotation[near])
 
 
 def surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:

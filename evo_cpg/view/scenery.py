@@ -19,9 +19,15 @@ _POOL, _POOL_LIFT = 41, 0.02
 _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 # Time in which the trail fades to a third, s, and its thickness in radii of the animal.
 _TRAIL_FADE, _TRAIL = 4.0, 0.0065
+# Shafts of light in water: number, seed, lengths and half widths in radii of the animal, slant, and
+# largest opacity. They stand within some radii of the path.
+_SHAFTS, _SHAFT_SEED, _SHAFT_HIGH, _SHAFT_WIDE = 14, 20107, (1.5, 4.0), (0.12, 0.45)
+_SHAFT_SLANT, _SHAFT_OPACITY, _SHAFT_NEAR = 0.22, 0.13, 4.5
 # Distance of the sky from the camera and height over which it turns blue, in distances between the
-# camera and its focus. The floor fades away before the sky begins.
+# camera and its focus. The floor fades away before the sky begins. Water brightens slowly from the
+# bottom up, over a larger height that begins below the horizon.
 _SKY, _SKY_HEIGHT = 18.0, 2.6
+_DEEP, _BRIGHT = -1.5, 7.0
 
 
 def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
@@ -118,6 +124,29 @@ def add_particles(stage: Stage) -> None:
             )
 
 
+def add_shafts(stage: Stage) -> None:
+    """Draw shafts of light that fall into water from above. They face the first view."""
+    radius, focus = stage.radius, stage.camera.focus
+    generator = np.random.default_rng(_SHAFT_SEED)
+    across, ahead = level_axes(stage.sight)
+    along = generator.choice(len(focus), _SHAFTS)
+    aside, away = generator.uniform(-_SHAFT_NEAR, _SHAFT_NEAR, (2, _SHAFTS)) * radius
+    # None stands before the animal.
+    foot = focus[along] + np.outer(aside, across) + np.outer(np.abs(away) + radius, ahead)
+    foot[:, 2] = np.min(stage.ground.z)
+    high = generator.uniform(*_SHAFT_HIGH, _SHAFTS) * radius + focus[along, 2] - foot[:, 2]
+    wide = generator.uniform(*_SHAFT_WIDE, _SHAFTS)[:, None] * radius * across
+    top = foot + high[:, None] * ([0.0, 0.0, 1.0] + _SHAFT_SLANT * across)
+    points = np.stack([foot - wide, foot, foot + wide, top - wide, top, top + wide], 1)
+    triangles = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]])
+    faces = (triangles + 6 * np.arange(_SHAFTS)[:, None, None]).reshape(-1, 3)
+    mesh = pv.PolyData.from_regular_faces(points.reshape(-1, 3), faces)
+    rgba = np.tile(pv.Color(stage.look.zenith, opacity=0).int_rgba, (6 * _SHAFTS, 1))
+    # They are bright in the middle of the upper end, and fade downwards and to the sides.
+    rgba[4::6, 3] = 255 * _SHAFT_OPACITY * generator.uniform(0.5, 1.0, _SHAFTS)
+    add_faded(stage.plotter, mesh, rgba.astype(np.uint8))
+
+
 def add_sky(stage: Stage) -> Update:
     """Set background, sky and sun.
 
@@ -133,13 +162,14 @@ def add_sky(stage: Stage) -> Update:
     fill = pv.Light(color=look.fill, intensity=0.4, light_type="camera light")
     fill.positional = False
     plotter.add_light(fill)
-    if look.zenith is None:
-        return lambda shot: None
 
     across, ahead = level_axes(stage.sight)
     blue = np.linspace(0, 1, 12)
     height = _SKY_HEIGHT * stage.away * np.concatenate([blue, [10.0]])
     mix = np.append(1 - (1 - blue) ** 2, 1.0)[:, None]
+    if look.under_water:
+        height = stage.away * np.concatenate([_DEEP + (_BRIGHT - _DEEP) * blue, [10 * _BRIGHT]])
+        mix = np.append(blue**1.5, 1.0)[:, None]
     haze, zenith = (np.array(pv.Color(color).int_rgb) for color in (look.distance, look.zenith))
     middle = _SKY * stage.away * ahead + height[:, None] * [0.0, 0.0, 1.0]
     side = 2 * _SKY * stage.away * across

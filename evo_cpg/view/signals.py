@@ -188,7 +188,7 @@ class Strip:
         signals = self._signals
         inside = (signals.time >= start) & (signals.time <= end)
         time = signals.time[inside]
-        colours = _DARK if self._look.zenith is None else _BRIGHT
+        colours = _DARK if self._look.under_water else _BRIGHT
         tallest, loudest, farthest = signals.highest
         scales = np.where(signals.slides, farthest, tallest)
         places: list[float] = []
@@ -216,7 +216,7 @@ class Strip:
     def _legend(self, figure: Figure, left: float, top: float, points: float) -> None:
         """Write a legend of the lines and bars in a line above them."""
         signals = self._signals
-        colours = _DARK if self._look.zenith is None else _BRIGHT
+        colours = _DARK if self._look.under_water else _BRIGHT
         angle, _, displacement = signals.highest
         words: list[tuple[str, str]] = []
         if signals.names:

@@ -134,14 +134,14 @@ def test_the_documented_rower_has_no_resting_oscillator(here, monkeypatch):
 
 @pytest.fixture
 def lizard(here):
-    """Return the path of the walker of `docs/walker.md`."""
-    (config,) = configs("docs/walker.md")
+    """Return the path of the walker of `docs/tutorials/walker.md`."""
+    (config,) = configs("docs/tutorials/walker.md")
     (here / "lizard.yaml").write_text(config)
     return "lizard.yaml"
 
 
 def test_the_documented_walker_steps_with_diagonal_legs(lizard):
-    page = (ROOT / "docs/walker.md").read_text()
+    page = (ROOT / "docs/tutorials/walker.md").read_text()
     experiment = evo.load(lizard)
     tree = experiment.parts.simulation.world.tree
     controller = experiment.parts.simulation.controller

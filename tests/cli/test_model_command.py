@@ -11,9 +11,9 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from evo_cpg.cli import model as command
 from evo_cpg.drawing.document import Document
-from evo_cpg.drawing.page.server import PageServer
+from evo_cpg.drawing.page.server import DrawingServer
+from evo_cpg.view.page import server as page_server
 from tiny_run import REPOSITORY
 
 
@@ -55,12 +55,12 @@ def opened(monkeypatch) -> list[Document]:
     """Documents of servers that end at once."""
     found = []
 
-    def serve(self: PageServer) -> None:
+    def serve(self: DrawingServer) -> None:
         found.append(self.session.document)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(PageServer, "serve_forever", serve)
-    monkeypatch.setattr(command, "_opened", lambda address: True)
+    monkeypatch.setattr(DrawingServer, "serve_forever", serve)
+    monkeypatch.setattr(page_server, "opened", lambda address: True)
     return found
 
 
@@ -77,12 +77,12 @@ def test_a_shipped_configuration_is_copied(cli, opened, tmp_path):
 
 
 def test_edits_that_are_not_saved_are_mentioned(cli, opened, monkeypatch, tmp_path):
-    def serve(self: PageServer) -> None:
+    def serve(self: DrawingServer) -> None:
         given = {"key": ["seed"], "value": 3}
         self.session.answer("edit", {"command": "set_value", "given": given})
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(PageServer, "serve_forever", serve)
+    monkeypatch.setattr(DrawingServer, "serve_forever", serve)
     code, out, _ = cli("model", "new.yaml", folder=tmp_path)
     assert code == 0 and out.endswith("`evo-cpg model` offers them again.\n")
     assert [path.name for path in tmp_path.iterdir()] == [".new.yaml.autosave"]

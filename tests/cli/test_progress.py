@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import re
 import threading
 import time
 from typing import Any
@@ -11,6 +12,7 @@ from rich.console import Console
 
 from evo_cpg.api import display as module
 from evo_cpg.api.display import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
+from evo_cpg.system import folded
 
 
 @pytest.fixture
@@ -178,3 +180,38 @@ def test_a_terminal_shows_one_moving_line(monkeypatch):
         time.sleep(0.3)
     assert "compiling, about 40 s" in screen.getvalue()
     assert "recording, about 20 s" in screen.getvalue()
+
+
+@pytest.mark.parametrize("count", [1, 300])
+def test_training_shows_bar_count_and_time_left_in_80_columns(monkeypatch, count):
+    screen = io.StringIO()
+    monkeypatch.setattr(
+        module, "Console", lambda **_: Console(file=screen, force_terminal=True, width=80)
+    )
+    state = "best  -0.5509  mean  -0.9822  diverged   0    2179 k steps/s"
+    with module.progress("generations", 500, count, expected=120.0) as show:
+        for _ in range(3):
+            time.sleep(0.2)
+            show(state, 0.5)
+    shown = re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", screen.getvalue())
+    assert f"{count + 2}/500 generations" in shown and "\N{BOX DRAWINGS HEAVY HORIZONTAL}" in shown
+    assert " left," in shown and state in shown
+    assert "compiling, about 120 s" in shown and "\N{HORIZONTAL ELLIPSIS}" not in shown
+
+
+class Terminal(io.StringIO):
+    """A stream that claims to be a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_breaks_lines_between_words(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    words = "first line\nat half the step it keeps 100 %. See `evo-cpg audit runs/mine`"
+    assert folded(words, Terminal()).splitlines() == [
+        "first line",
+        "at half the step it keeps 100 %. See",
+        "`evo-cpg audit runs/mine`",
+    ]
+    assert folded(words, io.StringIO()) == words

@@ -7,8 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
 
 import evo_cpg
+from evo_cpg.cli.main import COMMANDS, app
 from tiny_run import CONFIG, LONG, REPOSITORY, environment
 
 IMPORT_EVERYTHING = """
@@ -72,6 +74,16 @@ def test_help_takes_less_than_half_a_second():
         seconds.append(processor_time_of_children() - start)
         assert done.returncode == 0 and "Usage:" in done.stdout and done.stderr == ""
     assert statistics.median(seconds) < 0.5
+
+
+def test_no_line_of_the_help_is_cut_at_80_columns():
+    """A summary that does not fit into its line would end with three dots."""
+    program = typer.main.get_command(app)
+    context = program.make_context("evo-cpg", ["configs"], terminal_width=80)
+    lines = program.get_help(context).splitlines()
+    commands = [line for line in lines if line.startswith("  ") and line.split()[0] in COMMANDS]
+    assert len(commands) == len(COMMANDS)
+    assert not [line for line in commands if line.endswith("...") or len(line) > 80]
 
 
 def test_importing_does_not_configure_or_start_jax(compiled):

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from evo_cpg.cli import watch
 from evo_cpg.cli.watched import _over_generations, curve, panel
+from evo_cpg.live.standing import standing
 from evo_cpg.training import devices
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, LONG, PAIR
@@ -97,8 +98,8 @@ def test_watch_leaves_an_interrupted_write_to_the_trainer(run, tmp_path):
 
 def test_a_terminal_shows_numbers_and_curves(run):
     folder = RunFolder(run)
-    seen = watch.standing(folder)
-    assert seen.finished and watch.standing(folder, seen) is seen
+    seen = standing(folder)
+    assert seen.finished and standing(folder, seen) is seen
     screen = Console(file=io.StringIO(), width=100, force_terminal=False)
     screen.print(panel(folder, seen, 100))
     shown = screen.file.getvalue()

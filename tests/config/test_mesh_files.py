@@ -1,5 +1,8 @@
 """Meshes from files: their paths, the bodies built from them, and errors."""
 
+import contextlib
+import json
+
 import numpy as np
 import pytest
 import trimesh
@@ -126,7 +129,7 @@ def test_vertices_and_faces_can_be_in_the_configuration(folder):
     ("override", "expected"),
     [
         ("shape.file=nowhere.stl", "shape.file: nowhere.stl: no such file"),
-        ("shape.file=head.step", "file: head.step: '.step' is not known. Allowed: .obj, .stl"),
+        ("shape.file=head.step", "file: head.step: '.step' is not known. Allowed: .glb, .obj"),
         ("shape.file=3", "shape.file: 3: must be text"),
         (
             "shape.scale=big",
@@ -245,3 +248,91 @@ def test_an_obj_with_materials_and_groups_is_one_body(folder):
     config = load(folder, "creature.bodies.1.shape={type: mesh, file: box.obj}")
     shape = build_creature(config, "x").bodies[1].shape
     assert isinstance(shape, ConvexMesh) and len(shape.vertices) == 8
+
+
+def glb(path, header: dict | None = None, mesh: trimesh.Trimesh | None = None) -> None:
+    """Write a box, or another mesh, as a binary glTF file, with replaced sections of its header."""
+    made = (mesh or trimesh.creation.box(SIZE)).export(file_type="glb")
+    length = int.from_bytes(made[12:16], "little")
+    text = json.dumps(json.loads(made[20 : 20 + length]) | (header or {})).encode()
+    text += b" " * (-len(text) % 4)
+    rest = made[20 + length :]
+    total = (20 + len(text) + len(rest)).to_bytes(4, "little")
+    path.write_bytes(made[:8] + total + len(text).to_bytes(4, "little") + made[16:20] + text + rest)
+
+
+@pytest.mark.parametrize("suffix", ["glb", "ply", "off"])
+def test_other_formats_give_the_same_body(folder, suffix):
+    """glTF has z ahead and y up. The other formats have the axes of the configuration."""
+    sides = (0.2, 0.1, 0.3) if suffix == "glb" else SIZE
+    box = trimesh.creation.box(sides)
+    content = box.export(file_type=suffix)
+    (folder / f"box.{suffix}").write_bytes(
+        content if isinstance(content, bytes) else content.encode()
+    )
+    config = load(folder, f"creature.bodies.1.shape={{type: mesh, file: box.{suffix}}}")
+    shape = config.creature.bodies[1].shape.build()
+    np.testing.assert_allclose(2 * shape.half_extents, SIZE, rtol=1e-6)
+
+
+def test_all_nodes_of_a_glb_are_one_mesh(folder):
+    """Two boxes side by side are two pieces. Their convex hull is one box."""
+    box = trimesh.creation.box(SIZE)
+    scene = trimesh.Scene([box])
+    place = np.eye(4)
+    place[0, 3] = 1.0
+    scene.graph.update("second", matrix=place, geometry=next(iter(scene.geometry)))
+    (folder / "two.glb").write_bytes(scene.export(file_type="glb"))
+    given = "creature.bodies.1.shape={type: mesh, file: two.glb%s}"
+    with pytest.raises(ConfigError, match="it consists of 2 separate pieces"):
+        load(folder, given % "")
+    shape = load(folder, given % ", hull: true").creature.bodies[1].shape.build()
+    np.testing.assert_allclose(2 * shape.half_extents, [0.1, 1.3, 0.2], rtol=1e-6)
+
+
+def test_the_hull_of_a_fine_mesh_has_few_triangles(folder):
+    """A ball of 5120 triangles: its hull keeps 99 % of the volume."""
+    ball = trimesh.creation.icosphere(4, radius=0.1)
+    ball.export(folder / "ball.stl")
+    given = "creature.bodies.1.shape={type: mesh, file: ball.stl, hull: true}"
+    shape = load(folder, given).creature.bodies[1].shape.build()
+    assert len(shape.faces) <= 2000
+    assert shape.volume == pytest.approx(ball.volume, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        ({"nodes": [{"mesh": 0}] * 1001}, "it has 1001 nodes. Allowed: at most 1000"),
+        ({"accessors": [{"count": 10**9}]}, "its arrays have 1000000000 entries"),
+        ({"buffers": [{"uri": "/etc/passwd", "byteLength": 9}]}, "it refers to other files"),
+        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "needs the extensions KHR_draco"),
+        ({"meshes": [{"primitives": []}]}, "cannot be read as a mesh"),
+        ({"nodes": 3}, "cannot be read as a mesh"),
+        ({"nodes": [{"mesh": 7}]}, "cannot be read as a mesh"),
+        ({"nodes": [{"mesh": 0, "children": [0]}]}, None),
+    ],
+)
+def test_a_wrong_or_huge_glb_is_refused(folder, header, expected):
+    glb(folder / "bad.glb", header)
+    if expected is None:
+        # A node within itself is read, or refused, but never followed forever.
+        with contextlib.suppress(ConfigError):
+            load(folder, "creature.bodies.1.shape={type: mesh, file: bad.glb}")
+        return
+    with pytest.raises(ConfigError, match=f"creature.bodies.1.shape.file: bad.glb: .*{expected}"):
+        load(folder, "creature.bodies.1.shape={type: mesh, file: bad.glb}")
+
+
+@pytest.mark.parametrize("content", [b"", b"glTF", b"no glTF at all, but long enough"])
+def test_a_file_that_is_no_glb_is_refused(folder, content):
+    (folder / "bad.glb").write_bytes(content)
+    with pytest.raises(ConfigError, match="it is no binary glTF"):
+        load(folder, "creature.bodies.1.shape={type: mesh, file: bad.glb}")
+
+
+def test_many_copies_in_a_glb_are_refused_before_they_are_made(folder):
+    ball = trimesh.creation.icosphere(4)
+    glb(folder / "bad.glb", {"nodes": [{"mesh": 0}] * 1000}, ball)
+    with pytest.raises(ConfigError, match="its nodes have 5120000 triangles"):
+        load(folder, "creature.bodies.1.shape={type: mesh, file: bad.glb}")

@@ -1,16 +1,19 @@
 """The drawing page in headless Chromium: animals drawn, tried and trained with the mouse."""
 
+import contextlib
 import json
 import threading
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import trimesh
 
 import chromium
 from evo_cpg.config.load import load_config
 from evo_cpg.drawing.document import Document
-from evo_cpg.drawing.page.server import PageServer
+from evo_cpg.drawing.page.server import DrawingServer
 from evo_cpg.drawing.problems import problems
 from evo_cpg.drawing.session import Session
 
@@ -24,7 +27,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 class Drawn:
     """The page of a document, used with mouse and fields."""
 
-    def __init__(self, page: chromium.Page, server: PageServer):
+    def __init__(self, page: chromium.Page, server: DrawingServer):
         self.page, self.server = page, server
         self.document = server.session.document
 
@@ -89,10 +92,10 @@ class Drawn:
         self.wait()
 
 
-@pytest.fixture
-def drawn(tmp_path) -> Iterator[Drawn]:
-    document = Document.new(tmp_path / "animal.yaml")
-    with PageServer(Session(document)) as server, chromium.browser(tmp_path / "profile") as page:
+@contextlib.contextmanager
+def opened(document: Document, profile: Path) -> Iterator[Drawn]:
+    """Serve a document and open its page."""
+    with DrawingServer(Session(document)) as server, chromium.browser(profile) as page:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         page.visit(server.address)
@@ -104,6 +107,14 @@ def drawn(tmp_path) -> Iterator[Drawn]:
         server.session.close()
         server.shutdown()
         thread.join()
+
+
+@pytest.fixture
+def drawn(tmp_path, monkeypatch) -> Iterator[Drawn]:
+    for display in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(display, raising=False)
+    with opened(Document.new(tmp_path / "animal.yaml"), tmp_path / "profile") as page:
+        yield page
 
 
 def test_the_swimmer_of_the_paper_is_drawn_tried_and_trained(drawn):
@@ -153,38 +164,143 @@ def test_the_swimmer_of_the_paper_is_drawn_tried_and_trained(drawn):
     assert (drawn.document.path.parent / "runs/animal/champion.npz").exists()
     drawn.page.click("#champion")
     drawn.page.wait("View.playing")
+    drawn.click("#live")
+    address = drawn.page.run("document.getElementById('notice').textContent").rpartition(" ")[2]
+    with urllib.request.urlopen(address, timeout=20) as answer:
+        assert "<h1>animal</h1>" in answer.read().decode()
 
 
-def test_a_four_legged_animal_is_drawn_with_the_mouse(drawn):
+def test_a_four_legged_animal_is_drawn_trained_and_opened_again(drawn, tmp_path):
     for name, x in (("fore", 0.7), ("hind", -0.7)):
         drawn.add("part", "side", x, 0.5, "body")
-        drawn.fill("name", f"{name}leg")
+        drawn.fill("name", f"{name}thigh")
         # A leg points down from the right side.
-        for label, value in {
-            "rotation_deg x": "0",
-            "rotation_deg y": "90",
-            "rotation_deg z": "0",
-        }.items():
-            drawn.fill(label, value)
+        for label, value in {"x": "0", "y": "90", "z": "0"}.items():
+            drawn.fill(f"rotation_deg {label}", value)
         drawn.click("#mirror")
-    drawn.part("{side}_foreleg")
+        drawn.add("part", "side", 0.9, 0, f"right_{name}thigh")
+        drawn.fill("name", f"{{side}}_{name}shin")
+        for label, value in {"x": "0.075", "y": "0", "z": "0"}.items():
+            drawn.fill(f"at {label}", value)
+            drawn.fill(f"rotation_deg {label}", "0")
+        drawn.check("axis z")
     drawn.click("#select-world")
     drawn.check("water")
     drawn.check("ground")
     drawn.fill("task", "walk")
     config = drawn.document.data
     names = [entry["name"] for entry in config["creature"]["bodies"]]
-    assert names == ["body", "{side}_foreleg", "{side}_hindleg"]
-    assert drawn.page.run("View.names") == [
-        "body", "left_foreleg", "right_foreleg", "left_hindleg", "right_hindleg"
-    ]  # fmt: skip
+    limbs = ["{side}_forethigh", "{side}_foreshin", "{side}_hindthigh", "{side}_hindshin"]
+    assert names == ["body", *limbs]
+    assert drawn.page.run("View.names.length") == 9
     assert [each for each in problems(config, drawn.document.path) if each.kind == "error"] == []
     drawn.click("#save")
     saved = drawn.document.texts
-    assert Document.open(drawn.document.path).texts == saved
+    drawn.page.click("#train")
+    drawn.page.run("document.getElementById('answer').value = '1'")
+    drawn.page.click("#yes")
+    finished = "document.getElementById('run-state').textContent.startsWith('finished')"
+    drawn.page.wait(finished, patience=600)
+    assert (tmp_path / "runs/animal/champion.npz").exists()
+    # Another program and browser find the same text.
+    with opened(Document.open(drawn.document.path), tmp_path / "another profile") as again:
+        assert again.page.run("document.getElementById('text').textContent") == saved.main
+        assert again.page.run("View.names.length") == 9
+        assert again.document.texts == saved and not again.document.is_changed
     while drawn.document.can_undo:
         drawn.click("#undo")
     assert drawn.page.run("View.names") == ["body"]
+
+
+def test_sections_of_a_loft_are_moved_and_scaled_with_the_mouse(drawn):
+    drawn.part("body")
+    drawn.fill("shape", "loft")
+    drawn.click("[aria-label='add behind section 2']")
+    drawn.fill("section 3 height", "0.2")
+
+    def sections():
+        return drawn.document.data["creature"]["bodies"][0]["shape"]["sections"]
+
+    assert [each["height"] for each in sections()] == [0.05, 0.1, 0.2, 0.05]
+    drawn.click("[data-view=side]")
+    drawn.press(*drawn.page.run("View.dot(2)"))
+    assert drawn.page.run("View.section") == 2
+    _drag(drawn, drawn.page.run("View.gizmo()"), 30)
+    assert sections()[2]["at"][0] > -0.049 and sections()[2]["at"][1:] == [0, 0]
+    # In the view from the front the y axis of the section is level.
+    drawn.click("[data-view=back]")
+    drawn.click("[data-mode=scale]")
+    width = sections()[2]["width"]
+    _drag(drawn, drawn.page.run("View.gizmo('y')"), -30)
+    assert sections()[2]["width"] != width and sections()[2]["height"] == 0.2
+    drawn.fill("corners", "4")
+    assert drawn.document.data["creature"]["bodies"][0]["shape"]["corners"] == 4
+    assert problems(drawn.document.data, drawn.document.path, thorough=False) != []
+
+
+def _drag(drawn: Drawn, place: list[float], by: float) -> None:
+    drawn.page.mouse("mouseMoved", place)
+    drawn.page.mouse("mousePressed", place)
+    for step in range(1, 6):
+        drawn.page.mouse("mouseMoved", [place[0] + by / 5 * step, place[1]])
+    drawn.page.mouse("mouseReleased", [place[0] + by, place[1]])
+    drawn.wait()
+
+
+def test_every_kind_of_joint_and_motor_has_fields(drawn):
+    drawn.add("part", "back", 0, 0, "body")
+
+    def joint():
+        return drawn.document.data["creature"]["bodies"][1]["joint"]
+
+    def errors():
+        found = problems(drawn.document.data, drawn.document.path, thorough=False)
+        return [each for each in found if each.kind == "error"]
+
+    drawn.fill("joint", "ball")
+    drawn.fill("largest angle", "30")
+    assert joint()["axes"] == "ball" and joint()["limits_deg"] == [0, 30] and not errors()
+    drawn.fill("joint", "weld")
+    assert joint()["axes"] == [] and not errors()
+    drawn.fill("joint", "axes")
+    drawn.page.run("document.querySelector('#panel details').open = true")
+    drawn.click("#add-axis")
+    drawn.fill("axis 1 direction", "other")
+    drawn.fill("axis 1 vector x", "1")
+    drawn.check("axis 2 no limits")
+    drawn.fill("axis 2 upper limit", "0.02")
+    drawn.check("limits of each axis")
+    drawn.fill("axis 1 lower limit", "-20")
+    drawn.check("motor of each axis")
+    drawn.fill("axis 1 motor", "muscle")
+    drawn.fill("axis 1 area", "0.001")
+    drawn.check("damping of each axis")
+    drawn.fill("damping of axis 2", "3")
+    assert joint()["axes"] == [[1, 0, 1], {"slide": "x", "limits_m": [-0.01, 0.02]}]
+    assert joint()["limits_deg"] == [[-20, 30], None]
+    assert joint()["damping"] == [0, 3]
+    muscle, servo = joint()["actuator"]
+    assert (muscle["type"], muscle["area"]) == ("muscle", 0.001) and servo["gain"] > 0
+    assert not errors()
+    drawn.check("axis 1 own place")
+    drawn.fill("axis 1 place z", "0.01")
+    assert joint()["axes"][0] == {"turn": [1, 0, 1], "at": [0, 0, 0.01]} and not errors()
+    drawn.click("[aria-label='remove axis 1']")
+    assert joint()["axes"] == [{"slide": "x", "limits_m": [-0.01, 0.02]}] and not errors()
+
+
+def test_a_mesh_that_is_not_convex_becomes_its_hull_if_the_user_agrees(drawn, tmp_path):
+    (tmp_path / "mine").mkdir()
+    ring = trimesh.creation.annulus(0.05, 0.1, 0.1, sections=16)
+    ring.export(tmp_path / "mine" / "ring.glb")
+    drawn.part("body")
+    drawn.page.give_file("[aria-label='mesh file']", tmp_path / "mine" / "ring.glb")
+    drawn.page.wait("document.getElementById('dialog').open")
+    assert "it is not convex" in drawn.page.run("document.getElementById('question').textContent")
+    drawn.page.click("#yes")
+    drawn.page.wait("document.querySelector('[aria-label=hull]')?.checked")
+    shape = {"type": "mesh", "file": "ring.glb", "hull": True}
+    assert drawn.document.data["creature"]["bodies"][0]["shape"] == shape
 
 
 def test_a_gizmo_moves_a_part_and_its_copies(drawn):
@@ -193,13 +309,7 @@ def test_a_gizmo_moves_a_part_and_its_copies(drawn):
     before = drawn.page.run("View.pose('left_part')")
     drawn.click("[data-view=top]")
     # The arrow along x points to the right in the view from above.
-    place = drawn.page.run("View.gizmo()")
-    drawn.page.mouse("mouseMoved", place)
-    drawn.page.mouse("mousePressed", place)
-    for step in range(1, 6):
-        drawn.page.mouse("mouseMoved", [place[0] + 8 * step, place[1]])
-    drawn.page.mouse("mouseReleased", [place[0] + 40, place[1]])
-    drawn.wait()
+    _drag(drawn, drawn.page.run("View.gizmo()"), 40)
     after = drawn.page.run("View.pose('left_part')")
     assert after[0] - before[0] > 0.005
     assert after[1:] == pytest.approx(before[1:], abs=1e-4)
@@ -211,25 +321,14 @@ def test_edits_of_a_program_that_crashed_are_offered(drawn, tmp_path):
     drawn.part("body")
     drawn.fill("size x", "0.3")
     # The program ends without saving, and starts again.
-    again = Document.new(drawn.document.path)
-    with (
-        PageServer(Session(again)) as server,
-        chromium.browser(tmp_path / "another profile") as page,
-    ):
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        page.visit(server.address)
-        page.wait("document.querySelectorAll('#tree button').length > 0")
-        other = Drawn(page, server)
+    with opened(Document.new(drawn.document.path), tmp_path / "another profile") as again:
         text = "document.getElementById('text').textContent"
-        assert not page.run("document.getElementById('recovered').hidden")
-        assert "0.3" in page.run(text)
-        other.click("#discard")
-        assert "0.3" not in page.run(text)
-        other.click("#undo")
-        assert "0.3" in page.run(text)
-        server.shutdown()
-        thread.join()
+        assert not again.page.run("document.getElementById('recovered').hidden")
+        assert "0.3" in again.page.run(text)
+        again.click("#discard")
+        assert "0.3" not in again.page.run(text)
+        again.click("#undo")
+        assert "0.3" in again.page.run(text)
 
 
 def test_a_further_shape_is_drawn_with_the_mouse(drawn):

@@ -15,14 +15,14 @@ from evo_cpg.cli.advice import about_oscillators
 from evo_cpg.config.load import load_config
 from evo_cpg.config.trust import trusting
 from evo_cpg.drawing.document import Document
-from evo_cpg.drawing.page.server import MOST_BYTES, PageServer
+from evo_cpg.drawing.page.server import MOST_BYTES, DrawingServer
 from evo_cpg.drawing.session import Session
 
 
 @pytest.fixture
-def server(tmp_path) -> Iterator[PageServer]:
+def server(tmp_path) -> Iterator[DrawingServer]:
     document = Document.new(tmp_path / "animal.yaml")
-    with PageServer(Session(document, advice=about_oscillators)) as made:
+    with DrawingServer(Session(document, advice=about_oscillators)) as made:
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         yield made
@@ -30,7 +30,7 @@ def server(tmp_path) -> Iterator[PageServer]:
         thread.join()
 
 
-def ask(server: PageServer, path: str, body: Any = None, **headers: str) -> tuple[int, Any]:
+def ask(server: DrawingServer, path: str, body: Any = None, **headers: str) -> tuple[int, Any]:
     """A request of a plain client. The token is sent unless ``X_Token`` is given."""
     link = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=20)
     sent = {"X-Token": server.token} | {k.replace("_", "-"): v for k, v in headers.items()}
@@ -172,6 +172,11 @@ def test_meshes_are_checked_before_they_are_kept(server, tmp_path):
         assert "error" in upload(name, content)
         assert not (tmp_path / name).exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my_part.stl"]
+    # A ring is a body only as its convex hull, about which the page asks.
+    ring = bytes(trimesh.creation.annulus(0.05, 0.1, 0.1, sections=16).export(file_type="glb"))
+    answer = upload("ring.glb", ring)
+    assert answer["file"] == "ring.glb" and "it is not convex" in answer["problem"]
+    assert "no binary glTF" in upload("e.glb", ring[4:])["error"]
     given = {
         "key": ["creature", "bodies", 0, "shape"],
         "value": {"type": "mesh", "file": "my_part.stl"},
@@ -217,7 +222,7 @@ def test_a_creature_that_is_missing_can_be_set(tmp_path):
     (tmp_path / "a.yaml").write_text("name: a\ncreature:\n")
     session = Session(Document.open(tmp_path / "a.yaml"))
     answer = session.answer("edit", {"command": "add_part", "given": {}})
-    assert "missing a required argument" in answer["error"]
+    assert "parent: is missing" in answer["error"]
     given = {"key": ["creature"], "value": Document.new(tmp_path / "b.yaml").data["creature"]}
     answer = session.answer("edit", {"command": "set_value", "given": given})
     assert answer["new"] == "body" and answer["undrawn"] is None
@@ -231,6 +236,7 @@ def test_a_session_refuses_in_words(server):
     assert "must be the name of a .yaml file" in error("/save", name="x.txt")
     assert "at least 1, got 0" in error("/train", generations=0)
     assert "save first" in error("/train")
+    assert "there is no run" in error("/watch")
     ask(server, "/save", {})
     assert "at least one joint" in error("/train")
     ask(server, "/edit", {"command": "set_value", "given": {"key": ["seed"], "value": -1}})

@@ -88,24 +88,67 @@ def matrix(quaternion):
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def test_the_bodies_move_as_in_the_recording(scene):
-    creature, recording, data = scene
-    document, arrays = decode(data)
+def movements(document, arrays):
+    """Return instants and values of each moved node, by its name and by what moves."""
     nodes, motion = document["nodes"], document["animations"][0]
     moved = {}
     for channel in motion["channels"]:
         sampler = motion["samplers"][channel["sampler"]]
         assert sampler["interpolation"] == "LINEAR"
-        np.testing.assert_allclose(arrays[sampler["input"]][:, 0], recording.time, atol=1e-5)
         target = channel["target"]
-        moved[nodes[target["node"]]["name"], target["path"]] = arrays[sampler["output"]]
-    assert len(moved) == 2 * len(creature.bodies)
+        values = arrays[sampler["input"]][:, 0], arrays[sampler["output"]]
+        moved[nodes[target["node"]]["name"], target["path"]] = values
+    return moved
+
+
+def test_the_bodies_move_as_in_the_recording(scene):
+    creature, recording, data = scene
+    found = movements(*decode(data))
+    instants = {key: time for key, (time, _) in found.items() if key[0] != "camera"}
+    assert len(instants) == 2 * len(creature.bodies)
+    for time in instants.values():
+        np.testing.assert_allclose(time, recording.time, atol=1e-5)
+    moved = {key: values for key, (_, values) in found.items()}
     for i, body in enumerate(creature.bodies):
         place, turn = moved[body.name, "translation"], moved[body.name, "rotation"]
         np.testing.assert_allclose(place, recording.position[:, i], atol=1e-5)
         np.testing.assert_allclose(matrix(turn.astype(float)), recording.rotation[:, i], atol=1e-5)
         np.testing.assert_allclose(np.linalg.norm(turn, axis=1), 1, atol=1e-6)
         assert ((turn[1:] * turn[:-1]).sum(1) > 0).all()
+
+
+def test_the_camera_sees_every_body_at_every_instant(scene):
+    """The camera looks along its -z (glTF 2.0, section 3.10)."""
+    creature, recording, data = scene
+    document, arrays = decode(data)
+    (camera,) = document["cameras"]
+    lens, moved = camera["perspective"], movements(document, arrays)
+    time, eye = moved["camera", "translation"]
+    turn = matrix(moved["camera", "rotation"][1].astype(float))
+    across = []
+    for i in range(len(creature.bodies)):
+        place = np.stack(
+            [np.interp(time, recording.time, recording.position[:, i, k]) for k in range(3)], -1
+        )
+        x, y, z = np.moveaxis(np.einsum("tji,tj->ti", turn, place - eye), -1, 0)
+        assert (-z > lens["znear"]).all()
+        up = y / -z / np.tan(lens["yfov"] / 2)
+        across.append(x / -z / np.tan(lens["yfov"] / 2) / lens["aspectRatio"])
+        assert np.abs(up).max() < 1 and np.abs(across[-1]).max() < 1
+    # The horizon is level, and the animal is not tiny.
+    assert np.abs(turn[:, 2, 0]).max() < 1e-6 and (turn[:, 2, 1] > 0).all()
+    assert np.median(np.ptp(across, axis=0)) > 0.3
+
+
+def test_the_ground_ends_near_the_path():
+    creature, recording = synthetic.walker(), synthetic.walk(4.0)
+    document, arrays = decode(gltf_film(Panel(creature, recording, world="land", ground=Ground())))
+    (ground,) = (mesh for mesh in document["meshes"] if mesh["name"] == "ground")
+    points = arrays[ground["primitives"][0]["attributes"]["POSITION"]][:, :2]
+    path = recording.position[..., :2].reshape(-1, 2)
+    beyond = np.maximum(path.min(0) - points.min(0), points.max(0) - path.max(0))
+    length = np.ptp(recording.position[0], axis=0).max()
+    assert (beyond > 0.2 * length).all() and (beyond < 2.5 * length).all()
 
 
 def test_up_direction_is_converted(scene):

@@ -348,7 +348,7 @@ OTHER = '<body name="other">{}<geom size="1"/></body>'
         ),
         (
             model(joints='<joint axis="1 0 0"/><joint axis="1 0 0"/>'),
-            "'limb': joint: axes: must be linearly independent and not zero",
+            "unnamed joint of body 'limb': axes: must be linearly independent and not zero",
         ),
         (
             model(attributes='gravcomp="1"'),
@@ -374,7 +374,7 @@ OTHER = '<body name="other">{}<geom size="1"/></body>'
         ),
         (
             model(joints=HINGE.replace("/>", ' damping="-1"/>')),
-            "'limb': joint.damping: -1.0: must be greater than or equal to 0",
+            "joint 'h': damping: -1.0: must be greater than or equal to 0",
         ),
         (
             model(geoms='<geom name="g" size="0.1" friction="-1"/>'),
@@ -386,7 +386,7 @@ OTHER = '<body name="other">{}<geom size="1"/></body>'
         ),
         (
             model(actuators='<velocity name="m" joint="h" kv="1" gear="1e200"/>'),
-            "'limb': joint.actuator.gain: inf: must be",
+            "joint 'h': actuator.gain: inf: must be",
         ),
         (
             model().replace('"limb"', '"limb&#27;[31m"'),
@@ -398,6 +398,18 @@ OTHER = '<body name="other">{}<geom size="1"/></body>'
                 extra='<option actuatorgroupdisable="1 2"/>',
             ),
             "actuator 'm': actuatorgroupdisable disables its group, 2. Allowed: an enabled group",
+        ),
+        (
+            model(free='<joint name="root" type="free" damping="1" armature="0.1"/>'),
+            "joint 'root': it is a free joint with damping, armature. Allowed: <freejoint/>",
+        ),
+        (
+            model(
+                joints=HINGE.replace("/>", ' actuatorfrcrange="-3 3"/>'),
+                extra='<tendon><fixed name="t"><joint joint="h" coef="-2"/></fixed></tendon>',
+                actuators='<motor tendon="t" ctrlrange="-1.6 1.6"/>',
+            ),
+            "joint 'h': its actuatorfrcrange limits the force of a tendon's motor. Allowed: a forc",
         ),
         ("<mujoco><wolrd/></mujoco>", "unrecognized element Element 'wolrd', line 1"),
     ],
@@ -442,7 +454,7 @@ def test_elements_without_numbers_are_refused(read, tmp_path, monkeypatch, text,
 
 
 def test_refused_parts_can_be_dropped(read):
-    """The parts are listed as in the refusal. A tree with motors is never dropped."""
+    """The parts are listed as in the refusal. The tree with the most motors stays."""
     ball = OTHER.format("<freejoint/>")
     text = model(
         actuators=MOTOR, beside=ball, extra='<equality><joint name="e" joint1="h"/></equality>'
@@ -456,10 +468,43 @@ def test_refused_parts_can_be_dropped(read):
     assert [body["name"] for body in found.experiment["creature"]["bodies"]] == ["trunk", "limb"]
     driven = ball.replace("<geom", '<body name="arm"><joint name="j"/><geom size="1"/></body><geom')
     tendon = '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
-    for motor in ('joint="j"', 'tendon="t"'):
-        actuators = f"{MOTOR}<motor {motor}/>"
-        with pytest.raises(ExchangeError, match="it moves beside"):
-            read(model(actuators=actuators, beside=driven, extra=tendon), drop=True)
+    for more, kept in (("", "trunk"), ('<motor tendon="t"/>', "other")):
+        actuators = f'{MOTOR}<motor joint="j"/>{more}'
+        found = read(model(actuators=actuators, beside=driven, extra=tendon), drop=True)
+        assert found.experiment["creature"]["bodies"][0]["name"] == kept
+        assert len(found.dropped) == 1 and "it moves beside body" in found.dropped[0]
+
+
+def test_a_dropped_ball_leaves_the_other_joints_of_its_body(read):
+    found = read(model(joints=HINGE + '<joint name="b" type="ball"/>'), drop=True)
+    assert found.dropped == (
+        "joint 'b': it shares its body with other joints. Allowed: a ball joint alone in its body",
+    )
+    assert found.joints == {"limb": (1,)}
+    assert found.experiment["creature"]["bodies"][1]["joint"]["axes"] == ["z"]
+
+
+def test_a_limit_that_a_motor_of_a_tendon_never_reaches_is_accepted(read):
+    """Twice 1.4 N and the joint's own motor of 0.1 N m give 2.9 N m, within 3 N m."""
+    text = model(
+        joints=HINGE.replace("/>", ' actuatorfrcrange="-3 3"/>'),
+        extra='<tendon><fixed name="t"><joint joint="h" coef="-2"/></fixed></tendon>',
+        actuators='<motor tendon="t" ctrlrange="-1.4 1.4"/><motor joint="h" ctrlrange="-.1 .1"/>',
+    )
+    tendon = read(text).experiment["creature"]["tendons"][0]
+    assert tendon["actuator"]["torque_limit"] == 1.4
+    with pytest.raises(ExchangeError, match="actuatorfrcrange limits the force of a tendon"):
+        read(text.replace('ctrlrange="-.1 .1"', 'ctrlrange="-.3 .3"'))
+
+
+def test_all_joints_that_no_creature_has_are_listed(read):
+    """MuJoCo takes parallel axes in one body. The other faults are in the same list."""
+    parallel = HINGE + "<joint/>"
+    text = model(joints=parallel, extra='<equality><joint joint1="h"/></equality>')
+    with pytest.raises(ExchangeError) as refusal:
+        read(text)
+    assert "unnamed equality of joint 'h': a creature cannot have it" in str(refusal.value)
+    assert "joint 'h': axes: must be linearly independent and not zero" in str(refusal.value)
 
 
 @pytest.mark.parametrize(
@@ -521,9 +566,9 @@ def test_names_are_made_unique(read):
     text = model().replace('name="limb"', "").replace('name="trunk"', 'name="h"')
     names = [body["name"] for body in read(text).experiment["creature"]["bodies"]]
     assert names == ["h", "h_"]
-    odd = model().replace('"limb"', '"limb{i}"').replace('"trunk"', '"all"')
+    odd = model().replace('"limb"', '"li&#10;mb{i}"').replace('"trunk"', '"all"')
     names = [body["name"] for body in read(odd).experiment["creature"]["bodies"]]
-    assert names == ["all_", "limb_i_"]
+    assert names == ["all_", "li_mb_i_"]
 
 
 @pytest.mark.parametrize(

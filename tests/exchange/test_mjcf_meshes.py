@@ -1,15 +1,16 @@
 """Export and import of meshes: masses, inertias, accelerations and refusals."""
 
 import dataclasses
+from pathlib import Path
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 import trimesh
 
-from creatures import quick_jit, random_state
-from evo_cpg.config.load import load_config
+from benchmarks.imported_models import accelerations
+from creatures import random_state
+from evo_cpg.config.load import complete_config, load_config
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, neutral_pose
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box
@@ -19,11 +20,8 @@ from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_model
 from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.exchange.refusals import ExchangeError
-from evo_cpg.physics.articulated import solve
-from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.rotation import euler_to_matrix
 from imported import creature_of
 from polyhedra import tetrahedron, wedge
@@ -80,24 +78,15 @@ def test_accelerations_equal_mujocos(compiled):
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
     data, order = mujoco.MjData(model), dof_order(model, tree)
 
-    @quick_jit
-    def ours(state):
-        kin = kinematics(tree, state)
-        inertia, bias = body_equations(World(tree, GRAVITY), kin, 0.0)
-        torque = (
-            -expand_dims_like(tree.stiffness, state.q) * state.q
-            - expand_dims_like(tree.damping, state.q) * state.qd
-        )
-        found = solve(tree, kin, inertia, bias, torque, expand_dims_like(tree.armature, torque))
-        return jnp.concatenate(found)
-
     for seed in range(5):
         state = random_state(tree, np.random.default_rng(seed))
         rotation = load_state(model, data, tree, state)
         mujoco.mj_forward(model, data)
         theirs = [rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[6 + order]]
         theirs = np.concatenate(theirs)
-        assert np.abs(ours(state) - theirs).max() < 1e-4 * np.abs(theirs).max()
+        still = MotorCommand(np.zeros_like(state.q))
+        ours = accelerations(World(tree, GRAVITY), state, still)
+        assert np.abs(ours - theirs).max() < 1e-4 * np.abs(theirs).max()
 
 
 @pytest.fixture
@@ -172,3 +161,60 @@ def test_a_mesh_that_cannot_be_a_body_is_refused(read):
         ExchangeError, match="unnamed geom of body 'trunk': its mesh cannot be a body: it"
     ):
         read(model(speck).replace("<geom ", '<geom mass="1" '))
+
+
+def test_a_mesh_with_needles_becomes_a_coarser_hull(read):
+    """Pairs of close corners at the ends of a rod give needles, which fewer corners avoid."""
+    angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1) * 0.0005
+    end, middle = ring + np.array([0, 0, 0.5]), 0.999 * ring + np.array([0, 0, 0.2])
+    corners = np.concatenate([ring, end, middle])
+    rod = trimesh.Trimesh(corners).convex_hull
+    shape = creature_of(read(model(rod))).bodies[0].shape
+    assert isinstance(shape, ConvexMesh) and len(shape.vertices) < 100
+    assert shape.volume == pytest.approx(rod.volume, rel=0.1)
+
+
+def test_a_loft_has_mujocos_mass_and_inertia(compiled):
+    """A bent loft of two pieces, in single precision: 1e-5."""
+    sections = [(0.1, 0.0, 0.1), (0.0, 0.04, 0.06), (-0.1, 0.0, 0.08)]
+    config = complete_config(
+        {
+            "name": "x",
+            "creature": {
+                "name": "x",
+                "materials": {"m": {"density": 800.0}},
+                "bodies": [
+                    {
+                        "name": "a",
+                        "material": "m",
+                        "shape": {
+                            "type": "loft",
+                            "sections": [
+                                {"at": [x, y, 0.0], "width": size, "height": 0.05}
+                                for x, y, size in sections
+                            ],
+                        },
+                    }
+                ],
+            },
+        },
+        Path("x.yaml"),
+    )
+    creature = config.creature.build()
+    assert len(creature.bodies) == 2
+    tree, model = build_tree(creature), compiled(creature, GRAVITY)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    masses = model.body_mass[1:]
+    assert masses.sum() == pytest.approx(tree.mass[0], rel=1e-5)
+    com, inertia = np.average(data.xipos[1:], 0, masses), np.zeros((3, 3))
+    for i, mass in enumerate(masses, start=1):
+        turn, arm = data.ximat[i].reshape(3, 3), data.xipos[i] - com
+        inertia += turn @ np.diag(model.body_inertia[i]) @ turn.T
+        inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    ours = np.asarray(tree.com[:, 0])
+    np.testing.assert_allclose(com - data.xpos[1], ours, atol=1e-6)
+    inertia += masses.sum() * (ours @ ours * np.eye(3) - np.outer(ours, ours))
+    expected = np.asarray(tree.inertia)[:3, :3, 0]
+    np.testing.assert_allclose(inertia, expected, atol=1e-5 * expected.max())

@@ -7,6 +7,7 @@ from trimesh.exchange.stl import export_stl_ascii
 
 from benchmarks.imported_models import largest_difference
 from evo_cpg.creature.creature import TorqueMotor
+from evo_cpg.exchange import urdf
 from evo_cpg.exchange.mjcf_import import read_model
 from evo_cpg.exchange.refusals import ExchangeError
 from imported import creature_of
@@ -82,16 +83,37 @@ def test_the_base_of_a_urdf_can_be_released(robot):
     assert found.warnings == ()
 
 
-def test_an_unreadable_mesh_is_refused_or_dropped(robot):
+def test_an_unreadable_mesh_is_refused_or_dropped(robot, monkeypatch):
     robot.write_text(ROBOT.replace("upper.stl", "upper.dae"))
     with pytest.raises(ExchangeError, match=r"mesh 'package://arm/meshes/upper.dae': it is missi"):
         read_model(robot)
     (robot.parents[1] / "arm" / "meshes" / "upper.dae").write_text("<COLLADA/>")
-    with pytest.raises(ExchangeError, match=r"upper.dae': it cannot be read\. Allowed: a \.stl"):
-        read_model(robot)
+    for package, problem in ((None, "the package pycollada is not i"), (True, "it cannot be read")):
+        monkeypatch.setattr(urdf, "find_spec", lambda _, found=package: found)
+        with pytest.raises(ExchangeError, match=rf"upper.dae': .*{problem}.*\. Allowed: a \.stl"):
+            read_model(robot)
     found = read_model(robot, drop=True)
     assert found.dropped[0].startswith("mesh 'package://arm/meshes/upper.dae'")
+    robot.write_text(ROBOT)
+    (robot.parents[1] / "arm" / "meshes" / "upper.stl").write_text("solid x\nfacet")
+    with pytest.raises(ExchangeError, match=r"upper.stl': it cannot be read"):
+        read_model(robot)
     assert found.experiment["creature"]["bodies"][1]["shape"] is None
+
+
+def test_drawings_that_cannot_be_read_are_left_out_by_name(robot):
+    drawn = '<visual><geometry><mesh filename="package://arm/plate.dae"/></geometry></visual>'
+    robot.write_text(ROBOT.replace('<link name="plate">', f'<link name="plate">{drawn}'))
+    assert read_model(robot).left_out[0] == "unreadable drawing of body 'plate'"
+
+
+def test_a_mimic_is_refused_by_its_joint(robot):
+    mimic = '<axis xyz="1 0 0"/><mimic joint="shoulder" multiplier="2"/>'
+    robot.write_text(ROBOT.replace('<axis xyz="1 0 0"/>', mimic))
+    words = r"joint 'axle': it mimics joint 'shoulder'\. Allowed: no mimic"
+    with pytest.raises(ExchangeError, match=words):
+        read_model(robot)
+    assert len(read_model(robot, drop=True).dropped) == 1
 
 
 @pytest.mark.parametrize(

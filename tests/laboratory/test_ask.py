@@ -82,17 +82,6 @@ def test_factors_multiply_keys_of_the_same_question(ribbon):
     assert world.water.current[0] == pytest.approx(0.3)
 
 
-def test_size_scales_slides(tmp_path):
-    sliding = copy.deepcopy(SWIMMER)
-    joint = sliding["creature"]["bodies"][1]["joint"]
-    joint |= {"axes": [{"slide": "x", "limits_m": [-0.1, 0.2], "rest_m": 0.05}]}
-    joint.pop("limits_deg", None)
-    animal = subject(tmp_path, sliding)
-    small = config_of(animal.config, animal.source, {"size": 0.5}).model_dump()
-    axis = small["creature"]["bodies"][1]["joint"]["axes"][0]
-    assert axis["limits_m"] == (-0.05, 0.1) and axis["rest_m"] == 0.025
-
-
 def test_key_of_the_configuration_is_a_knob(ribbon):
     key = "creature.materials.flesh.density"
     rows = ask(ribbon, {key: [1000.0, 1100.0], "u": [0.5]}, seconds=1.0).rows

@@ -16,3 +16,7 @@ PAGES = [page for page in generate.DOCS.rglob("*.md") if "<!-- begin " in page.r
 def test_generated_parts_are_fresh(page):
     """Run `python docs/tools/generate.py` if this fails."""
     assert generate.filled(page) == page.read_text(encoding="utf-8")
+
+
+def test_every_shipped_animal_has_a_page():
+    assert generate.animal_pages.new_pages() == []

@@ -86,6 +86,8 @@ def test_tendons_accelerate_as_in_mujoco():
     @quick_jit
     def ours(state, command):
         at_once, iterated = World(free, GRAVITY), World(tree, GRAVITY)
+        # Motors reach their limits at the end of a step. With so short a step the end is the start,
+        # except for rounding. A step of 0 would divide by 0.
         h = 1e-13
         first = solve_at_once(at_once, 0.0, prepare(at_once, 0.0, state, command))
         problem = StepProblem.of(iterated, h, prepare(iterated, h, state, command))

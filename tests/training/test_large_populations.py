@@ -24,7 +24,7 @@ from evo_cpg.training.replay import replay
 from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 
-COUNTS = [*range(1, 700, 17), 1024, 4096, 16_384, 20_000, 100_000]
+COUNTS = [*range(2, 700, 17), 1024, 4096, 16_384, 20_000, 100_000]
 SIZE = 25
 
 
@@ -73,6 +73,12 @@ def test_large_populations_waste_few_places():
 )
 def test_widths_of_usual_populations(population, count, expected):
     assert chunk_width(population, count) == expected
+
+
+def test_a_single_individual_is_a_chunk_without_vectors():
+    """A full vector would cost several times as much as one individual."""
+    assert [chunk_width(1, devices) for devices in (1, 2, 8)] == [1, 1, 1]
+    assert layout(1, population_mesh(2)).block == 1
 
 
 def test_a_gpu_computes_its_whole_part_at_once(monkeypatch):

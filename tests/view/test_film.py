@@ -1,6 +1,7 @@
 """Films: the files decode to the given size and frames, and show the animal."""
 
 import dataclasses
+import functools
 import itertools
 import os
 import re
@@ -24,7 +25,7 @@ from evo_cpg.view.captions import fitted, heading
 from evo_cpg.view.clip import mean_speed, sample
 from evo_cpg.view.film import side_by_side
 from evo_cpg.view.frame_processes import DrawingError
-from evo_cpg.view.frames import Film
+from evo_cpg.view.frames import Film, Frames
 from evo_cpg.view.legible import font
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.pointer import edge_places
@@ -265,7 +266,8 @@ def test_several_processes_draw_the_same_film(movie, creature, recording, tmp_pa
 def test_a_process_that_cannot_draw_is_reported(creature, recording, monkeypatch):
     """A thread replaces the process."""
     made = Film(SMALL, 10, 0.5, camera="missing")
-    monkeypatch.setattr(frame_processes, "_films", [([Panel(creature, recording)], made)])
+    make = functools.partial(Frames, [Panel(creature, recording)], made)
+    monkeypatch.setattr(frame_processes, "_makers", [make])
     words = "draws frames failed: camera is 'missing'"
     with ThreadPoolExecutor(1) as pool, pytest.raises(DrawingError, match=words):
         next(frame_processes._in_order(pool, 5, 2))

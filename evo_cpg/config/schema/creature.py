@@ -39,7 +39,7 @@ from evo_cpg.creature.creature import (
     require_masses,
 )
 from evo_cpg.creature.self_collision import SelfCollision
-from evo_cpg.creature.shapes import NoShape
+from evo_cpg.creature.shapes import NoShape, Shape
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
@@ -333,7 +333,9 @@ class CreatureConfig(Section):
 
     def _names_of(self, copy: Copy) -> list[str]:
         """Return the names of a body and of its parts."""
-        parts = range(2, len(self.bodies[copy.entry].parts) + 2)
+        entry = self.bodies[copy.entry]
+        pieces = sum(len(shape.further_pieces) for shape in entry.shapes)
+        parts = range(2, len(entry.parts) + pieces + 2)
         return [copy.name, *(f"{copy.name}/{i}" for i in parts)]
 
     def copies(self) -> list[Copy]:
@@ -415,10 +417,12 @@ class CreatureConfig(Section):
             centre: centre of its shape in the frame of the configuration, m.
         """
         entry = self.bodies[copy.entry]
-        shapes = [_mirrored(shape, copy).build() for shape in entry.shapes]
+        solids = [_mirrored(shape, copy) for shape in entry.shapes]
+        shapes = [solid.build() for solid in solids]
         density, inertial = None, None
         if entry.mass is not None and entry.inertia is None and shapes:
-            density = entry.mass / sum(shape.volume for shape in shapes)
+            pieces = [*shapes, *(each.shape for solid in solids for each in solid.further_pieces)]
+            density = entry.mass / sum(shape.volume for shape in pieces)
         elif entry.mass is not None:
             inertial = _inertial(entry, copy, centre)
 
@@ -429,30 +433,46 @@ class CreatureConfig(Section):
         own = NoShape() if entry.shape is None else shapes.pop(0)
         first = NO_MASS if entry.shape is None and inertial is None else inertial
         found = [Body(copy.name, own, material(entry.material), joint, entry.color, first)]
-        for i, (part, shape) in enumerate(zip(entry.parts, shapes, strict=True), start=2):
-            at, turn_deg = part.at, part.rotation_deg
-            if copy.mirror:
-                at, turn_deg = reflected(at, copy.mirror), opposed(turn_deg, copy.mirror)
+
+        def add(
+            shape: Shape,
+            at: Triple,
+            turn_deg: Triple,
+            shape_centre: np.ndarray,
+            given: PartConfig | BodyConfig,
+        ) -> None:
+            rotation = euler_to_matrix(*xp.deg2rad(xp.array(turn_deg)))
             weld = Joint(
                 parent=copy.name,
                 parent_anchor=moved(at, centre),
-                child_anchor=moved((0.0, 0.0, 0.0), _mirrored(part.shape, copy).centre),
+                child_anchor=moved((0.0, 0.0, 0.0), shape_centre),
                 axes=(),
                 lower=(),
                 upper=(),
-                orientation=tuple(map(as_vector, euler_to_matrix(*xp.deg2rad(xp.array(turn_deg))))),
+                orientation=tuple(map(as_vector, rotation)),
             )
             found.append(
                 Body(
-                    f"{copy.name}/{i}",
+                    f"{copy.name}/{len(found) + 1}",
                     shape,
-                    material(part.material or entry.material),
+                    material(given.material or entry.material),
                     weld,
-                    part.color or entry.color,
+                    given.color or entry.color,
                     None if inertial is None else NO_MASS,
                     copy.name,
                 )
             )
+
+        zero = (0.0, 0.0, 0.0)
+        for piece in solids.pop(0).further_pieces if entry.shape else ():
+            add(piece.shape, zero, zero, piece.centre, entry)
+        for part, solid, shape in zip(entry.parts, solids, shapes, strict=True):
+            at, turn_deg = part.at, part.rotation_deg
+            if copy.mirror:
+                at, turn_deg = reflected(at, copy.mirror), opposed(turn_deg, copy.mirror)
+            add(shape, at, turn_deg, solid.centre, part)
+            for piece in solid.further_pieces:
+                add(piece.shape, at, turn_deg, piece.centre, part)
         return found
 
     def _centre(self, copy: Copy) -> np.ndarray:

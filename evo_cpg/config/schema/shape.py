@@ -9,8 +9,9 @@ from typing_extensions import override
 
 from evo_cpg.config.schema.copies import MirrorAxis
 from evo_cpg.config.schema.frames import reflected
-from evo_cpg.config.schema.section import Positive, Section, Vector
+from evo_cpg.config.schema.section import NotNegative, Positive, Section, Vector
 from evo_cpg.creature.cylinder import Cylinder
+from evo_cpg.creature.loft import LoftSection, Piece, loft
 from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 
@@ -35,8 +36,13 @@ class SolidConfig(Section):
 
     @property
     def centre(self) -> np.ndarray:
-        """Centre of the shape ``(3,)`` in the body's frame, m, nonzero only for a mesh."""
+        """Centre of the first piece ``(3,)`` in the body's frame, m, nonzero only for meshes."""
         return np.zeros(3)
+
+    @property
+    def further_pieces(self) -> tuple[Piece, ...]:
+        """Convex pieces beside the first one, which `build` returns. Only a loft has any."""
+        return ()
 
     def mirrored(self: _Solid, axis: MirrorAxis) -> _Solid:
         """Return the mirror image in the frame's plane with this normal (often the same shape)."""
@@ -156,6 +162,68 @@ class MeshConfig(SolidConfig):
         return convex_mesh(np.array(self.vertices).reshape(-1, 3), faces)
 
 
+class LoftSectionConfig(Section):
+    """A cross-section of a loft.
+
+    Attributes:
+        at: centre of the section, a point of the spine, m.
+        width: size across the spine, m; horizontal in the first section. 0 at an end is an edge.
+        height: size across the spine and the width, m. A width and height of 0 at an end is a tip.
+    """
+
+    at: Vector
+    width: NotNegative
+    height: NotNegative
+
+
+class LoftConfig(SolidConfig):
+    """Body through cross-sections along a spine, in any frame.
+
+    Attributes:
+        type: ``loft``.
+        sections: cross-sections in order, from one end to the other.
+        corners: even number of corners of every section, 4 for beams; left out for ellipses.
+    """
+
+    type: Literal["loft"]
+    sections: Annotated[tuple[LoftSectionConfig, ...], Field(min_length=2, max_length=40)]
+    corners: Annotated[int, Field(ge=4, le=24, multiple_of=2)] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "LoftConfig":
+        self._made()
+        return self
+
+    @property
+    @override
+    def centre(self) -> np.ndarray:
+        return self._made()[0].centre
+
+    @property
+    @override
+    def further_pieces(self) -> tuple[Piece, ...]:
+        return self._made()[1:]
+
+    @override
+    def mirrored(self, axis: MirrorAxis) -> "LoftConfig":
+        sections = tuple(
+            each.model_copy(update={"at": reflected(each.at, axis)}) for each in self.sections
+        )
+        return self.model_copy(update={"sections": sections})
+
+    @override
+    def build(self) -> Shape:
+        return self._made()[0].shape
+
+    @property
+    def drawn(self) -> tuple[LoftSection, ...]:
+        """The sections as `loft` takes them."""
+        return tuple(LoftSection(each.at, each.width, each.height) for each in self.sections)
+
+    def _made(self) -> tuple[Piece, ...]:
+        return loft(self.drawn, self.corners)
+
+
 # No unit of drawings requires a larger scale.
 Scale = Annotated[float, Field(gt=0, lt=1e9, strict=True)]
 
@@ -165,16 +233,24 @@ class MeshFileConfig(Section):
 
     Attributes:
         type: ``mesh``.
-        file: file (.stl, .obj) with vertices and faces.
+        file: file (.glb, .obj, .off, .ply, .stl) with vertices and faces.
         scale: factor for positions in the file, for all or along x, y and z.
+        hull: whether to use the convex hull of the vertices, with at most 2000 triangles.
     """
 
     type: Literal["mesh"]
     file: str
     scale: Scale | tuple[Scale, Scale, Scale] = 1.0
+    hull: bool = False
 
 
 ShapeConfig = Annotated[
-    BoxConfig | SphereConfig | EllipsoidConfig | CapsuleConfig | CylinderConfig | MeshConfig,
+    BoxConfig
+    | SphereConfig
+    | EllipsoidConfig
+    | CapsuleConfig
+    | CylinderConfig
+    | LoftConfig
+    | MeshConfig,
     Field(discriminator="type"),
 ]

@@ -1,44 +1,15 @@
 """The HTML of the drawing page: one document with its scripts inside."""
 
-import base64
 import functools
-import hashlib
-from importlib import resources
+
+from evo_cpg.view.page.shell import Page, asset, served_page
 
 
 @functools.cache
-def page() -> str:
+def page() -> Page:
     """Return the whole page."""
-    body = _asset("evo_cpg.drawing.page", "page.html")
-    style = _asset("evo_cpg.drawing.page", "page.css")
-    scripts = "".join(f"<script>{script}</script>" for script in _scripts())
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<link rel="icon" href="data:,"><title>evo-cpg model</title>'
-        f"<style>{style}</style></head><body>{body}{scripts}</body></html>"
+    body, style, *own = (
+        asset(name, "evo_cpg.drawing.page")
+        for name in ("page.html", "page.css", "view.js", "forms.js", "page.js")
     )
-
-
-@functools.cache
-def policy() -> str:
-    """Return the content security policy, which allows the page's own scripts and server alone."""
-    digests = [
-        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in _scripts()
-    ]
-    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
-    return (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; "
-        "connect-src 'self'; img-src data: blob:; base-uri 'none'; form-action 'none'; "
-        "frame-ancestors 'none'"
-    )
-
-
-@functools.cache
-def _scripts() -> tuple[str, ...]:
-    own = [_asset("evo_cpg.drawing.page", name) for name in ("view.js", "page.js")]
-    return _asset("evo_cpg.view.page", "three.min.js"), *own
-
-
-def _asset(package: str, name: str) -> str:
-    return resources.files(package).joinpath(name).read_text(encoding="utf-8")
+    return served_page("evo-cpg model", style, body, [asset("three.min.js"), *own])

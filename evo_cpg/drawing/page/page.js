@@ -23,7 +23,7 @@
   // One request after the other, so that answers arrive in order.
   let queue = Promise.resolve();
   function request(name, given = {}) {
-    const answer = queue.then(() => send(`/${name}`, JSON.stringify(given)));
+    const answer = queue.then(() => send(`/${name}`, JSON.stringify({ ...given, ...(name === "open" || !state ? {} : { seen: state.revision }) })));
     queue = answer.then(take, () => {});
     return queue.then(() => answer);
   }
@@ -36,6 +36,7 @@
     }
     if (answer.error) notice(answer.error, true);
     else if (answer.saved) notice(`Saved ${answer.saved}`);
+    else if (answer.unsafe) notice(`There is no autosave: ${answer.unsafe}. Save under another name or free some space.`, true);
     else if (answer.data) notice("");
   }
   async function edit(command, given) {
@@ -58,9 +59,9 @@
   }
   // Returns the text of the field, or null if it was not confirmed. With two choices it returns
   // true for the first, false for the second, and null if the dialog was closed.
-  function ask(question, { lost = "", words = null, value = "", choices = null } = {}) {
+  function ask(question, { lost = "", words = null, value = "", choices = null, act = "Continue" } = {}) {
     const dialog = $("dialog");
-    [$("yes").textContent, $("no").textContent] = choices || ["Continue", "Cancel"];
+    [$("yes").textContent, $("no").textContent] = choices || [act, "Cancel"];
     $("question").textContent = question;
     $("lost").textContent = lost;
     $("lost").hidden = !lost;
@@ -70,7 +71,6 @@
     $("answer").disabled = words === null;
     dialog.returnValue = "";
     dialog.showModal();
-    // Enter in the field is a yes.
     $("yes").focus();
     if (words !== null) $("answer").select();
     return new Promise((done) => {
@@ -93,6 +93,8 @@
     made.append(...children.filter((child) => child !== null));
     return made;
   }
+  // Only a button of type submit is pressed by Enter in the field.
+  $("no").addEventListener("click", () => $("dialog").close("no"));
   const button = (words, act, more = {}) => make("button", { type: "button", onclick: act, ...more }, words);
   function row(label, ...inputs) {
     return make("div", { className: "row" }, make("span", {}, label), ...inputs);
@@ -115,17 +117,6 @@
   }
   function numbers(label, values, act) {
     return values.map((value, i) => number(`${label} ${"xyz"[i] || i}`, value, (given) => act(values.map((old, k) => (k === i ? given : old)))));
-  }
-  // Values without a field of their own, such as lists for each axis, are edited as JSON.
-  function json(label, value, act) {
-    return field(label, value === undefined ? "" : JSON.stringify(value), (text) => {
-      try {
-        act(text === "" ? undefined : JSON.parse(text));
-      } catch (error) {
-        notice(`${label}: ${text} is not JSON`, true);
-        renderPanel();
-      }
-    });
   }
   const set = (key, value) => (value === undefined || value === null ? edit("unset_value", { key }) : edit("set_value", { key, value }));
 
@@ -168,94 +159,66 @@
     const rest = all.filter((each) => !seen.has(each)).map(item).filter(Boolean);
     $("tree").replaceChildren(...roots, ...rest);
   }
+  // Buttons that mend a problem, by words of its message.
+  const CURES = [["has no eye", "add-eye"], ["at least one joint", "add-part"]];
   function renderProblems() {
     const items = state.problems.map((problem) => {
+      const [first, ...rest] = problem.words.split(/(?<=[.!]) (?=[A-Z])/);
       const where = problem.part || problem.key.join(".");
       const name = problem.part
         ? button(where, () => choose(problem.part), { className: problem.kind })
         : make("b", { className: problem.kind }, where || "file");
-      return make("li", {}, name, ` ${problem.part ? problem.key.slice(3).join(".") : ""}: ${problem.words}`);
+      const inside = problem.part ? problem.key.slice(3).join(".") : "";
+      const cure = CURES.find(([words]) => problem.words.includes(words))?.[1];
+      return make("li", {}, name, `${inside && " "}${inside}: ${first}`,
+        rest.length ? make("details", {}, make("summary", {}, "more"), rest.join(" ")) : null,
+        cure ? button($(cure).textContent, () => $(cure).click(), { className: "cure" }) : null);
     });
-    if (!items.length) items.push(make("li", { className: "count" }, "none: the animal can be trained"));
+    if (!items.length) items.push(make("li", { className: "count" }, state.checked ? "none: the animal can be trained" : "checking..."));
     $("problems").replaceChildren(...items);
   }
 
   // ---- panel
-  const TYPES = ["box", "ellipsoid", "capsule", "cylinder", "sphere"];
+  const Form = Forms({ make, button, row, number, numbers, set, edit });
   function renderPanel() {
     const each = chosen ? chosenEntry() : null;
     $("panel").replaceChildren(...(each ? partPanel(each) : worldPanel()));
   }
   function partPanel(each) {
     const at = entries().indexOf(each), key = ["creature", "bodies", at];
-    const name = each.name, shape = each.shape || {}, body = bodyOf(chosen) || bodyOf(name);
+    const name = each.name, body = bodyOf(chosen) || bodyOf(name);
     const own = state.problems.filter((problem) => problem.part === name);
+    const materials = Object.keys(state.data.creature.materials || {});
     const made = [
       make("h2", {}, "Part"),
       ...own.map((problem) => make("p", { className: problem.kind }, `${problem.key.slice(3).join(".")}: ${problem.words}`)),
-      row("name", field("name", name, (text) => edit("rename_part", { name, new: text }).then(() => choose(text)))),
-      row("shape", make("select", { "aria-label": "shape", onchange: (event) => edit("set_shape", { name, type: event.target.value }) },
-        ...[...new Set([...TYPES, shape.type ?? "none"])].map((type) => make("option", { value: type, selected: type === (shape.type ?? "none") }, type)))),
-    ];
-    for (const [size, value] of Object.entries(shape)) {
-      if (size === "type" || size === "vertices" || size === "faces") continue;
-      const put = (given) => (TYPES.includes(shape.type) ? edit("resize", { name, key: size, value: given }) : set([...key, "shape", size], given));
-      const inputs = Array.isArray(value) ? numbers(size, value, put) : typeof value === "number" ? [number(size, value, put)] : [make("span", {}, String(value))];
-      made.push(row(typeof value === "string" ? size : `${size} (m)`, ...inputs));
-    }
-    const materials = Object.keys(state.data.creature.materials || {});
-    made.push(
-      row("mesh file", make("input", { type: "file", accept: ".stl,.obj", "aria-label": "mesh file", onchange: (event) => upload(event.target.files[0], key) })),
-      row("material", make("select", { "aria-label": "material", onchange: (event) => set([...key, "material"], event.target.value) },
-        ...materials.map((word) => make("option", { value: word, selected: word === each.material }, word)))),
+      row("name", field("name", name, (text) => edit("rename_part", { name, new: text }).then((answer) => { if (!answer.error && !answer.lost) choose(text); }))),
+      ...Form.shape(name, each.shape, [...key, "shape"], { section: View?.section ?? null, chooseSection }),
+      row("mesh file", make("input", { type: "file", accept: ".glb,.stl,.obj,.ply,.off", "aria-label": "mesh file", onchange: (event) => upload(event.target.files[0], key) })),
+      row("material", Form.select("material", each.material, materials, (word) => set([...key, "material"], word))),
       row("color", make("input", { type: "color", "aria-label": "color", value: each.color || body?.color || "#888888", onchange: (event) => set([...key, "color"], event.target.value) }),
         each.color ? button("default", () => set([...key, "color"], null)) : null),
-    );
-    (each.parts || []).forEach((further, i) => {
-      const at = [...key, "parts", i];
-      made.push(make("h3", {}, `Further shape ${i + 1}`),
-        row("shape", json(`shape ${i + 1}`, further.shape, (value) => set([...at, "shape"], value)), button("remove", () => edit("remove_shape", { name, index: i }))),
-        row("at (m)", ...numbers(`shape ${i + 1} at`, further.at || [0, 0, 0], (value) => set([...at, "at"], value))),
-        row("turned (\u00b0)", ...numbers(`shape ${i + 1} rotation`, further.rotation_deg || [0, 0, 0], (value) => set([...at, "rotation_deg"], value))));
-    });
+    ];
     if (body) made.push(row("mass", make("span", {}, `${body.mass.toPrecision(3)} kg`)));
-    if (each.joint) made.push(...jointPanel(each, key));
+    made.push(...Form.furtherShapes(each, key, materials));
+    if (each.joint) made.push(...jointPanel(each, key, body));
     if (each.joint && each.joint.parent !== "world") made.push(...copyPanel(each));
     made.push(...sensorPanel(each, body));
     made.push(make("h3", {}, ""), button(each.joint ? "Remove this part and what it carries" : "The root cannot be removed", () => edit("remove_part", { name }).then((answer) => { if (!answer.error && !answer.lost) choose(null); }), { id: "remove", disabled: !each.joint }));
     return made;
   }
-  function jointPanel(each, key) {
-    const joint = each.joint, name = each.name;
+  function chooseSection(index) {
+    View?.chooseSection(index);
+    renderPanel();
+    hint();
+  }
+  function jointPanel(each, key, body) {
+    const joint = each.joint;
     const put = (part) => (value) => set([...key, "joint", part], value);
-    const put_joint = (part, value) => edit("set_joint", { name, key: part, value });
     const made = [make("h3", {}, "Joint"), row("on", field("parent", joint.parent, put("parent")))];
     for (const part of ["at", "child_at"]) made.push(row(part === "at" ? "at (m)" : "in this part (m)", ...numbers(part, joint[part] || [0, 0, 0], put(part))));
     made.push(row("turned (\u00b0)", ...numbers("rotation_deg", joint.rotation_deg || [0, 0, 0], (value) => (value.some(Boolean) ? put("rotation_deg")(value) : set([...key, "joint", "rotation_deg"], null)))));
-    const plain = Array.isArray(joint.axes) && joint.axes.every((axis) => ["x", "y", "z"].includes(axis));
-    made.push(row("axes", ...(plain
-      ? ["x", "y", "z"].map((axis) => make("label", {}, make("input", { type: "checkbox", "aria-label": `axis ${axis}`, checked: joint.axes.includes(axis), onchange: () => put_joint("axes", ["x", "y", "z"].filter((word) => (word === axis) !== joint.axes.includes(word))) }), axis))
-      : [json("axes", joint.axes, put("axes"))])));
-    const limits = joint.limits_deg === undefined ? [-60, 60] : joint.limits_deg;
-    if (limits === null || (limits.length === 2 && typeof limits[0] === "number")) {
-      made.push(row("limits (\u00b0)",
-        ...(limits ? limits.map((value, i) => number(i ? "upper limit" : "lower limit", value, (given) => put_joint("limits_deg", limits.map((old, k) => (k === i ? given : old))))) : []),
-        make("label", {}, make("input", { type: "checkbox", "aria-label": "no limits", checked: limits === null, onchange: () => put_joint("limits_deg", limits ? null : [-60, 60]) }), "none")));
-    } else made.push(row("limits (\u00b0)", json("limits_deg", limits, put("limits_deg"))));
-    const motor = joint.actuator;
-    if (!motor || (!Array.isArray(motor) && (!motor.type || motor.type === "servo"))) {
-      made.push(row("motor", make("label", {}, make("input", { type: "checkbox", "aria-label": "motor", checked: Boolean(motor), onchange: () => put_joint("actuator", motor ? null : { gain: 1 }) }), motor ? "" : "none"),
-        ...(motor ? [number("gain", motor.gain, (value) => put_joint("actuator", { ...motor, gain: value }))] : [])));
-      if (motor) made.push(row("largest torque", number("torque_limit", motor.torque_limit, (value) => {
-        const { torque_limit, ...rest } = motor;
-        put_joint("actuator", value === null ? rest : { ...rest, torque_limit: value });
-      }, true)));
-    } else made.push(row("motor", json("actuator", motor, put("actuator"))));
-    for (const part of ["stiffness", "damping"]) {
-      const value = joint[part] ?? 0;
-      made.push(row(part, typeof value === "number" ? number(part, value, (given) => (given ? put(part)(given) : set([...key, "joint", part], null)), true) : json(part, value, put(part))));
-    }
-    return made;
+    return [...made, ...Form.joint(each, key, body)];
   }
   function copyPanel(each) {
     const name = each.name, made = [make("h3", {}, "Copies")];
@@ -281,6 +244,13 @@
       made.push(row("position (m)", ...numbers(`eye ${i + 1} position`, eye.position || [0, 0, 0], (value) => set([...at, "position"], value))));
       made.push(row("looks along", ...numbers(`eye ${i + 1} axis`, eye.axis || [1, 0, 0], (value) => set([...at, "axis"], value))));
       made.push(row("field of view (\u00b0)", number(`eye ${i + 1} field of view`, eye.field_of_view_deg ?? 180, (value) => set([...at, "field_of_view_deg"], value))));
+    });
+    (creature.depth_sensors || []).forEach((gauge, i) => {
+      if (gauge.body !== each.name && !carried.has(gauge.body)) return;
+      const at = ["creature", "depth_sensors", i];
+      made.push(row(`depth gauge ${i + 1}`, make("span", {}, gauge.body === each.name ? "" : `on ${gauge.body}`), button("remove", () => edit("remove_sensor", { kind: "depth_sensors", index: i }))));
+      made.push(row("position (m)", ...numbers(`gauge ${i + 1} position`, gauge.position || [0, 0, 0], (value) => set([...at, "position"], value))));
+      made.push(row("full scale (m)", number(`gauge ${i + 1} full scale`, gauge.full_scale ?? 1, (value) => set([...at, "full_scale"], value))));
     });
     return made;
   }
@@ -320,15 +290,19 @@
     }));
     if (state.scene) {
       const { bodies, axes, mass, length } = state.scene;
-      made.push(make("p", { className: "count" }, `${bodies.length} bodies, ${axes} joint axes, ${mass.toPrecision(3)} kg, ${length.toPrecision(3)} m long`));
+      made.push(make("p", { className: "count" }, `${bodies.length} ${bodies.length === 1 ? "body" : "bodies"}, ${axes} joint ${axes === 1 ? "axis" : "axes"}, ${mass.toPrecision(3)} kg, ${length.toPrecision(3)} m long`));
     }
     return made;
   }
   async function upload(file, key) {
     if (!file) return;
     const answer = await send(`/upload?name=${encodeURIComponent(file.name)}`, file);
-    if (answer.error) notice(answer.error, true);
-    else await set([...key, "shape"], { type: "mesh", file: answer.file });
+    if (answer.error) return notice(answer.error, true);
+    if (answer.problem) {
+      const yes = await ask(`${file.name} is no body as it is: ${answer.problem}. Use its convex hull?`);
+      if (yes === null) return renderPanel();
+    }
+    await set([...key, "shape"], { type: "mesh", file: answer.file, ...(answer.problem ? { hull: true } : {}) });
   }
 
   // ---- the whole page
@@ -361,6 +335,7 @@
       const asked = state.revision, found = await send("/check", "{}");
       if (found.revision === asked && state.revision === asked) {
         state.problems = found.problems;
+        state.checked = true;
         renderTree();
         renderProblems();
         // A field with the focus keeps it.
@@ -371,7 +346,8 @@
   function hint() {
     let words = adding ? `Click the surface where the new ${adding} shall sit. Escape cancels.` : "";
     if (state.undrawn) words = `Not drawn, because of ${state.undrawn}`;
-    else if (!adding && !chosen) words = "Click a part to select it. Drag to turn the view, right-drag to move it.";
+    else if (!adding && chosen && bodyOf(chosen)?.sections?.length) words = View?.section === null ? "Click the dot of a section to move it or to stretch it." : "Move or stretch the section with the gizmo. Click its dot again for the part.";
+    else if (!adding && !chosen) words = "Click a part to select it. Drag to turn the view, right-drag to move it. The arrow points ahead.";
     $("hint").textContent = View ? words : "This browser has no WebGL, so the animal is not drawn. The fields work.";
     for (const each of document.querySelectorAll("[data-add]")) each.setAttribute("aria-pressed", String(each.dataset.add === adding));
   }
@@ -391,7 +367,10 @@
       each = await ask(`${found.name} is one of ${copies} bodies in a row. Add the ${what} to`, { choices: [`all ${copies}`, `${found.name} only`] });
       if (each === null) return;
     }
-    if (what === "eye") {
+    if (what === "gauge") {
+      await edit("add_depth_gauge", { part: found.name, place: found.place, each });
+      choose(found.name);
+    } else if (what === "eye") {
       await edit("add_eye", { part: found.name, place: found.place, axis: found.normal, each });
       choose(found.name);
     } else if (what === "shape") {
@@ -406,6 +385,7 @@
       else if (!adding) choose(found ? found.name : null);
     };
     View.events.moved = (command, given) => edit(command, given);
+    View.events.section = (index) => chooseSection(View.section === index ? null : index);
     View.events.time = (time, duration) => {
       $("time").max = duration;
       $("time").value = time;
@@ -424,7 +404,7 @@
   $("redo").addEventListener("click", () => request("redo"));
   $("save").addEventListener("click", () => request("save"));
   $("save-as").addEventListener("click", async () => {
-    const name = await ask("Save as a new file in the same folder", { words: "name", value: "animal2.yaml" });
+    const name = await ask("Save as a new file in the same folder", { words: "name", value: "animal2.yaml", act: "Save" });
     if (name) request("save", { name });
   });
   $("keep").addEventListener("click", () => ($("recovered").hidden = kept = true));
@@ -496,7 +476,7 @@
       if (saved.error) return;
     }
     const usual = state.data.evolution?.generations ?? 50;
-    const given = await ask("Train a run in the folder runs, beside the file", { words: "generations", value: String(usual) });
+    const given = await ask("Train a run in the folder runs, beside the file", { words: "generations", value: String(usual), act: "Train" });
     if (given === null) return;
     const answer = await request("train", { generations: Math.round(Number(given)) || null });
     if (!answer.error) watch();
@@ -505,6 +485,10 @@
   $("champion").addEventListener("click", async () => {
     const answer = await request("champion");
     if (answer.motion) play(answer.motion);
+  });
+  $("live").addEventListener("click", async () => {
+    const { address } = await request("watch");
+    if (address) notice(`The run has a page of its own, in another tab. Its address: ${address}`);
   });
   let watching = false;
   async function watch() {
@@ -523,10 +507,10 @@
     $("run").hidden = false;
     $("run-folder").textContent = run.folder;
     $("output").textContent = run.output;
-    $("stop").disabled = !run.running;
+    $("stop").disabled = !run.running || run.stopping;
     $("champion").disabled = run.running || run.code !== 0;
     const best = run.curves.best || [], count = best.length;
-    const how = run.running ? "running" : run.code === 0 ? "finished" : run.code === 2 ? `refused: ${run.output.split("\n").pop()}` : "stopped";
+    const how = run.running ? (run.stopping ? "stopping after this generation" : "running") : run.code === 0 ? "finished" : run.code === 2 ? `refused: ${run.output.split("\n").pop()}` : "stopped";
     const line = count ? `, generation ${count}, best fitness ${best[count - 1].toPrecision(4)}` : "";
     $("run-state").textContent = `${how}${line}`;
     const lines = [];
@@ -541,6 +525,7 @@
       lines.push(line);
     }
     $("curve").replaceChildren(...lines);
+    $("curve-range").textContent = all.length ? `from ${low.toPrecision(3)} to ${high.toPrecision(3)}` : "";
   }
 
   setMode("translate");

@@ -32,10 +32,12 @@ const View = (() => {
   const proxy = new THREE.Group();
   scene.add(proxy);
 
-  const events = { pick: () => {}, moved: () => {} };
+  const events = { pick: () => {}, moved: () => {}, section: () => {} };
   const arrays = new Map(), shapes = new Map(), bodies = new Map();
   let drawn = null, selected = null, mode = "translate", size = 0, dirty = true, motion = null;
   let grabbed = null, armed = false;
+  // Number of the chosen section of a loft, and the drawn rings and dots of all its sections.
+  let section = null, rings = [];
 
   // ---- geometry
   const kinds = { f4: Float32Array, i1: Int8Array, i2: Int16Array, u4: Uint32Array };
@@ -122,6 +124,11 @@ const View = (() => {
     lines.rotation.x = Math.PI / 2;
     lines.position.z = given.ground ? 1e-4 * drawn.length : drawn.lowest - 0.15 * drawn.length;
     world.add(lines);
+    // The animal faces +x.
+    const head = [[0.6, 0, 0], [1.1, 0, 0], [1, 0.05, 0], [1.1, 0, 0], [1, -0.05, 0]].map((at) => vector(at).multiplyScalar(drawn.length));
+    const ahead = new THREE.Line(new THREE.BufferGeometry().setFromPoints(head), new THREE.LineBasicMaterial({ color: "#e0342b" }));
+    ahead.position.z = lines.position.z;
+    world.add(ahead);
     if (given.ground) {
       const ground = new THREE.Mesh(new THREE.PlaneGeometry(cells * step, cells * step), new THREE.MeshStandardMaterial({ color: dark.matches ? "#57503f" : "#d9cfb6", roughness: 1 }));
       ground.receiveShadow = true;
@@ -150,6 +157,7 @@ const View = (() => {
 
   // ---- selection: the part, its copies, its joint and its eyes
   function select(name) {
+    if (name !== selected) section = null;
     selected = name;
     const chosen = bodies.get(name);
     for (const body of bodies.values()) {
@@ -159,11 +167,30 @@ const View = (() => {
     clear(marks);
     gizmo.detach();
     if (chosen && !motion) {
+      drawBox(chosen);
       if (chosen.joint) drawJoint(chosen);
       drawViews(chosen);
+      drawPressure(chosen);
+      drawSections(chosen);
       attach(chosen);
     }
     dirty = true;
+  }
+  // Edges around the chosen part, which has any color.
+  function drawBox(body) {
+    if (!Math.max(...body.half)) return;
+    const points = [], [x, y, z] = body.half.map((half) => 1.05 * half);
+    for (const one of [-1, 1]) {
+      for (const two of [-1, 1]) {
+        for (const three of [-1, 1]) points.push([three * x, one * y, two * z], [one * x, three * y, two * z], [one * x, two * y, three * z]);
+      }
+    }
+    // Each edge has its two ends three places apart.
+    const ends = points.flatMap((at, i) => (i % 6 < 3 ? [at, points[i + 3]] : [])).map(vector);
+    const frame = new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(ends), new THREE.LineBasicMaterial({ color: dark.matches ? "#ffd9c2" : "#7a3410" }));
+    frame.position.copy(body.group.position);
+    frame.quaternion.copy(body.group.quaternion);
+    marks.add(frame);
   }
   const AXES = ["#e0342b", "#27963c", "#2f6fe0", "#b04fd0", "#c08a00", "#109a9a"];
   function drawJoint(body) {
@@ -224,8 +251,67 @@ const View = (() => {
     }
   }
 
+  // A pad on each side of a body with a pressure sensor, which feels the whole body.
+  function drawPressure(body) {
+    if (!drawn.pressure.includes(body.whole || body.name) || !body.mesh.geometry.index) return;
+    const far = 4 * Math.max(...body.half), radius = 0.25 * Math.min(...body.half);
+    body.group.updateMatrixWorld();
+    for (const side of [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]) {
+      const out = vector(side).applyQuaternion(body.group.quaternion);
+      ray.set(body.group.position.clone().addScaledVector(out, far), out.clone().negate());
+      const [first] = ray.intersectObject(body.mesh, false);
+      if (!first) continue;
+      const normal = first.face.normal.clone().applyQuaternion(body.group.quaternion);
+      const pad = new THREE.Mesh(new THREE.SphereGeometry(radius, 20, 12), new THREE.MeshStandardMaterial({ color: "#2f6fe0", roughness: 0.4 }));
+      pad.scale.z = 0.2;
+      pad.position.copy(first.point);
+      pad.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), normal);
+      marks.add(pad);
+    }
+  }
+
+  // ---- sections of a loft: a ring and a dot for each
+  function drawSections(body) {
+    rings = [];
+    if (section !== null && !body.sections?.[section]) section = null;
+    const size = 0.035 * Math.max(...body.half);
+    (body.sections || []).forEach((each, i) => {
+      const color = i === section ? "#ffb000" : "#ffffff", group = new THREE.Group(), points = [];
+      for (const [y, z] of [...each.outline, each.outline[0]]) {
+        points.push(vector(each.across).multiplyScalar(y).addScaledVector(vector(each.up), z));
+      }
+      const ring = new THREE.Line(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial({ color, depthTest: false }));
+      const dot = new THREE.Mesh(new THREE.SphereGeometry(size, 14, 10), new THREE.MeshBasicMaterial({ color, depthTest: false }));
+      dot.userData.section = i;
+      ring.renderOrder = dot.renderOrder = 6;
+      group.add(ring, dot);
+      group.position.copy(vector(each.place)).applyQuaternion(body.group.quaternion).add(body.group.position);
+      group.quaternion.copy(body.group.quaternion);
+      marks.add(group);
+      rings.push(group);
+    });
+  }
+  function attachSection(body) {
+    const { across, up } = body.sections[section], [y, z] = [vector(across), vector(up)];
+    if (mode === "rotate") return;
+    // An edge or a tip has no direction of its own.
+    if (y.lengthSq() < 1e-20) y.set(0, 1, 0);
+    if (z.lengthSq() < 1e-20 || Math.abs(z.clone().normalize().dot(y.clone().normalize())) > 0.9) z.set(0, 0, 1);
+    const turn = new THREE.Matrix4().makeBasis(y.clone().cross(z).normalize(), y.normalize(), z.normalize());
+    proxy.position.copy(rings[section].position);
+    proxy.quaternion.copy(body.group.quaternion).multiply(new THREE.Quaternion().setFromRotationMatrix(turn));
+    proxy.scale.set(1, 1, 1);
+    proxy.updateMatrixWorld();
+    gizmo.showX = mode !== "scale";
+    gizmo.setMode(mode);
+    gizmo.setSpace(mode === "translate" ? "world" : "local");
+    gizmo.attach(proxy);
+  }
+
   // ---- gizmo: the proxy is at the joint, or at the centre for a stretch
   function attach(body) {
+    gizmo.showX = true;
+    if (!armed && section !== null && body.sections?.[section]) return attachSection(body);
     if (armed || (!body.joint && mode !== "scale")) return;
     proxy.position.copy(vector(mode === "scale" ? body.place : body.joint.place));
     proxy.quaternion.set(...body.turn);
@@ -248,12 +334,18 @@ const View = (() => {
     const body = bodies.get(selected);
     if (!body) return;
     if (event.value) {
-      grabbed = { start: proxy.matrixWorld.clone(), limb: limb(selected).map((name) => bodies.get(name)) };
+      grabbed = { from: proxy.position.clone(), start: proxy.matrixWorld.clone(), limb: limb(selected).map((name) => bodies.get(name)) };
       for (const each of grabbed.limb) each.held = each.group.matrix.clone();
       return;
     }
     if (!grabbed) return;
+    const { from } = grabbed;
     grabbed = null;
+    if (section !== null) {
+      if (mode === "translate") events.moved("move_section", { part: selected, index: section, by: proxy.position.clone().sub(from).toArray() });
+      else events.moved("scale_section", { part: selected, index: section, factors: [proxy.scale.y, proxy.scale.z] });
+      return;
+    }
     const place = vector(mode === "scale" ? body.place : body.joint.place);
     if (mode === "translate") events.moved("shift", { part: selected, by: proxy.position.clone().sub(place).toArray() });
     if (mode === "scale") events.moved("stretch", { name: selected, factors: proxy.scale.toArray().map((x) => Math.max(Math.abs(x), 0.02)) });
@@ -265,7 +357,10 @@ const View = (() => {
   gizmo.addEventListener("objectChange", () => {
     if (!grabbed) return;
     proxy.updateMatrixWorld();
-    if (mode === "scale") {
+    if (section !== null) {
+      rings[section].position.copy(proxy.position);
+      rings[section].scale.setScalar(Math.max(proxy.scale.y, proxy.scale.z));
+    } else if (mode === "scale") {
       bodies.get(selected).mesh.scale.copy(proxy.scale);
     } else {
       const change = proxy.matrixWorld.clone().multiply(grabbed.start.clone().invert());
@@ -285,12 +380,24 @@ const View = (() => {
     const dragged = Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 4;
     pressed = null;
     if (dragged) return;
+    const dot = armed ? null : sectionAt(event.clientX, event.clientY);
+    if (dot !== null) return events.section(dot);
     const found = hit(event.clientX, event.clientY);
     events.pick(found);
   });
-  function hit(x, y) {
+  function aim(x, y) {
     const box = canvas.getBoundingClientRect();
     ray.setFromCamera(new THREE.Vector2((2 * (x - box.left)) / box.width - 1, 1 - (2 * (y - box.top)) / box.height), camera);
+  }
+  function sectionAt(x, y) {
+    if (motion || !rings.length || !bodies.get(selected)?.sections?.length) return null;
+    aim(x, y);
+    for (const ring of rings) ring.updateMatrixWorld();
+    const [first] = ray.intersectObjects(rings.map((ring) => ring.children[1]), false);
+    return first ? first.object.userData.section : null;
+  }
+  function hit(x, y) {
+    aim(x, y);
     const [first] = ray.intersectObjects([...bodies.values()].map((body) => body.mesh), false);
     if (!first) return null;
     const body = bodies.get(first.object.userData.name);
@@ -307,10 +414,18 @@ const View = (() => {
     fit();
     const centre = new THREE.Vector3();
     for (const body of bodies.values()) centre.addScaledVector(body.group.position, 1 / bodies.size);
-    const far = 2.4 * drawn.length;
     const from = { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02], back: [-1, 0, 0.02] }[view];
+    const out = vector(from).normalize(), right = camera.up.clone().cross(out).normalize(), up = out.clone().cross(right);
+    // The distance at which every body is inside the picture, with a margin.
+    const tall = Math.tan((camera.fov * Math.PI) / 360), wide = tall * camera.aspect;
+    let far = 0.8 * drawn.length;
+    for (const body of bodies.values()) {
+      const from = body.group.position.clone().sub(centre), reach = Math.max(...body.half);
+      const [x, y] = [right, up].map((axis) => Math.abs(from.dot(axis)) + reach);
+      far = Math.max(far, 1.15 * Math.max(x / wide, y / tall) + from.dot(out));
+    }
     orbit.target.copy(centre);
-    camera.position.copy(centre).addScaledVector(vector(from).normalize(), far);
+    camera.position.copy(centre).addScaledVector(out, far);
     camera.near = 0.01 * drawn.length;
     camera.far = Math.max(80 * drawn.length, 60);
     camera.updateProjectionMatrix();
@@ -323,20 +438,23 @@ const View = (() => {
   // ---- motion
   function play(given) {
     const place = decoded(given.place, "f4"), turn = decoded(given.turn, "i2");
-    motion = { ...given, places: place, turns: turn, time: 0, going: true, last: null, duration: (given.count - 1) / given.rate };
+    motion = { ...given, from: motion ? motion.from : [camera.position.clone(), orbit.target.clone()], places: place, turns: turn, time: 0, going: true, last: null, duration: (given.count - 1) / given.rate };
     select(selected);
     world.position.z = 0;
     seek(0);
   }
   function stop() {
     if (!motion) return;
+    const [place, target] = motion.from;
     motion = null;
     world.position.z = raised;
     for (const body of bodies.values()) {
       body.group.position.copy(vector(body.place));
       body.group.quaternion.set(...body.turn);
     }
-    look("corner");
+    camera.position.copy(place);
+    orbit.target.copy(target);
+    orbit.update();
     select(selected);
   }
   const one = new THREE.Quaternion(), two = new THREE.Quaternion();
@@ -400,15 +518,21 @@ const View = (() => {
     pause: (paused) => { if (motion) { motion.going = !paused; motion.last = null; } },
     // While a place is asked for, no gizmo is in the way.
     arm: (asked) => { armed = asked; select(selected); },
+    get section() { return section; },
+    chooseSection: (index) => { section = index; select(selected); },
+    dot: (index) => {
+      const box = canvas.getBoundingClientRect(), at = rings[index].position.clone().project(camera);
+      return [box.left + ((at.x + 1) / 2) * box.width, box.top + ((1 - at.y) / 2) * box.height];
+    },
     setMode: (name) => { mode = name; select(selected); },
     screen: (name) => {
       const box = canvas.getBoundingClientRect(), at = bodies.get(name).group.position.clone().project(camera);
       return [box.left + ((at.x + 1) / 2) * box.width, box.top + ((1 - at.y) / 2) * box.height];
     },
-    gizmo: () => {
-      // A place on the arrow along x.
+    gizmo: (axis = "x") => {
+      // A place on the arrow along an axis.
       const at = proxy.position.clone(), far = at.distanceTo(camera.position);
-      at.x += 0.04 * far;
+      at[axis] += 0.04 * far;
       const box = canvas.getBoundingClientRect();
       at.project(camera);
       return [box.left + ((at.x + 1) / 2) * box.width, box.top + ((1 - at.y) / 2) * box.height];

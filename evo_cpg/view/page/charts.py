@@ -17,6 +17,7 @@ from evo_cpg.analysis.feet import Feet
 from evo_cpg.analysis.midline import MidlineMotion
 from evo_cpg.view.figure import (
     BLUE,
+    BLUES,
     INK,
     ORANGE,
     PALETTE,
@@ -156,7 +157,7 @@ def midline_figure(motion: MidlineMotion) -> Figure:
     lines, middle, right = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
     cycles, place = motion.sway
     instants = np.linspace(0, cycles.width, _MIDLINES, endpoint=False).round().astype(int)
-    shades = matplotlib.colormaps["Blues"](np.linspace(0.3, 1.0, _MIDLINES))
+    shades = BLUES(np.linspace(0.0, 1.0, _MIDLINES))
     for instant, shade in zip(instants, shades, strict=True):
         lines.plot(place, cycles.values[instant - cycles.width], color=shade, lw=1.2)
     lines.set(xlabel="distance behind the nose (m)", ylabel="sway (m)")

@@ -5,17 +5,24 @@ script and no request. Text from a configuration of unknown origin stays text.
 """
 
 import base64
-import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from importlib import resources
+from collections.abc import Mapping
 from typing import Any
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.view.page import movement, origin
 from evo_cpg.view.page.html import Html, join, tag
+from evo_cpg.view.page.shell import asset, policy
 from evo_cpg.view.page.subject import RecordedMotion, Subject
 from evo_cpg.view.page.words import number, with_unit
+
+_ALONE = """
+html, body { height: 100%; }
+body { max-width: none; padding: 0; }
+#animal { height: 100%; margin: 0; display: flex; flex-direction: column; }
+#animal .screen { flex: 1 1 0; min-height: 8rem; aspect-ratio: auto; }
+.hint { display: none; }
+"""
 
 
 def document(subject: Subject, motion: RecordedMotion) -> str:
@@ -31,14 +38,15 @@ def document(subject: Subject, motion: RecordedMotion) -> str:
         ("repeat", "How to repeat it", origin.repetition(subject)),
     ]
     shown = [(key, title, inner) for key, title, inner in sections if inner]
-    scripts = [_asset("three.min.js"), _asset("viewer.js")]
-    body = tag(
-        "body",
+    return _whole(
+        f"{subject.name}: its champion",
+        motion.scene,
+        asset("page.css"),
         tag("h1", f"{subject.name}: its champion"),
         tag("p", subject.sentence, class_="lead"),
         _changed(subject),
         tag("nav", *(tag("a", title, href=f"#{key}") for key, title, _ in shown)),
-        _viewer(motion),
+        player(_still(motion.still)),
         _cards(subject, motion.numbers),
         *(
             tag("section", tag("h2", title), inner, id=key, aria_label=title)
@@ -49,19 +57,38 @@ def document(subject: Subject, motion: RecordedMotion) -> str:
             f"Made by {subject.program} on {subject.made}. The animal is drawn by three.js (MIT "
             "licence). This page makes no network requests.",
         ),
-        _json_script("scene", motion.scene),
+    )
+
+
+def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
+    """Return a page that has nothing but the animal, and fills its window or frame.
+
+    Args:
+        title: title of the page.
+        scene: data of the viewer.
+        picture: what browsers without WebGL show, JPEG.
+    """
+    return _whole(title, scene, asset("page.css") + _ALONE, player(_still(picture)))
+
+
+def _whole(title: str, scene: Mapping[str, Any], style: str, *body: Html | None) -> str:
+    scripts = [asset("three.min.js"), asset("viewer.js")]
+    inner = tag(
+        "body",
+        *body,
+        _json_script("scene", scene),
         *(Html(f"<script>{script}</script>") for script in scripts),
     )
     head = tag(
         "head",
         tag("meta", charset="utf-8"),
-        tag("meta", http_equiv="Content-Security-Policy", content=_policy(scripts)),
+        tag("meta", http_equiv="Content-Security-Policy", content=policy(scripts)),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("meta", name="generator", content="evo-cpg analyse"),
-        tag("title", f"{subject.name}: its champion"),
-        Html(f"<style>{_asset('page.css')}</style>"),
+        tag("title", title),
+        Html(f"<style>{style}</style>"),
     )
-    return "<!doctype html>\n" + tag("html", head, body, lang="en")
+    return "<!doctype html>\n" + tag("html", head, inner, lang="en")
 
 
 def _changed(subject: Subject) -> Html | None:
@@ -72,18 +99,22 @@ def _changed(subject: Subject) -> Html | None:
     return tag("p", f"{subject.changed}. {words}", class_="failed")
 
 
-def _viewer(motion: RecordedMotion) -> Html:
+def player(before: Html) -> Html:
+    """Return the screen and the controls of the animal in 3D.
+
+    Args:
+        before: what the screen shows before the animal, and without WebGL.
+    """
     views = [("side", "Side"), ("top", "Top"), ("behind", "Behind"), ("front", "Front")]
     buttons = [tag("button", word, type="button", data_view=key) for key, word in views]
     paces = [
         tag("option", f"{pace} x", value=pace, selected=pace == "1")
         for pace in ("0.1", "0.25", "0.5", "1", "2")
     ]
-    still = f"data:image/jpeg;base64,{base64.b64encode(motion.still).decode()}"
     return Html(
         f"""<div id="animal">
 <div class="screen">
-<img class="still" src="{still}" alt="the animal">
+{before}
 <canvas tabindex="0" aria-label="The animal in 3D. Space plays, arrow keys step."></canvas>
 <div class="caption"></div>
 </div>
@@ -102,6 +133,11 @@ def _viewer(motion: RecordedMotion) -> Html:
     )
 
 
+def _still(picture: bytes) -> Html:
+    source = f"data:image/jpeg;base64,{base64.b64encode(picture).decode()}"
+    return tag("img", class_="still", src=source, alt="the animal")
+
+
 def _cards(subject: Subject, numbers: GaitNumbers) -> Html:
     """Return the most important numbers."""
     found = [("fitness", number(subject.champion["fitness"]))]
@@ -116,22 +152,7 @@ def _cards(subject: Subject, numbers: GaitNumbers) -> Html:
     )  # fmt: skip
 
 
-def _asset(name: str) -> str:
-    return resources.files("evo_cpg.view.page").joinpath(name).read_text(encoding="utf-8")
-
-
 def _json_script(name: str, values: Mapping[str, Any]) -> Html:
     # Text within a script is not escaped, and "</" would end the script.
     text = json.dumps(values, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return Html(f'<script type="application/json" id="{name}">{text}</script>')
-
-
-def _policy(scripts: Sequence[str]) -> str:
-    digests = [
-        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts
-    ]
-    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
-    return (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: "
-        "blob:; base-uri 'none'; form-action 'none'"
-    )

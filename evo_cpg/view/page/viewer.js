@@ -1,424 +1,509 @@
-// Shows the animal in 3D, with playback and a free camera. Needs THREE and the scene's JSON.
+// Shows animals in 3D. `Viewer.player` plays one of them, with a free camera. Needs THREE.
 "use strict";
-(() => {
-  const data = JSON.parse(document.getElementById("scene").textContent);
-  const stage = document.getElementById("animal");
-  const canvas = stage.querySelector("canvas");
-  const button = stage.querySelector(".play");
-  const slider = stage.querySelector("input[type=range]");
-  const clock = stage.querySelector(".clock");
-  const caption = stage.querySelector(".caption");
-  const pace = stage.querySelector(".pace");
-  const following = stage.querySelector(".follow");
-  const duration = (data.count - 1) / data.rate;
-  slider.max = duration;
-  slider.step = 1 / data.rate;
-
-  // ---- arrays
+const Viewer = (() => {
+  // Returns a function that decodes arrays of a scene at their first use.
   const kinds = { f4: Float32Array, i2: Int16Array, i1: Int8Array, u4: Uint32Array };
-  const decoded = new Map();
-  function array(number, kind) {
-    const key = number + kind;
-    if (!decoded.has(key)) {
-      const text = atob(data.arrays[number]);
-      const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
-      decoded.set(key, new kinds[kind](bytes.buffer));
+  function decoder(texts) {
+    const decoded = new Map();
+    return (number, kind) => {
+      const key = number + kind;
+      if (!decoded.has(key)) {
+        const bytes = Uint8Array.from(atob(texts[number]), (letter) => letter.charCodeAt(0));
+        decoded.set(key, new kinds[kind](bytes.buffer));
+      }
+      return decoded.get(key);
+    };
+  }
+  // Returns a renderer, or null without WebGL.
+  function rendererOf(canvas) {
+    try {
+      const made = new THREE.WebGLRenderer({ canvas, antialias: true });
+      made.outputColorSpace = THREE.SRGBColorSpace;
+      return made;
+    } catch (error) {
+      return null;
     }
-    return decoded.get(key);
+  }
+  // Returns the motion that a scene or a list of arrays holds.
+  function motionOf(data, array) {
+    return {
+      rate: data.rate, count: data.count, duration: (data.count - 1) / data.rate,
+      position: array(data.position, "f4"), rotation: array(data.rotation, "i2"),
+      focus: array(data.focus, "f4"),
+    };
   }
 
   // ---- the world
-  let renderer;
-  try {
-    renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
-  } catch (error) {
-    // No WebGL: the still picture stays.
-    stage.classList.add("still-only");
-    return;
-  }
-  const look = data.look;
-  const radius = data.radius;
-  renderer.outputColorSpace = THREE.SRGBColorSpace;
-  renderer.shadowMap.enabled = true;
-  renderer.shadowMap.type = THREE.PCFShadowMap;
-  const scene = new THREE.Scene();
-  const horizon = new THREE.Color(look.distance);
-  scene.background = horizon;
-  const sight = (data.water ? 13 : 20) * radius;
-  scene.fog = new THREE.Fog(horizon, (data.water ? 0.3 : 0.25) * sight, sight);
-  const camera = new THREE.PerspectiveCamera(32, 16 / 9, 0.02 * radius, 80 * radius);
-  camera.up.set(0, 0, 1);
+  // Returns all things of a scene, and a function that moves them to an instant of a motion.
+  function worldOf(data, anisotropy) {
+    const array = decoder(data.arrays);
+    const look = data.look;
+    const radius = data.radius;
+    const scene = new THREE.Scene();
+    const horizon = new THREE.Color(look.distance);
+    scene.background = horizon;
+    const sight = (data.water ? 13 : 20) * radius;
+    scene.fog = new THREE.Fog(horizon, (data.water ? 0.3 : 0.25) * sight, sight);
+    scene.add(new THREE.HemisphereLight(look.fill, look.floor[0], data.water ? 2.6 : 1.7));
+    const sun = new THREE.DirectionalLight(look.sun, data.water ? 2.6 : 2.4);
+    sun.castShadow = true;
+    sun.shadow.mapSize.set(2048, 2048);
+    const reach = 2.2 * radius;
+    Object.assign(sun.shadow.camera, {
+      left: -reach, right: reach, top: reach, bottom: -reach, near: 0.1 * radius, far: 16 * radius,
+    });
+    sun.shadow.radius = data.water ? 6 : 3;
+    sun.shadow.bias = -0.0005;
+    sun.shadow.normalBias = 0.006 * radius;
+    scene.add(sun, sun.target);
+    const beside = data.bearing - 0.9;
+    const fromSun = new THREE.Vector3(
+      0.55 * Math.cos(beside), 0.55 * Math.sin(beside), data.water ? 1.6 : 1.0,
+    ).normalize().multiplyScalar(6 * radius);
 
-  scene.add(new THREE.HemisphereLight(look.fill, look.floor[0], data.water ? 2.6 : 1.7));
-  const sun = new THREE.DirectionalLight(look.sun, data.water ? 2.6 : 2.4);
-  sun.castShadow = true;
-  sun.shadow.mapSize.set(2048, 2048);
-  const reach = 2.2 * radius;
-  Object.assign(sun.shadow.camera, {
-    left: -reach, right: reach, top: reach, bottom: -reach, near: 0.1 * radius, far: 16 * radius,
-  });
-  sun.shadow.radius = data.water ? 6 : 3;
-  sun.shadow.bias = -0.0005;
-  sun.shadow.normalBias = 0.006 * radius;
-  scene.add(sun, sun.target);
-  const beside = data.bearing - 0.9;
-  const fromSun = new THREE.Vector3(
-    0.55 * Math.cos(beside), 0.55 * Math.sin(beside), data.water ? 1.6 : 1.0,
-  ).normalize().multiplyScalar(6 * radius);
-
-  function geometry(mesh) {
-    const made = new THREE.BufferGeometry();
-    made.setAttribute("position", new THREE.BufferAttribute(array(mesh.points, "f4"), 3));
-    made.setAttribute("normal", new THREE.BufferAttribute(array(mesh.normals, "i1"), 3, true));
-    made.setIndex(new THREE.BufferAttribute(array(mesh.triangles, "u4"), 1));
-    return made;
-  }
-  function solid(mesh) {
-    const material = new THREE.MeshStandardMaterial({ color: mesh.color, roughness: 0.55 });
-    const made = new THREE.Mesh(geometry(mesh), material);
-    made.castShadow = made.receiveShadow = true;
-    return made;
-  }
-
-  // Pattern of the floor: cells of alternating brightness, and lines between them.
-  function pattern() {
-    const side = 512;
-    const picture = document.createElement("canvas");
-    picture.width = picture.height = side;
-    const pen = picture.getContext("2d");
-    const [dark, pale] = look.floor;
-    const half = side / 2;
-    for (let i = 0; i < 2; i++) {
-      for (let j = 0; j < 2; j++) {
-        pen.globalAlpha = 1;
-        pen.fillStyle = pale;
-        pen.fillRect(i * half, j * half, half, half);
-        pen.globalAlpha = (i + j) % 2 ? (look.checkered ? 0.3 : 0.62) : look.checkered ? 0.12 : 0.62;
-        pen.fillStyle = dark;
-        pen.fillRect(i * half, j * half, half, half);
-      }
+    function geometry(mesh) {
+      const made = new THREE.BufferGeometry();
+      made.setAttribute("position", new THREE.BufferAttribute(array(mesh.points, "f4"), 3));
+      made.setAttribute("normal", new THREE.BufferAttribute(array(mesh.normals, "i1"), 3, true));
+      made.setIndex(new THREE.BufferAttribute(array(mesh.triangles, "u4"), 1));
+      return made;
     }
-    pen.globalAlpha = 0.55;
-    pen.fillStyle = look.grid;
-    for (const at of [0, half]) {
-      pen.fillRect(at - 2, 0, 4, side);
-      pen.fillRect(0, at - 2, side, 4);
+    function solid(mesh) {
+      const material = new THREE.MeshStandardMaterial({ color: mesh.color, roughness: 0.55 });
+      const made = new THREE.Mesh(geometry(mesh), material);
+      made.castShadow = made.receiveShadow = true;
+      return made;
     }
-    pen.fillRect(side - 2, 0, 4, side);
-    pen.fillRect(0, side - 2, side, 4);
-    const texture = new THREE.CanvasTexture(picture);
-    texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-    texture.colorSpace = THREE.SRGBColorSpace;
-    texture.anisotropy = renderer.capabilities.getMaxAnisotropy();
-    return texture;
-  }
-  const tile = 2 * data.spacing;
-  let floor = null;
-  if (data.terrain) {
-    // Heights at the crossings of lines, with two triangles per cell.
-    const [x, y, z] = ["x", "y", "z"].map((name) => array(data.terrain[name], "f4"));
-    const place = new Float32Array(3 * z.length), uv = new Float32Array(2 * z.length);
-    const corners = [];
-    for (let i = 0, k = 0; i < x.length; i++) {
-      for (let j = 0; j < y.length; j++, k++) {
-        place.set([x[i], y[j], z[k]], 3 * k);
-        uv.set([x[i] / tile, y[j] / tile], 2 * k);
-        if (i + 1 < x.length && j + 1 < y.length) {
-          const over = k + y.length;
-          corners.push(k, over, over + 1, k, over + 1, k + 1);
+
+    // Pattern of the floor: cells of alternating brightness, and lines between them.
+    function pattern() {
+      const side = 512;
+      const picture = document.createElement("canvas");
+      picture.width = picture.height = side;
+      const pen = picture.getContext("2d");
+      const [dark, pale] = look.floor;
+      const half = side / 2;
+      for (let i = 0; i < 2; i++) {
+        for (let j = 0; j < 2; j++) {
+          pen.globalAlpha = 1;
+          pen.fillStyle = pale;
+          pen.fillRect(i * half, j * half, half, half);
+          pen.globalAlpha = (i + j) % 2 ? (look.checkered ? 0.3 : 0.62) : look.checkered ? 0.12 : 0.62;
+          pen.fillStyle = dark;
+          pen.fillRect(i * half, j * half, half, half);
         }
       }
-    }
-    const land = new THREE.BufferGeometry();
-    const normals = array(data.terrain.normals, "i1");
-    land.setAttribute("position", new THREE.BufferAttribute(place, 3));
-    land.setAttribute("normal", new THREE.BufferAttribute(normals, 3, true));
-    land.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
-    land.setIndex(corners);
-    const made = new THREE.Mesh(
-      land, new THREE.MeshStandardMaterial({ map: pattern(), roughness: 1, side: THREE.DoubleSide }),
-    );
-    made.receiveShadow = true;
-    scene.add(made);
-  } else {
-    // The floor moves with the animal by whole tiles, so its pattern stays fixed in the world.
-    const tiles = 2 * Math.ceil((1.1 * sight) / tile);
-    const texture = pattern();
-    texture.repeat.set(tiles, tiles);
-    floor = new THREE.Mesh(
-      new THREE.PlaneGeometry(tiles * tile, tiles * tile),
-      new THREE.MeshStandardMaterial({ map: texture, roughness: 1 }),
-    );
-    floor.receiveShadow = true;
-    scene.add(floor);
-  }
-  for (const stone of data.obstacles) {
-    const made = solid(stone);
-    made.position.fromArray(stone.place);
-    made.quaternion.fromArray(stone.turn);
-    scene.add(made);
-  }
-  let sky = null;
-  // Under water, the background gets lighter towards the top.
-  const above = look.zenith || (data.water ? look.floor[1] : null);
-  if (above) {
-    const dome = new THREE.SphereGeometry(60 * radius, 24, 24);
-    const place = dome.getAttribute("position");
-    const colors = new Float32Array(3 * place.count);
-    const zenith = new THREE.Color(above);
-    const color = new THREE.Color();
-    for (let i = 0; i < place.count; i++) {
-      const high = Math.max(0, place.getY(i) / (60 * radius));
-      color.lerpColors(horizon, zenith, Math.min(1, (data.water ? 0.9 : 2.2) * high)).toArray(colors, 3 * i);
-    }
-    dome.setAttribute("color", new THREE.BufferAttribute(colors, 3));
-    dome.rotateX(Math.PI / 2);
-    sky = new THREE.Mesh(dome, new THREE.MeshBasicMaterial({
-      vertexColors: true, side: THREE.BackSide, fog: false, depthWrite: false,
-    }));
-    scene.add(sky);
-  }
-  let surface = null;
-  if (data.surface !== null) {
-    surface = new THREE.Mesh(
-      new THREE.PlaneGeometry(2 * sight, 2 * sight),
-      new THREE.MeshStandardMaterial({
-        color: "#2f86a8", transparent: true, opacity: 0.42, roughness: 0.15,
-        side: THREE.DoubleSide, depthWrite: false,
-      }),
-    );
-    scene.add(surface);
-  }
-  function glow(color) {
-    const picture = document.createElement("canvas");
-    picture.width = picture.height = 128;
-    const pen = picture.getContext("2d");
-    const round = pen.createRadialGradient(64, 64, 0, 64, 64, 64);
-    round.addColorStop(0, color);
-    round.addColorStop(1, "transparent");
-    pen.fillStyle = round;
-    pen.fillRect(0, 0, 128, 128);
-    return new THREE.CanvasTexture(picture);
-  }
-  if (data.goal) {
-    const light = new THREE.Mesh(
-      new THREE.SphereGeometry(0.09 * radius, 24, 24),
-      new THREE.MeshBasicMaterial({ color: look.light, fog: false }),
-    );
-    const halo = new THREE.Sprite(new THREE.SpriteMaterial({
-      map: glow(look.halo), transparent: true, opacity: 0.75, depthWrite: false, fog: false,
-    }));
-    halo.scale.setScalar(0.9 * radius);
-    light.position.fromArray(data.goal);
-    halo.position.fromArray(data.goal);
-    scene.add(light, halo);
-  }
-
-  // ---- the animal
-  const bodies = data.bodies.map((body) => {
-    const group = new THREE.Group();
-    body.parts.forEach((part) => group.add(solid(part)));
-    scene.add(group);
-    return group;
-  });
-  const position = array(data.position, "f4");
-  const rotation = array(data.rotation, "i2");
-  const focus = array(data.focus, "f4");
-  const speed = array(data.speed, "f4");
-  const distance = array(data.distance, "f4");
-
-  // Path of the head. On level land it is drawn on the ground.
-  const path = new Float32Array(3 * data.count);
-  const low = data.floor + 0.012 * radius;
-  for (let i = 0; i < data.count; i++) {
-    for (let k = 0; k < 3; k++) path[3 * i + k] = position[3 * (i * bodies.length + data.head) + k];
-    if (!data.water && !data.terrain && data.surface === null) path[3 * i + 2] = low;
-  }
-  const trail = new THREE.BufferGeometry();
-  trail.setAttribute("position", new THREE.BufferAttribute(path, 3));
-  const line = new THREE.Line(trail, new THREE.LineBasicMaterial({
-    color: look.trail, transparent: true, opacity: 0.8,
-  }));
-  line.frustumCulled = false;
-  scene.add(line);
-
-  // Specks in the water show the motion. A fixed seed always gives the same specks.
-  if (look.particles && data.water) {
-    let seed = 1;
-    const chance = () => ((seed = (seed * 16807) % 2147483647) / 2147483647);
-    const least = [Infinity, Infinity, Infinity], most = [-Infinity, -Infinity, -Infinity];
-    for (let i = 0; i < focus.length; i++) {
-      least[i % 3] = Math.min(least[i % 3], focus[i]);
-      most[i % 3] = Math.max(most[i % 3], focus[i]);
-    }
-    const specks = new Float32Array(3 * 1500);
-    for (let i = 0; i < specks.length; i++) {
-      const k = i % 3;
-      const from = k === 2 ? data.floor : least[k] - 4 * radius;
-      const to = k === 2 ? most[k] + 2 * radius : most[k] + 4 * radius;
-      specks[i] = from + chance() * (to - from);
-    }
-    const cloud = new THREE.BufferGeometry();
-    cloud.setAttribute("position", new THREE.BufferAttribute(specks, 3));
-    scene.add(new THREE.Points(cloud, new THREE.PointsMaterial({
-      color: "#bfeee8", size: 0.016 * radius, transparent: true, opacity: 0.6,
-    })));
-  }
-
-  // ---- the camera
-  const controls = new THREE.OrbitControls(camera, canvas);
-  controls.enableDamping = false;
-  controls.minDistance = 1.2 * radius;
-  controls.maxDistance = 0.9 * sight;
-  // The wheel scrolls the page. With Ctrl or Shift held, it zooms.
-  controls.enableZoom = false;
-  canvas.addEventListener("wheel", (event) => {
-    if (!event.ctrlKey && !event.shiftKey) return;
-    event.preventDefault();
-    const by = event.deltaY || event.deltaX;
-    zoom(Math.exp(Math.max(-60, Math.min(60, by)) / 300));
-  }, { passive: false });
-  function zoom(factor) {
-    const offset = camera.position.clone().sub(controls.target).multiplyScalar(factor);
-    const length = Math.max(controls.minDistance, Math.min(controls.maxDistance, offset.length()));
-    camera.position.copy(controls.target).add(offset.setLength(length));
-    draw();
-  }
-  const away = (data.water ? 4.3 : 4.4) * radius;
-  const views = {
-    side: [data.bearing - Math.PI / 2 + 0.35, data.water ? 0.42 : 0.24],
-    top: [data.bearing - Math.PI / 2, 1.5],
-    behind: [data.bearing + Math.PI + 0.12, 0.35],
-    front: [data.bearing + 0.3, 0.25],
-  };
-  function from(view) {
-    const [around, up] = views[view];
-    camera.position.set(
-      Math.cos(around) * Math.cos(up), Math.sin(around) * Math.cos(up), Math.sin(up),
-    ).multiplyScalar(away).add(controls.target);
-    controls.update();
-    draw();
-  }
-
-  // ---- time
-  let now = 0, playing = false, last = 0, waiting = false;
-  const here = new THREE.Vector3(), there = new THREE.Vector3();
-  const turn = new THREE.Quaternion(), next = new THREE.Quaternion();
-  const cursors = [...document.querySelectorAll(".timed")].map((drawing) => {
-    const bar = document.createElement("div");
-    bar.className = "cursor";
-    drawing.append(bar);
-    const { left, right, start, stop } = drawing.dataset;
-    const axis = { left: +left, right: +right, start: +start, stop: +stop };
-    drawing.addEventListener("click", (event) => {
-      const box = drawing.getBoundingClientRect();
-      const across = (event.clientX - box.left) / box.width;
-      const fraction = (across - axis.left) / (axis.right - axis.left);
-      if (fraction >= 0 && fraction <= 1) {
-        seek(axis.start + fraction * (axis.stop - axis.start) - data.start);
+      pen.globalAlpha = 0.55;
+      pen.fillStyle = look.grid;
+      for (const at of [0, half]) {
+        pen.fillRect(at - 2, 0, 4, side);
+        pen.fillRect(0, at - 2, side, 4);
       }
-    });
-    return { bar, axis };
-  });
-
-  function show() {
-    const frame = Math.min(now * data.rate, data.count - 1);
-    const i = Math.min(Math.floor(frame), data.count - 2 < 0 ? 0 : data.count - 2);
-    const fraction = data.count > 1 ? frame - i : 0;
-    const j = Math.min(i + 1, data.count - 1);
-    bodies.forEach((body, b) => {
-      const one = i * bodies.length + b, two = j * bodies.length + b;
-      here.fromArray(position, 3 * one);
-      body.position.copy(here.lerp(there.fromArray(position, 3 * two), fraction));
-      turn.fromArray(rotation, 4 * one).normalize();
-      body.quaternion.copy(turn.slerp(next.fromArray(rotation, 4 * two).normalize(), fraction));
-    });
-    here.fromArray(focus, 3 * i).lerp(there.fromArray(focus, 3 * j), fraction);
-    if (following.checked) {
-      camera.position.add(there.copy(here).sub(controls.target));
-      controls.target.copy(here);
+      pen.fillRect(side - 2, 0, 4, side);
+      pen.fillRect(0, side - 2, side, 4);
+      const texture = new THREE.CanvasTexture(picture);
+      texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
+      texture.colorSpace = THREE.SRGBColorSpace;
+      texture.anisotropy = anisotropy;
+      return texture;
     }
-    sun.target.position.copy(here);
-    sun.position.copy(here).add(fromSun);
-    if (floor) {
-      const whole = (x) => tile * Math.round(x / tile);
-      floor.position.set(whole(here.x), whole(here.y), data.floor);
-    }
-    if (surface) surface.position.set(here.x, here.y, data.surface);
-    trail.setDrawRange(Math.max(0, i - 8 * data.rate), Math.min(i, 8 * data.rate) + 1);
-    slider.value = now;
-    const shown_time = data.start + now;
-    clock.textContent = `${shown_time.toFixed(1)} / ${(data.start + duration).toFixed(1)} s`;
-    slider.setAttribute("aria-valuetext", `${shown_time.toFixed(1)} s`);
-    const grid = `grid ${+data.spacing.toPrecision(3)} m`;
-    caption.textContent =
-      `${speed[i].toFixed(2)} m/s · ${distance[i].toFixed(2)} m ${data.measured} · ${grid}`;
-    for (const { bar, axis } of cursors) {
-      const part = (shown_time - axis.start) / (axis.stop - axis.start);
-      bar.hidden = part < 0 || part > 1;
-      bar.style.left = `${100 * (axis.left + (axis.right - axis.left) * part)}%`;
-    }
-    draw();
-  }
-  function draw() {
-    if (waiting) return;
-    waiting = true;
-    requestAnimationFrame((instant) => {
-      waiting = false;
-      if (playing) {
-        // The time of a frame may be earlier than the click that started playback.
-        now += Math.max(0, Math.min(instant - last, 100)) / 1000 * +pace.value;
-        last = instant;
-        if (now > duration) now = 0;
-        show();
+    const tile = 2 * data.spacing;
+    let floor = null;
+    if (data.terrain) {
+      // Heights at the crossings of lines, with two triangles per cell.
+      const [x, y, z] = ["x", "y", "z"].map((name) => array(data.terrain[name], "f4"));
+      const place = new Float32Array(3 * z.length), uv = new Float32Array(2 * z.length);
+      const corners = [];
+      for (let i = 0, k = 0; i < x.length; i++) {
+        for (let j = 0; j < y.length; j++, k++) {
+          place.set([x[i], y[j], z[k]], 3 * k);
+          uv.set([x[i] / tile, y[j] / tile], 2 * k);
+          if (i + 1 < x.length && j + 1 < y.length) {
+            const over = k + y.length;
+            corners.push(k, over, over + 1, k, over + 1, k + 1);
+          }
+        }
       }
+      const land = new THREE.BufferGeometry();
+      const normals = array(data.terrain.normals, "i1");
+      land.setAttribute("position", new THREE.BufferAttribute(place, 3));
+      land.setAttribute("normal", new THREE.BufferAttribute(normals, 3, true));
+      land.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
+      land.setIndex(corners);
+      const made = new THREE.Mesh(
+        land, new THREE.MeshStandardMaterial({ map: pattern(), roughness: 1, side: THREE.DoubleSide }),
+      );
+      made.receiveShadow = true;
+      scene.add(made);
+    } else {
+      // The floor moves with the animal by whole tiles, so its pattern stays fixed in the world.
+      const tiles = 2 * Math.ceil((1.1 * sight) / tile);
+      const texture = pattern();
+      texture.repeat.set(tiles, tiles);
+      floor = new THREE.Mesh(
+        new THREE.PlaneGeometry(tiles * tile, tiles * tile),
+        new THREE.MeshStandardMaterial({ map: texture, roughness: 1 }),
+      );
+      floor.receiveShadow = true;
+      scene.add(floor);
+    }
+    for (const stone of data.obstacles) {
+      const made = solid(stone);
+      made.position.fromArray(stone.place);
+      made.quaternion.fromArray(stone.turn);
+      scene.add(made);
+    }
+    let sky = null;
+    // Under water, the background gets lighter towards the top.
+    const above = look.zenith || (data.water ? look.floor[1] : null);
+    if (above) {
+      const dome = new THREE.SphereGeometry(60 * radius, 24, 24);
+      const place = dome.getAttribute("position");
+      const colors = new Float32Array(3 * place.count);
+      const zenith = new THREE.Color(above);
+      const color = new THREE.Color();
+      for (let i = 0; i < place.count; i++) {
+        const high = Math.max(0, place.getY(i) / (60 * radius));
+        color.lerpColors(horizon, zenith, Math.min(1, (data.water ? 0.9 : 2.2) * high)).toArray(colors, 3 * i);
+      }
+      dome.setAttribute("color", new THREE.BufferAttribute(colors, 3));
+      dome.rotateX(Math.PI / 2);
+      sky = new THREE.Mesh(dome, new THREE.MeshBasicMaterial({
+        vertexColors: true, side: THREE.BackSide, fog: false, depthWrite: false,
+      }));
+      scene.add(sky);
+    }
+    let surface = null;
+    if (data.surface !== null) {
+      surface = new THREE.Mesh(
+        new THREE.PlaneGeometry(2 * sight, 2 * sight),
+        new THREE.MeshStandardMaterial({
+          color: "#2f86a8", transparent: true, opacity: 0.42, roughness: 0.15,
+          side: THREE.DoubleSide, depthWrite: false,
+        }),
+      );
+      scene.add(surface);
+    }
+    function glow(color) {
+      const picture = document.createElement("canvas");
+      picture.width = picture.height = 128;
+      const pen = picture.getContext("2d");
+      const round = pen.createRadialGradient(64, 64, 0, 64, 64, 64);
+      round.addColorStop(0, color);
+      round.addColorStop(1, "transparent");
+      pen.fillStyle = round;
+      pen.fillRect(0, 0, 128, 128);
+      return new THREE.CanvasTexture(picture);
+    }
+    if (data.goal) {
+      const light = new THREE.Mesh(
+        new THREE.SphereGeometry(0.09 * radius, 24, 24),
+        new THREE.MeshBasicMaterial({ color: look.light, fog: false }),
+      );
+      const halo = new THREE.Sprite(new THREE.SpriteMaterial({
+        map: glow(look.halo), transparent: true, opacity: 0.75, depthWrite: false, fog: false,
+      }));
+      halo.scale.setScalar(0.9 * radius);
+      light.position.fromArray(data.goal);
+      halo.position.fromArray(data.goal);
+      scene.add(light, halo);
+    }
+
+    // ---- the animal
+    const bodies = data.bodies.map((body) => {
+      const group = new THREE.Group();
+      body.parts.forEach((part) => group.add(solid(part)));
+      scene.add(group);
+      return group;
+    });
+    const own = motionOf(data, array);
+    const { position, focus } = own;
+
+    // Path of the head. On level land it is drawn on the ground.
+    const path = new Float32Array(3 * data.count);
+    const low = data.floor + 0.012 * radius;
+    for (let i = 0; i < data.count; i++) {
+      for (let k = 0; k < 3; k++) path[3 * i + k] = position[3 * (i * bodies.length + data.head) + k];
+      if (!data.water && !data.terrain && data.surface === null) path[3 * i + 2] = low;
+    }
+    const trail = new THREE.BufferGeometry();
+    trail.setAttribute("position", new THREE.BufferAttribute(path, 3));
+    const line = new THREE.Line(trail, new THREE.LineBasicMaterial({
+      color: look.trail, transparent: true, opacity: 0.8,
+    }));
+    line.frustumCulled = false;
+    scene.add(line);
+
+    // Specks in the water show the motion. A fixed seed always gives the same specks.
+    let cloud = null;
+    if (look.particles && data.water) {
+      let seed = 1;
+      const chance = () => ((seed = (seed * 16807) % 2147483647) / 2147483647);
+      const least = [Infinity, Infinity, Infinity], most = [-Infinity, -Infinity, -Infinity];
+      for (let i = 0; i < focus.length; i++) {
+        least[i % 3] = Math.min(least[i % 3], focus[i]);
+        most[i % 3] = Math.max(most[i % 3], focus[i]);
+      }
+      const specks = new Float32Array(3 * 1500);
+      for (let i = 0; i < specks.length; i++) {
+        const k = i % 3;
+        const from = k === 2 ? data.floor : least[k] - 4 * radius;
+        const to = k === 2 ? most[k] + 2 * radius : most[k] + 4 * radius;
+        specks[i] = from + chance() * (to - from);
+      }
+      const places = new THREE.BufferGeometry();
+      places.setAttribute("position", new THREE.BufferAttribute(specks, 3));
+      cloud = new THREE.Points(places, new THREE.PointsMaterial({
+        color: "#bfeee8", size: 0.016 * radius, transparent: true, opacity: 0.6,
+      }));
+      scene.add(cloud);
+    }
+
+    const here = new THREE.Vector3(), there = new THREE.Vector3();
+    const turn = new THREE.Quaternion(), next = new THREE.Quaternion();
+    // Moves everything to an instant, and returns the place that the camera follows.
+    function pose(motion, now) {
+      const { count, rate, position, rotation, focus } = motion;
+      const frame = Math.min(now * rate, count - 1);
+      const i = Math.min(Math.floor(frame), Math.max(count - 2, 0));
+      const fraction = count > 1 ? frame - i : 0;
+      const j = Math.min(i + 1, count - 1);
+      bodies.forEach((body, b) => {
+        const one = i * bodies.length + b, two = j * bodies.length + b;
+        here.fromArray(position, 3 * one);
+        body.position.copy(here.lerp(there.fromArray(position, 3 * two), fraction));
+        turn.fromArray(rotation, 4 * one).normalize();
+        body.quaternion.copy(turn.slerp(next.fromArray(rotation, 4 * two).normalize(), fraction));
+      });
+      here.fromArray(focus, 3 * i).lerp(there.fromArray(focus, 3 * j), fraction);
+      sun.target.position.copy(here);
+      sun.position.copy(here).add(fromSun);
+      if (floor) {
+        const whole = (x) => tile * Math.round(x / tile);
+        floor.position.set(whole(here.x), whole(here.y), data.floor);
+      }
+      if (surface) surface.position.set(here.x, here.y, data.surface);
+      // Trail and specks belong to the scene's own motion.
+      line.visible = motion === own;
+      if (cloud) cloud.visible = motion === own;
+      trail.setDrawRange(Math.max(0, i - 8 * rate), Math.min(i, 8 * rate) + 1);
+      return { here, frame: i };
+    }
+    function render(renderer, camera) {
       if (sky) sky.position.copy(camera.position);
       renderer.render(scene, camera);
-    });
+    }
+    function dispose() {
+      scene.traverse((thing) => {
+        thing.geometry?.dispose();
+        thing.material?.map?.dispose();
+        thing.material?.dispose();
+      });
+      sun.dispose();
+    }
+    const away = (data.water ? 4.3 : 4.4) * radius;
+    const views = {
+      side: [data.bearing - Math.PI / 2 + 0.35, data.water ? 0.42 : 0.24],
+      top: [data.bearing - Math.PI / 2, 1.5],
+      behind: [data.bearing + Math.PI + 0.12, 0.35],
+      front: [data.bearing + 0.3, 0.25],
+    };
+    // Returns the place of the camera relative to the animal.
+    function offset(view) {
+      const [around, up] = views[view];
+      return new THREE.Vector3(
+        Math.cos(around) * Math.cos(up), Math.sin(around) * Math.cos(up), Math.sin(up),
+      ).multiplyScalar(away);
+    }
+    return { data, own, sight, array, pose, render, offset, dispose };
   }
-  function seek(instant) {
-    now = Math.max(0, Math.min(duration, instant));
-    show();
+
+  // Returns a camera for a scene, as wide as the canvas.
+  function cameraOf({ data }) {
+    const made = new THREE.PerspectiveCamera(32, 16 / 9, 0.02 * data.radius, 80 * data.radius);
+    made.up.set(0, 0, 1);
+    return made;
   }
-  function play(on) {
-    playing = on;
-    last = performance.now();
-    button.textContent = on ? "Pause" : "Play";
-    button.setAttribute("aria-pressed", on);
-    draw();
-  }
-  button.addEventListener("click", () => play(!playing));
-  slider.addEventListener("input", () => { play(false); seek(+slider.value); });
-  following.addEventListener("change", show);
-  stage.querySelectorAll("[data-view]").forEach((each) => {
-    each.addEventListener("click", () => from(each.dataset.view));
-  });
-  stage.querySelectorAll("[data-zoom]").forEach((each) => {
-    each.addEventListener("click", () => zoom(+each.dataset.zoom));
-  });
-  controls.addEventListener("change", draw);
-  canvas.addEventListener("keydown", (event) => {
-    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    if (event.key === " ") play(!playing);
-    else if (by) { play(false); seek(now + by / data.rate); }
-    else return;
-    event.preventDefault();
-  });
-  function fit() {
-    const box = canvas.getBoundingClientRect();
-    if (!box.width) return;
-    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
-    renderer.setSize(box.width, box.height, false);
-    camera.aspect = box.width / box.height;
+  function fitted(camera, aspect) {
+    camera.aspect = aspect;
     // A narrow window shows as much of the animal as a wide one.
-    camera.fov = camera.aspect < 1.4 ? 32 * Math.min(1.8, 1.4 / camera.aspect) : 32;
+    camera.fov = aspect < 1.4 ? 32 * Math.min(1.8, 1.4 / aspect) : 32;
     camera.updateProjectionMatrix();
-    draw();
   }
-  new ResizeObserver(fit).observe(canvas);
-  stage.classList.add("ready");
-  fit();
-  show();
-  from("side");
-  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
+
+  // ---- the player
+  // Returns a player in an element, or null without WebGL. `show` gives it a scene. A further
+  // scene, such as that of a new champion, goes on at the same instant.
+  function player(stage) {
+    const canvas = stage.querySelector("canvas");
+    const button = stage.querySelector(".play");
+    const slider = stage.querySelector("input[type=range]");
+    const clock = stage.querySelector(".clock");
+    const caption = stage.querySelector(".caption");
+    const pace = stage.querySelector(".pace");
+    const following = stage.querySelector(".follow");
+    const renderer = rendererOf(canvas);
+    if (!renderer) {
+      // The still picture stays.
+      stage.classList.add("still-only");
+      return null;
+    }
+    renderer.shadowMap.enabled = true;
+    renderer.shadowMap.type = THREE.PCFShadowMap;
+    const anisotropy = renderer.capabilities.getMaxAnisotropy();
+    let world = null, data = null, duration = 0, camera = null, controls = null;
+    let speed = null, distance = null, view = "side";
+    let now = 0, playing = false, last = 0, waiting = false;
+    const there = new THREE.Vector3();
+
+    function show(scene) {
+      const first = world === null;
+      world?.dispose();
+      data = scene;
+      world = worldOf(data, anisotropy);
+      duration = world.own.duration;
+      speed = world.array(data.speed, "f4");
+      distance = world.array(data.distance, "f4");
+      slider.max = duration;
+      slider.step = 1 / data.rate;
+      now = Math.min(now, duration);
+      if (first) take();
+      else if (!following.checked) view = null;
+      controls.minDistance = 1.2 * data.radius;
+      controls.maxDistance = 0.9 * world.sight;
+      stage.classList.add("ready");
+      fit();
+      pose();
+      if (view) from(view);
+      if (first && !matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
+    }
+
+    // ---- the camera
+    function take() {
+      camera = cameraOf(world);
+      controls = new THREE.OrbitControls(camera, canvas);
+      controls.enableDamping = false;
+      // The wheel scrolls the page. With Ctrl or Shift held, it zooms.
+      controls.enableZoom = false;
+      controls.addEventListener("change", draw);
+      controls.addEventListener("start", () => { view = null; });
+      new ResizeObserver(fit).observe(canvas);
+    }
+    canvas.addEventListener("wheel", (event) => {
+      if (!event.ctrlKey && !event.shiftKey) return;
+      event.preventDefault();
+      const by = event.deltaY || event.deltaX;
+      zoom(Math.exp(Math.max(-60, Math.min(60, by)) / 300));
+    }, { passive: false });
+    function zoom(factor) {
+      const offset = camera.position.clone().sub(controls.target).multiplyScalar(factor);
+      const length = Math.max(controls.minDistance, Math.min(controls.maxDistance, offset.length()));
+      camera.position.copy(controls.target).add(offset.setLength(length));
+      view = null;
+      draw();
+    }
+    function from(chosen) {
+      view = chosen;
+      camera.position.copy(world.offset(view)).add(controls.target);
+      controls.update();
+      draw();
+    }
+
+    // ---- time
+    const cursors = [...document.querySelectorAll(".timed")].map((drawing) => {
+      const bar = document.createElement("div");
+      bar.className = "cursor";
+      drawing.append(bar);
+      const { left, right, start, stop } = drawing.dataset;
+      const axis = { left: +left, right: +right, start: +start, stop: +stop };
+      drawing.addEventListener("click", (event) => {
+        const box = drawing.getBoundingClientRect();
+        const across = (event.clientX - box.left) / box.width;
+        const fraction = (across - axis.left) / (axis.right - axis.left);
+        if (fraction >= 0 && fraction <= 1) {
+          seek(axis.start + fraction * (axis.stop - axis.start) - data.start);
+        }
+      });
+      return { bar, axis };
+    });
+    function pose() {
+      const { here, frame } = world.pose(world.own, now);
+      if (following.checked) {
+        camera.position.add(there.copy(here).sub(controls.target));
+        controls.target.copy(here);
+      }
+      slider.value = now;
+      const shown = data.start + now;
+      clock.textContent = `${shown.toFixed(1)} / ${(data.start + duration).toFixed(1)} s`;
+      slider.setAttribute("aria-valuetext", `${shown.toFixed(1)} s`);
+      const grid = `grid ${+data.spacing.toPrecision(3)} m`;
+      caption.textContent =
+        `${speed[frame].toFixed(2)} m/s · ${distance[frame].toFixed(2)} m ${data.measured} · ${grid}`;
+      for (const { bar, axis } of cursors) {
+        const part = (shown - axis.start) / (axis.stop - axis.start);
+        bar.hidden = part < 0 || part > 1;
+        bar.style.left = `${100 * (axis.left + (axis.right - axis.left) * part)}%`;
+      }
+      draw();
+    }
+    function draw() {
+      if (waiting) return;
+      waiting = true;
+      requestAnimationFrame((instant) => {
+        waiting = false;
+        if (playing) {
+          // The time of a frame may be earlier than the click that started playback.
+          now += Math.max(0, Math.min(instant - last, 100)) / 1000 * +pace.value;
+          last = instant;
+          if (now > duration) now = 0;
+          pose();
+        }
+        world.render(renderer, camera);
+      });
+    }
+    function seek(instant) {
+      now = Math.max(0, Math.min(duration, instant));
+      pose();
+    }
+    function play(on) {
+      playing = on;
+      last = performance.now();
+      button.textContent = on ? "Pause" : "Play";
+      button.setAttribute("aria-pressed", on);
+      draw();
+    }
+    button.addEventListener("click", () => play(!playing));
+    slider.addEventListener("input", () => { play(false); seek(+slider.value); });
+    following.addEventListener("change", () => pose());
+    stage.querySelectorAll("[data-view]").forEach((each) => {
+      each.addEventListener("click", () => from(each.dataset.view));
+    });
+    stage.querySelectorAll("[data-zoom]").forEach((each) => {
+      each.addEventListener("click", () => zoom(+each.dataset.zoom));
+    });
+    canvas.addEventListener("keydown", (event) => {
+      const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+      if (event.key === " ") play(!playing);
+      else if (by) { play(false); seek(now + by / data.rate); }
+      else return;
+      event.preventDefault();
+    });
+    function fit() {
+      const box = canvas.getBoundingClientRect();
+      if (!box.width) return;
+      renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+      renderer.setSize(box.width, box.height, false);
+      fitted(camera, box.width / box.height);
+      draw();
+    }
+    return { show, get time() { return now; } };
+  }
+
+  return { cameraOf, decoder, fitted, motionOf, player, rendererOf, worldOf };
 })();
+
+// The page of a run holds the scene of its champion.
+const champion = document.getElementById("scene");
+if (champion) {
+  Viewer.player(document.getElementById("animal"))?.show(JSON.parse(champion.textContent));
+}

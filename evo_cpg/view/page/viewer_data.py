@@ -12,8 +12,9 @@ import pyvista as pv
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.terrain import Part
+from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import smooth
-from evo_cpg.view.clip import quaternions, sample
+from evo_cpg.view.clip import Clip, quaternions, sample
 from evo_cpg.view.meshes import head_index, pieces
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.scene import Panel, Scene, scene_of
@@ -57,13 +58,9 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
     scene, arrays = scene_of(panel, clip), _Arrays()
     level, head = scene.level, head_index(scene.creature)
     return {
-        "rate": RATE,
         "start": float(clip.time[0]),
-        "count": len(clip.time),
         "bodies": _bodies(scene.creature, arrays),
-        "position": arrays.add(clip.position, "<f4"),
-        "rotation": arrays.add(quaternions(clip.rotation) * _SHORT, "<i2"),
-        "focus": arrays.add(smooth(clip.position.mean(1), _CALM * RATE), "<f4"),
+        **_motion(clip, arrays),
         "head": head,
         "speed": arrays.add(clip.speed, "<f4"),
         "distance": arrays.add(clip.distance, "<f4"),
@@ -80,6 +77,29 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
         "look": {name: getattr(scene.look, name) for name in _LOOK},
         # Last, because the entries above add arrays.
         "arrays": arrays.written,
+    }
+
+
+def motion_data(recording: Recording, rate: float, seconds: float) -> dict[str, Any]:
+    """Return the motion of an animal without its scene.
+
+    Args:
+        recording: the motion.
+        rate: frames per second.
+        seconds: length from the start, s.
+    """
+    arrays = _Arrays()
+    made = _motion(sample(recording, rate, seconds=seconds), arrays)
+    return made | {"arrays": arrays.written}
+
+
+def _motion(clip: Clip, arrays: _Arrays) -> dict[str, Any]:
+    return {
+        "rate": clip.rate,
+        "count": len(clip.time),
+        "position": arrays.add(clip.position, "<f4"),
+        "rotation": arrays.add(quaternions(clip.rotation) * _SHORT, "<i2"),
+        "focus": arrays.add(smooth(clip.position.mean(1), _CALM * clip.rate), "<f4"),
     }
 
 

@@ -1,0 +1,263 @@
+"""The story of a run, for `render --story`: first generation, later ones, champion."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from evo_cpg.api.display import working
+from evo_cpg.api.opened import OpenedChampion
+from evo_cpg.cli.champions import champion_motion
+from evo_cpg.cli.errors import warn
+from evo_cpg.cli.options import Which
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at
+from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.view.camera import course, overview, project
+from evo_cpg.view.clip import sample
+from evo_cpg.view.scene import Panel, animal_radius, panel_of
+from evo_cpg.view.story import DISSOLVE, FPS, Overview, Take, spans
+from evo_cpg.view.story_text import Words
+
+# Lengths in the film, s: of the whole story, of the champion's take, of the title before the first
+# motion, and of each later generation. The first generation takes the rest.
+_WHOLE, _CHAMPION, _TITLE, _LATER = 15.0, 4.6, 1.9, 2.8
+# A generation runs for as long as the champion takes for this many of its own lengths, in this much
+# film, s. Allowed speeds of the film.
+_LENGTHS, _RUN, _SLOWEST, _FASTEST = 6.0, 3.0, 1.0, 3.0
+# Speed of the film when the champion arrives, and time that is shown after it has arrived, s. The
+# champion has arrived when it is this much farther away than ever, as a fraction of the way.
+_SLOW, _AFTER, _ARRIVED = 0.5, 0.5, 0.03
+# Without a light, the champion's take ends at this part of the trial.
+_STEADY = 0.7
+# Parts of a crowd that the camera shows: all but the farthest.
+_SHOWN = 0.04
+# Least fraction of the picture's width that an animal has next to its light. Otherwise an arrow
+# points to the light.
+_SMALLEST = 0.06
+# Distance of the camera at the start and at the end of all crowds, relative to the least.
+_FAR, _NEAR = 1.12, 1.0
+# Animals that move in one plane stand side by side. Number of lanes, and width in lengths.
+_LANES, _LANE = 24, 0.35
+# Lengths of the parts of the loop, s.
+_OF_FIRST, _OF_LAST, _OF_CHAMPION = 2.3, 2.2, 2.8
+
+
+class Material(NamedTuple):
+    """Animals of a story.
+
+    Attributes:
+        opened: run with its champion.
+        panel: the champion in its world.
+        length: length of the animal, m.
+        speed: speed of the film for the crowds.
+        crowds: numbers and animals of the shown generations, without the champion's.
+    """
+
+    opened: OpenedChampion
+    panel: Panel
+    length: float
+    speed: float
+    crowds: list[tuple[int, CrowdMotion]]
+
+
+class Story(NamedTuple):
+    """A story that can be filmed.
+
+    Attributes:
+        takes: the takes.
+        loop: first frame and frame after the last one of the parts of the film that the loop shows.
+    """
+
+    takes: list[Take]
+    loop: list[tuple[int, int]]
+
+
+def material_of(run: Path, which: Which) -> Material:
+    """Return the champion of a run, and the populations that can be made anew.
+
+    Args:
+        run: run folder.
+        which: one of several runs in the folder, and trial.
+    """
+    opened, recording = champion_motion(run, which)
+    creature = opened.experiment.creature
+    panel = panel_of(opened.experiment, recording, creature.name)._replace(numbers=False)
+    length = 2 * animal_radius(creature, sample(recording, FPS))
+    speed = _speed(recording, creature.root_index, length)
+    return Material(opened, panel, length, speed, _crowds(opened, which.trial, speed))
+
+
+def story_of(material: Material, title: str | None, aspect: float) -> Story:
+    """Return the story of a run.
+
+    Args:
+        material: the animals.
+        title: title, or None for one that fits the world.
+        aspect: width of the picture over its height.
+    """
+    opened, panel, length, speed, crowds = material
+    experiment, recording, creature = opened.experiment, panel.recording, panel.creature
+    task = experiment.simulation.task
+    heading = title or _title(panel.world, panel.ground is not None)
+    final = f"After {_generations(opened.champion.generation)}, in slow motion"
+    wide = _overview(recording, creature.root_index, [crowd for _, crowd in crowds], length, aspect)
+    times = _lengths(len(crowds))
+    total = sum(times[:-1]) or 1.0
+    takes, done = [], 0.0
+    for number, ((generation, crowd), seconds) in enumerate(zip(crowds, times, strict=False)):
+        if planar(crowd, length):
+            crowd = _in_lanes(crowd, creature.root_index, task.heading, _LANE * length)
+        leader, others = crowd.led(creature.root_index, task.heading)
+        seen = panel._replace(recording=leader, crowd=others)
+        words = [Words(_caption(generation), "caption", 0.1, seconds)]
+        if number == 0:
+            animals = f"{experiment.strategy.population} random nervous systems."
+            animals += " One light." if np.isfinite(crowd.goal).all() else ""
+            words = [
+                Words(heading, "title", -1.0, _TITLE + 0.5),
+                Words(animals, "subtitle", 0.3, _TITLE + 0.5),
+                Words(_caption(generation), "caption", _TITLE, seconds),
+            ]
+        nearness = tuple(_FAR + (_NEAR - _FAR) * part / total for part in (done, done + seconds))
+        camera = wide._replace(nearness=nearness)
+        hold = _TITLE if number == 0 else 0.0
+        takes.append(Take(seen, seconds, 0.0, speed, tuple(words), camera, hold))
+        done += seconds
+    first = [] if takes else [Words(heading, "title", -1.0, _TITLE + 1.0)]
+    ending = _arrival(recording, times[-1])
+    words = (*first, Words(final, "caption", 0.3 if takes else _TITLE, math.inf))
+    takes.append(Take(panel, times[-1], ending, _SLOW, words))
+    return Story(takes, _loop(takes))
+
+
+def generations_of(done: int, champion: int) -> list[int]:
+    """Return the generations that a story shows before its champion.
+
+    These are 0, 2 and 7 of 50 generations: the fourth root and the square root of their number.
+
+    Args:
+        done: number of finished generations.
+        champion: generation of the champion.
+    """
+    found = {math.isqrt(math.isqrt(done)), math.isqrt(done)}
+    return [0, *sorted(each for each in found if 0 < each < champion)]
+
+
+def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int, CrowdMotion]]:
+    """Return the crowds of some generations. Warn about those that cannot be made anew."""
+    experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
+    seconds = speed * (_WHOLE - _CHAMPION - _TITLE + 2 * DISSOLVE)
+    chosen = generations_of(folder.newest, opened.champion.generation)
+    try:
+        opened.require_configured()
+        with working("breeding the first generations again"):
+            every = populations_at(experiment, folder, chosen)
+    except RunFolderError as error:
+        warn(f"the story leaves out the first generations: {error}")
+        return []
+    motion = compile_crowd_motion(experiment, seconds, 2 * FPS / speed, run, trial)
+    with working("replaying the first generations"):
+        crowds = [
+            motion(np.split(genes, experiment.runs, axis=1)[run], generation)
+            for genes, generation in zip(every, chosen, strict=True)
+        ]
+    return [(number, one) for number, one in zip(chosen, crowds, strict=True) if one.count]
+
+
+def _speed(recording: Recording, root: int, length: float) -> float:
+    """Return the speed of the film for crowds, from the speed of the champion."""
+    path = recording.position[:, root]
+    away = np.linalg.norm(path - path[0], axis=-1)
+    there = int((away >= 0.9 * away.max()).argmax())
+    pace = away[there] / max(recording.time[there], 1e-9)
+    return float(np.clip(_LENGTHS * length / max(pace, 1e-9) / _RUN, _SLOWEST, _FASTEST))
+
+
+def _lengths(crowds: int) -> list[float]:
+    """Return the lengths of all takes, s: crowds, then the champion."""
+    if not crowds:
+        return [_WHOLE]
+    later = [_LATER] * (crowds - 1)
+    first = min(_WHOLE - _CHAMPION - sum(later), 2.4 * _LATER)
+    return [first, *later, _WHOLE - first - sum(later)]
+
+
+def _overview(
+    recording: Recording, root: int, crowds: Sequence[CrowdMotion], length: float, aspect: float
+) -> Overview:
+    """Return the camera of the crowds, which shows their start, most of them, and the light."""
+    bodies = recording.position[0]
+    start = np.concatenate([bodies - length / 8, bodies + length / 8])
+    boxes = [start]
+    for crowd in crowds:
+        middles = crowd.position.mean(2)[:: max(len(crowd.time) // 20, 1)].reshape(-1, 3)
+        boxes.append(np.quantile(middles, (_SHOWN, 1 - _SHOWN), axis=0))
+    low = np.concatenate(boxes).min(0)
+    high = np.concatenate(boxes).max(0)
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    goal = recording.goal
+    bearing = course(recording.position[:, root], goal, length / 20)
+    lit = np.concatenate([corners, goal[None]]) if np.isfinite(goal).all() else corners
+    for points in (lit, corners):
+        path = overview(points, bearing, np.radians(20), aspect, np.ones(1))
+        seen = np.ptp(project(path, start[None], aspect)[0, :, 0]) / 2
+        if seen >= _SMALLEST:
+            break
+    return Overview(points, bearing, (1.0, 1.0))
+
+
+def planar(crowd: CrowdMotion, length: float) -> bool:
+    """Return whether all animals of a crowd move in one plane, which hides them."""
+    return bool(np.ptp(crowd.position.mean(2)[..., 1]) < 1e-3 * length)
+
+
+def _in_lanes(crowd: CrowdMotion, root: int, heading: str, width: float) -> CrowdMotion:
+    """Return some animals of a crowd side by side in lanes, with the leader in front."""
+    leader = crowd.leader(root, heading)
+    others = np.delete(np.arange(crowd.count), leader)[: _LANES - 1]
+    chosen = crowd.of(np.concatenate([[leader], others]))
+    aside = np.zeros((chosen.count, 1, 3), np.float32)
+    aside[:, 0, 1] = width * np.arange(chosen.count)
+    return chosen._replace(position=chosen.position + aside)
+
+
+def _arrival(recording: Recording, seconds: float) -> float:
+    """Return the instant at which the champion's take begins, s."""
+    time, shown = recording.time, _SLOW * seconds
+    if np.isfinite(recording.goal).all():
+        away = recording.distance
+        near = away.min() + _ARRIVED * (away[0] - away.min())
+        end = time[(away <= near).argmax()] + _AFTER
+    else:
+        end = time[0] + _STEADY * (time[-1] - time[0])
+    return float(max(min(end, time[-1]) - shown, time[0]))
+
+
+def _loop(takes: Sequence[Take]) -> list[tuple[int, int]]:
+    """Return the parts of the film that the loop shows: first and last crowd, and champion."""
+    every, shared = spans([take.seconds for take in takes]), round(DISSOLVE * FPS)
+    first, end = every[-1]
+    parts = [(max(first + shared, end - round(_OF_CHAMPION * FPS)), end)]
+    if len(takes) > 2:
+        first = every[-2][0] + shared
+        parts.insert(0, (first, min(first + round(_OF_LAST * FPS), every[-2][1] - shared)))
+    if len(takes) > 1:
+        first = round((_TITLE + 0.5) * FPS)
+        parts.insert(0, (first, min(first + round(_OF_FIRST * FPS), every[0][1] - shared)))
+    return parts
+
+
+def _generations(count: int) -> str:
+    return f"{count} generation" + ("s" if count != 1 else "")
+
+
+def _caption(generation: int) -> str:
+    return "The first generation" if generation == 0 else f"After {_generations(generation)}"
+
+
+def _title(world: str, grounded: bool) -> str:
+    verb = "walk" if world == "land" else "move" if grounded else "swim"
+    return f"Nobody taught it to {verb}."

@@ -1,0 +1,36 @@
+"""The HTML of the live page of a run."""
+
+from evo_cpg.view.page.document import player
+from evo_cpg.view.page.html import join, tag
+from evo_cpg.view.page.shell import Page, asset, served_page
+
+
+def page(name: str) -> Page:
+    """Return the page of a run, which is empty until its script asks the server.
+
+    Args:
+        name: name of the run.
+    """
+    waiting = tag("p", "The newest champion appears here as soon as it is replayed.", id="before")
+    body = join(
+        tag("h1", name),
+        tag("p", class_="lead", id="status", role="status"),
+        tag("div",
+            tag("div", player(waiting), tag("p", class_="note", id="champion")),
+            tag("div", tag("ul", class_="cards", id="numbers"), tag("div", id="curves")),
+            id="now"),
+        tag("section",
+            tag("h2", "The population"),
+            tag("p",
+                tag("span", id="which"), " ",
+                tag("button", "Pause", type="button", id="pause", aria_pressed="false")),
+            tag("div", tag("canvas", aria_hidden="true"), tag("ol"), id="wall"),
+            id="population", hidden=True),
+        tag("footer", "This page calls the program that printed its address, and nothing else. The "
+            "animals are drawn by three.js (MIT licence)."),
+    )  # fmt: skip
+    own = "evo_cpg.live.page"
+    style = asset("page.css") + asset("live.css", own)
+    scripts = [asset("three.min.js"), asset("viewer.js"), asset("wall.js", own)]
+    title = str(tag("title", name)).removeprefix("<title>").removesuffix("</title>")
+    return served_page(title, style, body, [*scripts, asset("live.js", own)])

@@ -1,0 +1,83 @@
+"""A crowd as ghosts: translucent bodies of one colour, all in one mesh.
+
+One actor for each body of two hundred animals takes seconds to draw. All ghosts together are one
+mesh of coarse bodies. Each frame only overwrites its points.
+"""
+
+import numpy as np
+import pyvista as pv
+
+from evo_cpg.creature.shapes import Shape
+from evo_cpg.view.offscreen import add_faded
+from evo_cpg.view.shadows import Spots
+from evo_cpg.view.stage import Shot, Stage, Update
+from evo_cpg.view.textures import spot_texture
+
+# Opacity of a ghost, alone and among many.
+_OPACITY, _OPACITY_OF_MANY, _MANY = 0.5, 0.22, 60
+# Brightness of a point that faces sideways, and its change with the height of the direction.
+_LEVEL, _SLOPE = 0.9, 0.3
+# Subdivisions of the icosahedron whose directions give the points of a coarse body.
+_FINENESS = 1
+# Opacity of the soft patch under a ghost, relative to that under the animal.
+_PATCH = 0.4
+
+
+def add_ghosts(stage: Stage) -> Update:
+    """Draw all ghosts of the scene, and soft patches under them."""
+    scene, look = stage.scene, stage.look
+    assert scene.ghosts is not None
+    position, rotation = scene.ghosts
+    drawn = [i for i, body in enumerate(scene.creature.bodies) if body.shape.exists]
+    count = position.shape[1]
+    own, faces = zip(*(coarse(scene.creature.bodies[i].shape) for i in drawn), strict=True)
+    first = np.cumsum([0, *map(len, own)])
+    of_one = np.concatenate([each + i for each, i in zip(faces, first, strict=False)])
+    every = (of_one + first[-1] * np.arange(count)[:, None, None]).reshape(-1, 3)
+    mesh = pv.PolyData.from_regular_faces(np.zeros((count * first[-1], 3), np.float32), every)
+    opacity = np.interp(count, (1, _MANY), (_OPACITY, _OPACITY_OF_MANY))
+    color = np.array(pv.Color(look.ghost, opacity=float(opacity)).int_rgba, np.float32)
+    rgba = np.tile(color.astype(np.uint8), (mesh.n_points, 1))
+    add_faded(stage.plotter, mesh, rgba, culling="back")
+    outwards = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in own]
+    patches = None
+    if scene.stands:
+        texture = spot_texture(look.shadow, _PATCH * look.shadow_strength, sharpness=2.2)
+        patches = Spots(stage.plotter, texture, stage.ground, stage.lift, count)
+    axes = np.tile(0.5 * stage.radius * np.eye(2), (count, 1, 1))
+
+    def update(shot: Shot) -> None:
+        place, turn = position[shot.number], rotation[shot.number]
+        points = [
+            place[:, i, None] + np.einsum("nij,kj->nki", turn[:, i], corners)
+            for i, corners in zip(drawn, own, strict=True)
+        ]
+        mesh.points = np.concatenate(points, axis=1).reshape(-1, 3)
+        # Points that face upwards are brighter. Lighting every pixel takes three times as long.
+        upwards = [
+            np.einsum("nj,kj->nk", turn[:, i, 2], normals)
+            for i, normals in zip(drawn, outwards, strict=True)
+        ]
+        shade = _LEVEL + _SLOPE * np.concatenate(upwards, axis=1).reshape(-1, 1)
+        rgba[:, :3] = np.minimum(color[:3] * shade, 255)
+        mesh["rgba"] = rgba
+        if patches is not None:
+            patches.lay(place.mean(1)[:, :2].astype(float), axes)
+
+    return update
+
+
+def coarse(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
+    """Return a hull of a shape with few points ``(n, 3)`` in m, and its triangles ``(f, 3)``."""
+    # SciPy takes long to import.
+    from scipy.spatial import ConvexHull
+
+    directions = np.asarray(pv.Icosphere(nsub=_FINENESS).points, float)
+    points = np.array([shape.support(each) for each in directions], float)
+    hull = ConvexHull(points)
+    corners = points[hull.simplices]
+    turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inwards = (turned * hull.equations[:, :3]).sum(1) < 0
+    faces = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
+    used, faces = np.unique(faces, return_inverse=True)
+    return points[used].astype(np.float32), faces.reshape(-1, 3)

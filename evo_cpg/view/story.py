@@ -1,0 +1,309 @@
+"""A story in one film: takes one after the other that dissolve into each other, and few words.
+
+A take shows an animal, perhaps with the crowd of its generation, through one camera. Takes of a
+crowd share a camera that stands still, so generations can be compared. The last take follows the
+champion.
+"""
+
+import contextlib
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.view.camera import CameraPath, overview
+from evo_cpg.view.clip import Clip, sample_at
+from evo_cpg.view.drawing import set_scene
+from evo_cpg.view.frame_processes import Reel, drawing_processes, drawn_frames
+from evo_cpg.view.legible import lettering
+from evo_cpg.view.meshes import add_bodies
+from evo_cpg.view.offscreen import canvas
+from evo_cpg.view.output import check_size, film_writer, oversampling, picture_of
+from evo_cpg.view.pointer import pointer
+from evo_cpg.view.scene import Panel, Scene, scene_of
+from evo_cpg.view.stage import Stage, camera_path
+from evo_cpg.view.story_text import Words, written
+
+FPS = 30
+"""Frames per second of a story."""
+
+DISSOLVE = 0.4
+"""Time in which a take turns into the next one, s."""
+
+# Pixels rendered per pixel of the film, along a side.
+_OVERSAMPLING = 1.25
+# Ease at the start of a take, s.
+_EASE = 0.5
+# Qualities of a loop, from the best one.
+_QUALITIES = (75, 60, 48, 38, 30, 22, 15, 8)
+
+
+class Overview(NamedTuple):
+    """A camera that stands still and shows some points.
+
+    Attributes:
+        points: the points, m.
+        bearing: direction in which the animals go, from the x axis, rad.
+        nearness: distance of the camera in the first frame and in the last one, as fractions of
+            the distance that shows all points.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    bearing: float
+    nearness: tuple[float, float]
+
+
+class Take(NamedTuple):
+    """Part of a story without a cut.
+
+    Attributes:
+        panel: the animal, perhaps with a crowd, and its world.
+        seconds: length in the film, s. It includes half of the time that it shares with its
+            neighbours.
+        start: first instant of the recording that is shown, s.
+        speed: recorded seconds per second of film.
+        words: texts of the take.
+        overview: camera of a crowd, or None for a camera that follows the animal.
+        hold: time in the film before the motion begins, s.
+    """
+
+    panel: Panel
+    seconds: float
+    start: float
+    speed: float
+    words: tuple[Words, ...]
+    overview: Overview | None = None
+    hold: float = 0.0
+
+
+class StoryFrames:
+    """Frames of a story, laid out and ready to be drawn in order.
+
+    Args:
+        takes: the takes.
+        size: width and height of the film, pixels.
+
+    Attributes:
+        count: number of frames.
+        size: width and height of a frame in the result, pixels.
+        rendered: width and height of a frame before averaging, pixels.
+    """
+
+    def __init__(self, takes: Sequence[Take], size: tuple[int, int]):
+        self._takes = takes
+        width, height = self.size = size[0] // 2 * 2, size[1] // 2 * 2
+        self._scale = oversampling(self.size, _OVERSAMPLING)
+        self.rendered = round(width * self._scale), round(height * self._scale)
+        self._spans = spans([take.seconds for take in takes])
+        self.count = self._spans[-1][1]
+
+    @contextlib.contextmanager
+    def drawn(self) -> Iterator[Callable[[int], np.ndarray]]:
+        """Yield a function that draws frames, see `Reel.drawn`. At most two scenes are kept."""
+        open_takes: dict[int, tuple[contextlib.ExitStack, Callable[[int], np.ndarray]]] = {}
+
+        def close(numbers: Sequence[int]) -> None:
+            for number in numbers:
+                open_takes.pop(number)[0].close()
+
+        def take(number: int, frame: int) -> np.ndarray:
+            if number not in open_takes:
+                close([other for other in open_takes if other < number - 1])
+                stack = contextlib.ExitStack()
+                show = stack.enter_context(self._take(number))
+                open_takes[number] = stack, show
+            return open_takes[number][1](frame - self._spans[number][0])
+
+        def draw(frame: int) -> np.ndarray:
+            shown = [i for i, (first, end) in enumerate(self._spans) if first <= frame < end]
+            picture = take(shown[0], frame)
+            if len(shown) == 2:
+                first, end = self._spans[shown[1]][0], self._spans[shown[0]][1]
+                weight = smoothly((frame - first + 1) / (end - first + 1))
+                picture = blended(picture, take(shown[1], frame), weight)
+            return picture
+
+        try:
+            yield draw
+        finally:
+            close(list(open_takes))
+
+    @contextlib.contextmanager
+    def _take(self, number: int) -> Iterator[Callable[[int], np.ndarray]]:
+        """Draw the frames of one take: ``(height, width, 3)``, bottom row first."""
+        take, (first, end) = self._takes[number], self._spans[number]
+        clip = clip_of(take, end - first)
+        scene = scene_of(take.panel, clip)
+        aspect = self.size[0] / self.size[1]
+        with canvas(self.rendered) as plotter:
+            camera = camera_of(take, scene, aspect)
+            stage = Stage(plotter, scene, camera, self._scale)
+            point = pointer(camera, scene.goal, scene.look, self.rendered)
+            show = set_scene(stage, add_bodies(plotter, take.panel.creature, scene.look.ambient))
+
+            def draw(frame: int) -> np.ndarray:
+                seen = show(frame)
+                point(seen, frame)
+                with lettering(seen) as draw:
+                    for words in take.words:
+                        written(draw, words, frame / FPS, scene.look, self.rendered)
+                return seen
+
+            yield draw
+
+
+def spans(seconds: Sequence[float]) -> list[tuple[int, int]]:
+    """Return the first frame of every take, and the frame after its last one.
+
+    Takes share the frames in which one turns into the next.
+
+    Args:
+        seconds: lengths of the takes. Their sum is the length of the film.
+    """
+    ends = np.round(np.cumsum([0.0, *seconds]) * FPS).astype(int)
+    half = round(DISSOLVE * FPS / 2)
+    last = len(seconds) - 1
+    return [
+        (int(ends[i]) - half * (i > 0), int(ends[i + 1]) + half * (i < last))
+        for i in range(len(seconds))
+    ]
+
+
+def clip_of(take: Take, count: int) -> Clip:
+    """Return a take's recording at its frames. The motion starts gently after the hold."""
+    moving = np.maximum(np.arange(count) / FPS - take.hold, 0.0)
+    eased = np.where(moving < _EASE, moving**2 / (2 * _EASE), moving - _EASE / 2)
+    time = take.start + take.speed * (eased if take.hold else moving)
+    recording = take.panel.recording
+    return sample_at(recording, np.minimum(time, recording.time[-1]), FPS / take.speed)
+
+
+def camera_of(take: Take, scene: Scene, aspect: float) -> CameraPath:
+    """Return the camera of a take in all of its frames."""
+    if take.overview is None:
+        return camera_path(scene, "follow", aspect)
+    points, bearing, (start, end) = take.overview
+    nearness = np.linspace(start, end, len(scene.clip.time))
+    return overview(points, bearing, scene.look.elevation, aspect, nearness)
+
+
+def smoothly(part: float) -> float:
+    """Return a number from 0 to 1 that starts and ends gently, for a part from 0 to 1."""
+    part = min(max(part, 0.0), 1.0)
+    return part * part * (3 - 2 * part)
+
+
+def blended(before: np.ndarray, after: np.ndarray, weight: float) -> np.ndarray:
+    """Return the mean of two pictures of bytes, with the weight of the second."""
+    mixed = before.astype(np.float32) * (1 - weight) + after.astype(np.float32) * weight
+    return (mixed + 0.5).astype(np.uint8)
+
+
+def story_film(
+    takes: Sequence[Take],
+    path: Path,
+    size: tuple[int, int],
+    *,
+    processes: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    on_frame: Callable[[int, np.ndarray], None] | None = None,
+) -> Path:
+    """Write a story to a film.
+
+    Args:
+        takes: the takes.
+        path: path checked by `evo_cpg.view.output.output_path`.
+        size: width and height, pixels.
+        processes: number of processes that draw.
+        progress: function that receives the number of finished frames and their total.
+        on_frame: function that receives the number and the pixels of every frame.
+
+    Raises:
+        SettingError: the size is out of range.
+        OutputError: the film cannot be written.
+    """
+    check_size(size)
+    make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
+    frames = make()
+    with (
+        drawn_frames(frames, make, drawing_processes(frames.count, processes)) as drawn,
+        film_writer(path, frames.size, frames.rendered, FPS) as write,
+    ):
+        for number, frame in enumerate(drawn):
+            write(frame)
+            if on_frame is not None:
+                on_frame(number, frame)
+            if progress is not None:
+                progress(number + 1, frames.count)
+    return path
+
+
+class Loop:
+    """A short loop of parts of a story, whose end dissolves into its start.
+
+    Args:
+        parts: first frame and frame after the last one, for each part. The dissolves at both ends
+            are included.
+        size: width and height, pixels.
+        file: empty scratch file for frames.
+        every: frames of the film for each frame of the loop.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[tuple[int, int]],
+        size: tuple[int, int],
+        file: IO[bytes],
+        every: int = 2,
+    ):
+        self._parts, self._size, self._file, self._every = parts, size, file, every
+        self._shared = round(DISSOLVE * FPS / every)
+        self._numbers: dict[int, int] = {}
+
+    def take(self, number: int, frame: np.ndarray) -> None:
+        """Keep a frame of the film if the loop shows it."""
+        if any(number in range(*part, self._every) for part in self._parts):
+            self._numbers[number] = len(self._numbers)
+            self._file.seek(0, 2)
+            self._file.write(picture_of(frame, self._size).tobytes())
+
+    def write(self, path: Path, largest: int) -> int:
+        """Write the loop as ``.webp``, in the best quality within a size of the file.
+
+        Args:
+            path: path of the file.
+            largest: largest size, bytes. If even the lowest quality is larger, it is written.
+
+        Returns:
+            The quality, from 0 to 100.
+        """
+        for quality in _QUALITIES:
+            with film_writer(path, self._size, self._size, FPS / self._every, quality) as write:
+                for frame in self.frames():
+                    write(np.ascontiguousarray(frame[::-1]))
+            if path.stat().st_size <= largest:
+                break
+        return quality
+
+    def frames(self) -> Iterator[np.ndarray]:
+        """Return the frames, top row first, with all dissolves."""
+        shared = self._shared
+        for i, part in enumerate(self._parts):
+            own = [*range(*part, self._every)]
+            before = [*range(*self._parts[i - 1], self._every)][-shared:]
+            for j, number in enumerate(own[: len(own) - shared]):
+                frame = self._kept(number)
+                if j < shared:
+                    weight = smoothly((j + 1) / (shared + 1))
+                    frame = blended(self._kept(before[j]), frame, weight)
+                yield frame
+
+    def _kept(self, number: int) -> np.ndarray:
+        width, height = self._size
+        self._file.seek(self._numbers[number] * width * height * 3)
+        return np.frombuffer(self._file.read(width * height * 3), np.uint8).reshape(
+            height, width, 3
+        )

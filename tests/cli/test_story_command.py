@@ -1,0 +1,129 @@
+"""`evo-cpg render --story`: a film, a loop, and populations that are made anew."""
+
+import shutil
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+from evo_cpg.api.opened import open_run
+from evo_cpg.cli.told import generations_of
+from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
+from evo_cpg.training.run_folder import RunFolderError
+from tiny_run import CONFIG, PAIR
+
+
+@pytest.fixture(scope="module")
+def run(cli, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("told") / "run"
+    overrides = (*PAIR, "evolution.generations=6", "simulation.steps=60")
+    code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
+    assert code == 0, err
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("done", "champion", "shown"),
+    [(50, 37, [0, 2, 7]), (50, 7, [0, 2]), (3, 2, [0, 1]), (1, 0, [0]), (1000, 900, [0, 5, 31])],
+)
+def test_a_story_shows_early_generations(done, champion, shown):
+    assert generations_of(done, champion) == shown
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--sheet", "2x2"), "--story and --sheet exclude each other. Leave out one of them"),
+        (("--crowd", "0"), "--story and --crowd exclude each other. Leave out one of them"),
+        (("--speed", "2"), "--story and --speed exclude each other. Leave out one of them"),
+        (("--title", "a", "--title", "b"), "--title: 2 titles for one story. Give one"),
+        (("-o", "a.png"), "cannot write a.png: the name ends in '.png'. Use .mp4"),
+        (("--size", "4x4"), "size is 4 x 4 pixels, but the smallest is 16 x 16"),
+    ],
+)
+def test_options_that_do_not_fit_a_story_are_refused(cli, run_folder, options, words):
+    code, out, err = cli("render", run_folder, "--story", *options)
+    assert (code, out, err) == (2, "", f"evo-cpg: {words}\n")
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    """A folder that is never read, because the options are wrong."""
+    folder = tmp_path_factory.mktemp("unread")
+    (folder / "config.yaml").touch()
+    return folder
+
+
+@pytest.mark.slow
+def test_a_story_is_a_film_and_a_loop(cli, run, tmp_path):
+    film = tmp_path / "a.mp4"
+    code, out, err = cli("render", run, "--story", "--size", "160x90", "-o", film)
+    assert (code, err) == (0, ""), err
+    assert out.splitlines() == [str(tmp_path / "a.webp"), str(film)]
+    reader = imageio_ffmpeg.read_frames(str(film))
+    facts = next(reader)
+    assert facts["size"] == (160, 90) and facts["duration"] == pytest.approx(15, abs=0.1)
+    frames = [np.frombuffer(frame, np.uint8).astype(int) for frame in reader]
+    # Something moves in each take.
+    for first in (100, 300, 400):
+        assert np.abs(frames[first + 15] - frames[first]).max() > 40
+    with Image.open(tmp_path / "a.webp") as loop:
+        assert loop.size == (160, 90) and loop.n_frames > 30
+
+
+@pytest.mark.slow
+def test_a_crowd_is_filmed(cli, run, tmp_path):
+    place = tmp_path / "a.png"
+    size = "--size", "96x54"
+    code, out, err = cli("render", run, "--crowd", 3, *size, "-o", place)
+    assert (code, out, err) == (0, f"{place}\n", "")
+    code, _, err = cli("render", run, "--crowd", 7, *size, "-o", place)
+    assert (code, err) == (
+        2,
+        f"evo-cpg: --crowd: {run} has 6 generations. The next one is 6\n",
+    )
+
+
+@pytest.mark.slow
+def test_a_story_without_crowds_says_so(cli, run, tmp_path):
+    """The recorded results are not those of the configuration."""
+    other = shutil.copytree(run, tmp_path / "other")
+    text = (other / "config.yaml").read_text()
+    (other / "config.yaml").write_text(text.replace("seed: 0", "seed: 1", 1))
+    film = tmp_path / "a.mp4"
+    code, out, err = cli("render", other, "--story", "--size", "96x54", "-o", film)
+    assert code == 0 and out.endswith(f"{film}\n")
+    assert "the story leaves out generations" in err and "cannot be made anew" in err
+
+
+@pytest.mark.slow
+def test_a_population_is_made_anew_from_the_seed(run):
+    opened = open_run(run)
+    experiment, folder = opened.experiment, opened.folder
+    fifth, sixth = populations_at(experiment, folder, [5, 6])
+    np.testing.assert_array_equal(sixth, folder.load().genes)
+    with np.load(folder.path / "checkpoints" / "generation_000005.npz") as earlier:
+        np.testing.assert_array_equal(fifth, earlier["genes"])
+    (first,) = populations_at(experiment, folder, [0])
+    (best, *_) = folder.load_lineage()
+    assert best.generation == 0 and (first[:, best.index] == best.genes).all()
+    other = experiment._replace(seed=1)
+    with pytest.raises(RunFolderError, match="cannot be made anew"):
+        populations_at(other, folder, [0, 1])
+
+
+@pytest.mark.slow
+def test_an_animal_of_a_crowd_moves_as_when_it_is_replayed(run):
+    opened = open_run(run)
+    champion = opened.folder.load_lineage()[0]
+    (replay,) = opened.replay([champion])
+    (genes,) = populations_at(opened.experiment, opened.folder, [0])
+    rate = opened.experiment.simulation.control_rate
+    crowd = compile_crowd_motion(opened.experiment, 0.8, rate)(genes, 0)
+    motion, instants = replay.recording, len(crowd.time)
+    np.testing.assert_allclose(crowd.time, motion.time[:instants])
+    np.testing.assert_allclose(
+        crowd.position[:, champion.index], motion.position[:instants], atol=1e-4
+    )
+    np.testing.assert_array_equal(crowd.goal, motion.goal)

@@ -1,0 +1,33 @@
+"""Individuals of a population that are replayed side by side."""
+
+import numpy as np
+import pytest
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.training.crowd import compile_crowd
+from evo_cpg.training.experiment import first_population, placeholder_scales
+from evo_cpg.training.replay import compile_replay
+from tiny_run import CONFIG, PAIR
+
+
+@pytest.mark.slow
+def test_individuals_side_by_side_move_as_in_their_own_replays():
+    """Each has the noise of its own place and run, so no two of them are the same."""
+    settings = [*PAIR, "runs=2", "noise.joint_angle_deg=5", "noise.push=0.05"]
+    config = load_config(CONFIG, settings)
+    experiment = build_experiment(config, CONFIG)
+    genes = np.asarray(first_population(experiment))
+    checkpoint = Checkpoint(4, genes, (None, None), [], placeholder_scales(experiment))
+    places = [6, 1, 4]
+    crowd = compile_crowd(experiment)(checkpoint, 1, places)
+    replay = compile_replay(experiment, 1)
+    for place, fitness, recording in zip(places, crowd.fitness, crowd.recordings, strict=True):
+        scales = dict.fromkeys(checkpoint.scales, 1.0)
+        alone = Champion(genes[:, 8 + place], 0.0, 4, {}, scales, 1, place)
+        own, _, motion = replay(alone)
+        assert fitness == pytest.approx(own, rel=1e-4)
+        np.testing.assert_allclose(recording.position, motion.position, atol=1e-4)
+        np.testing.assert_allclose(recording.joint_angle, motion.joint_angle, atol=1e-3)
+    assert len({float(each) for each in crowd.fitness}) == 3

@@ -1,0 +1,187 @@
+"""Stories: takes that dissolve, crowds of ghosts, words, and a loop without a seam."""
+
+import io
+import itertools
+
+import numpy as np
+import pytest
+import synthetic
+from PIL import Image
+
+from evo_cpg.creature.slender import slender_chains
+from evo_cpg.physics.contact_model import Ground
+from evo_cpg.physics.terrain import Plane
+from evo_cpg.training.crowd_motion import CrowdMotion
+from evo_cpg.view.camera import overview, project
+from evo_cpg.view.clip import sample
+from evo_cpg.view.ghosts import coarse
+from evo_cpg.view.legible import font
+from evo_cpg.view.meshes import drawn_eyes
+from evo_cpg.view.output import picture_of
+from evo_cpg.view.scene import Panel
+from evo_cpg.view.skin import Skin
+from evo_cpg.view.story import (
+    FPS,
+    Loop,
+    Overview,
+    StoryFrames,
+    Take,
+    clip_of,
+    spans,
+)
+from evo_cpg.view.story_text import Words, wrapped
+
+SIZE = (192, 108)
+WALKER, WALK = synthetic.walker(), synthetic.walk(2.0, 30.0)
+PANEL = Panel(WALKER, WALK, "", world="land", ground=Ground(floor=Plane()), numbers=False)
+
+
+def beside(*steps):
+    """Return a crowd that walks like `WALK`, each some distance to the left, m."""
+    moved = [WALK.position + np.array([0.0, step, 0.0]) for step in steps]
+    turns = np.repeat(WALK.rotation[:, None], len(steps), 1)
+    return CrowdMotion(WALK.time, np.stack(moved, 1), turns, np.full(3, np.nan))
+
+
+def take(seconds=1.0, crowd=None, words=(), start=0.0, hold=0.0):
+    points = np.array([[-0.5, -0.5, 0.0], [1.0, 2.5, 0.6]])
+    seen = Overview(points, 0.0, (1.0, 1.0))
+    return Take(PANEL._replace(crowd=crowd), seconds, start, 1.0, words, seen, hold)
+
+
+def drawn(takes, *numbers):
+    frames = StoryFrames(takes, SIZE)
+    with frames.drawn() as draw:
+        return [np.asarray(picture_of(draw(number), SIZE)).astype(int) for number in numbers]
+
+
+def test_takes_share_the_frames_of_a_dissolve():
+    found = spans([2.0, 1.0, 3.0])
+    assert found[0][0] == 0 and found[-1][1] == 6 * FPS
+    shared = [before[1] - after[0] for before, after in itertools.pairwise(found)]
+    assert shared == [12, 12]
+    assert (found[0][1] + found[1][0]) / 2 == 2 * FPS
+
+
+def test_the_motion_waits_and_then_starts_gently():
+    time = clip_of(take(hold=0.5), 40).time
+    assert (time[:16] == 0).all()
+    pace = np.diff(time) * FPS
+    assert pace[16] < 0.2 and pace[-1] == pytest.approx(1.0)
+    np.testing.assert_allclose(clip_of(take(start=0.4), 3).time, 0.4 + np.arange(3) / FPS)
+
+
+@pytest.mark.parametrize("aspect", [16 / 9, 9 / 16])
+def test_an_overview_shows_all_points_and_uses_the_picture(aspect):
+    points = np.random.default_rng(0).uniform(-1, 1, (40, 3)) * [4, 2, 0.5]
+    path = overview(points, 0.4, 0.3, aspect, np.ones(2))
+    seen = project(path, points[None].repeat(2, 0), aspect)
+    assert np.abs(seen).max() < 1
+    assert max(np.ptp(seen[0], axis=0) / 2) > 0.8
+    # The animals go to the right in a wide picture, and upwards in a tall one.
+    ahead = np.array([[[0, 0, 0], [np.cos(0.4), np.sin(0.4), 0]]], float).repeat(2, 0)
+    start, end = project(path, ahead, aspect)[0]
+    along = (end - start) * [aspect, 1]
+    assert along[0] > abs(along[1]) if aspect > 1 else along[1] > abs(along[0])
+
+
+def test_ghosts_are_drawn_in_their_places():
+    alone, crowded = drawn([take()], 10)[0], drawn([take(crowd=beside(1.0, 2.0))], 10)[0]
+    changed = np.abs(crowded - alone).max(-1) > 12
+    path = overview(take().overview.points, 0.0, np.radians(18), SIZE[0] / SIZE[1], np.ones(1))
+    clip = sample(WALK, FPS)
+    for step, seen in ((0.0, False), (1.0, True), (2.0, True)):
+        trunk = clip.position[10, 0] + [0.0, step, 0.0]
+        across, up = project(path, trunk[None, None], SIZE[0] / SIZE[1])[0, 0]
+        column, row = round((across + 1) / 2 * SIZE[0]), round((1 - up) / 2 * SIZE[1])
+        assert changed[row, column] == seen, step
+
+
+def test_a_coarse_body_has_the_size_of_its_shape():
+    shape = WALKER.bodies[0].shape
+    points, faces = coarse(shape)
+    np.testing.assert_allclose(np.abs(points).max(0), shape.half_extents, rtol=1e-6)
+    assert len(points) == 8 and len(faces) == 12
+
+
+def test_a_take_dissolves_into_the_next():
+    ends = [take(), take(crowd=beside(1.0))]
+    (first, _), (_, second) = spans([1.0, 1.0])[0], spans([1.0, 1.0])[1]
+    before, middle, after = drawn(ends, first + 20, 30, second - 20)
+    assert np.abs(after - before).max() > 40
+    assert np.abs(middle - before).max() > 4 and np.abs(middle - after).max() > 4
+
+
+def test_words_appear_and_leave():
+    words = Words("Nobody taught it to walk.", "title", 0.2, 0.8)
+    plain, titled = drawn([take()], 2, 15), drawn([take(words=(words,))], 2, 15)
+    hidden, shown = (np.abs(one - two).max() for one, two in zip(plain, titled, strict=True))
+    assert hidden == 0 and shown > 60
+
+
+def test_a_long_title_is_broken_between_words():
+    lines = wrapped("Nobody taught it to swim.", 40, 300)
+    assert " ".join(lines) == "Nobody taught it to swim." and len(lines) > 1
+    assert all(font(40).getlength(line) <= 300 for line in lines)
+    assert wrapped("swim", 400, 30) == ["swim"]
+
+
+def test_the_end_of_a_loop_dissolves_into_its_start(tmp_path):
+    """Frames of one colour: the number of the frame."""
+    loop = Loop([(0, 40), (60, 100)], (16, 16), io.BytesIO())
+    for number in range(120):
+        loop.take(number, np.full((16, 16, 3), number, np.uint8))
+    found = [int(frame[0, 0, 0]) for frame in loop.frames()]
+    # Two parts of 20 frames share 6 frames with each neighbour.
+    assert len(found) == 2 * (20 - 6)
+    assert found[6:14] == [*range(12, 28, 2)] and found[20:] == [*range(72, 88, 2)]
+    # The first frame is nearly the one after the last: frame 88.
+    assert 80 < found[0] < 90
+    assert loop.write(tmp_path / "a.webp", 10**6) == 75
+    assert loop.write(tmp_path / "b.webp", 1) == 8
+    with Image.open(tmp_path / "a.webp") as picture:
+        # The encoder joins frames that look the same.
+        assert (picture.size, picture.info["loop"]) == ((16, 16), 0) and picture.n_frames > 5
+
+
+def test_the_skin_of_a_straight_chain_is_its_outline():
+    creature = synthetic.swimmer()
+    (chain,) = slender_chains(creature)
+    skin, recording = Skin(creature, chain), synthetic.swim(0.2)
+    position = np.zeros_like(recording.position[0])
+    position[:, 0] = -0.22 * np.arange(len(position))
+    skin.move(position, np.broadcast_to(np.eye(3), (len(position), 3, 3)))
+    points = np.asarray(skin.mesh.points)
+    np.testing.assert_allclose(points[:, 0].min(), position[-1, 0], atol=1e-6)
+    np.testing.assert_allclose(np.abs(points[:, 1:]).max(0), 0.93 * 0.05, rtol=1e-5)
+    # The normals point outwards, and so do the triangles.
+    normals = np.asarray(skin.mesh.point_data["Normals"])
+    assert ((normals[:, 1:] * points[:, 1:]).sum(1) > 0).all()
+    corners = points[skin.mesh.regular_faces]
+    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((facing * corners.mean(1))[:, 1:].sum(1) > 0).all()
+
+
+def test_the_skin_passes_through_bent_bodies():
+    creature, recording = synthetic.swimmer(), synthetic.swim(2.0)
+    (chain,) = slender_chains(creature)
+    skin = Skin(creature, chain)
+    skin.move(recording.position[100], recording.rotation[100])
+    rings = np.asarray(skin.mesh.points).reshape(-1, 20, 3).mean(1)
+    np.testing.assert_allclose(rings[::6], recording.position[100][list(chain.bodies)], atol=1e-6)
+
+
+def test_a_blind_animal_has_eyes_at_its_front():
+    left, right = drawn_eyes(WALKER)
+    assert left.body == right.body == "trunk"
+    assert left.axis[1] > 0 > right.axis[1] and left.position[0] > 0.2
+
+
+def test_the_leader_of_a_crowd_is_ahead():
+    crowd = beside(0.0, 1.0, 2.0)
+    crowd.position[-1, 1, :, 0] += 0.5
+    assert crowd.leader(0, "forward") == 1
+    assert crowd._replace(goal=np.array([1.0, 2.0, 0.5])).leader(0, "any") == 2
+    own = crowd.recording(1, 0)
+    np.testing.assert_allclose(own.distance[0], 0)
+    np.testing.assert_array_equal(own.position, crowd.position[:, 1])
