@@ -266,7 +266,7 @@ const View = (() => {
   function drawViews(body) {
     for (const eye of drawn.eyes) {
       if (eye.body !== body.name) continue;
-      const reach = 0.5 * drawn.length, along = vector(eye.along), from = vector(eye.place);
+      const reach = 0.3 * drawn.length, along = vector(eye.along), from = vector(eye.place);
       const sideways = (Math.abs(along.z) < 0.9 ? new THREE.Vector3(0, 0, 1) : new THREE.Vector3(1, 0, 0)).cross(along).normalize();
       const points = [];
       for (let k = 0; k < 48; k++) {
