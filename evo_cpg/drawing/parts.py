@@ -420,7 +420,7 @@ def _halves(shape: Data) -> Sequence[float]:
         case "cylinder":
             return [shape["length"] / 2, shape["radius"], shape["radius"]]
         case "loft":
-            return loft_half_extents(shape)
+            return loft_half_extents(shape).tolist()
         case other:
             raise DrawingError(f"a shape of type {other!r} has no sizes that can be changed here")
 
