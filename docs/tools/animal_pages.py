@@ -230,6 +230,7 @@ TITLES = {
     "starfish": "Starfish in water",
     "starfish_land": "Starfish on land",
     "swimmer_gaits": "Gaits of the swimmer",
+    "two_eyed_swimmer": "Swimmer with two eyes",
     "walker_gaits": "Gaits of a walker",
 }
 

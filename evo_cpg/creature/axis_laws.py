@@ -10,9 +10,10 @@ from evo_cpg.creature.torque_motors import TorqueMotors
 from evo_cpg.spatial.decisions import some_hold
 from evo_cpg.spatial.numerics import Numbers, xp
 
-# A soft limit is a critically damped spring on the effective inertia of the coordinate. A step of
-# 1/120 s resolves it. The spring also balances the coordinate's own motor, which would otherwise
-# push through. A motor that commands 1 rad/s, or 1 rad beyond the limit, gets 0.016 rad beyond it.
+# A soft limit is a critically damped spring on the effective inertia of the coordinate, with its
+# rotor. A step of 1/120 s resolves it. The spring also balances the coordinate's own motor, which
+# would otherwise push through. A motor that commands 1 rad/s, or 1 rad beyond the limit, gets
+# 0.016 rad beyond it.
 LIMIT_FREQUENCY = 10.0
 LIMIT_DAMPING_RATIO = 1.0
 
@@ -30,36 +31,29 @@ class DryFriction(eqx.Module):
 
 
 def soft_limits(
-    inertia: Float[Numbers, " d"], push: Float[Numbers, " d"]
-) -> tuple[Float[Numbers, " d"], Float[Numbers, " d"]]:
-    """Return stiffness (N m/rad) and damping (N m s/rad) of soft limits.
-
-    Args:
-        inertia: effective inertia of each coordinate, kg m^2.
-        push: torque of the motor per rad/s and rad that it commands beyond the limit, N m.
-    """
-    rate = 2 * np.pi * LIMIT_FREQUENCY
-    return inertia * rate**2 + push * rate, 2 * LIMIT_DAMPING_RATIO * inertia * rate
-
-
-def push_of(
+    inertia: Float[Numbers, " d"],
     servo: Float[Numbers, " d"],
     torque_limit: Float[Numbers, " d"],
     torque_motors: TorqueMotors | None,
-) -> Float[Numbers, " d"]:
-    """Return the push of motors for `soft_limits`.
+) -> tuple[Float[Numbers, " d"], Float[Numbers, " d"]]:
+    """Return stiffness (N m/rad) and damping (N m s/rad) of soft limits.
 
-    A limit balances a torque motor like a servo of its full torque at 1 rad/s.
+    A limit balances a torque motor like a servo of its full torque at 1 rad/s. A servo damps its
+    joint, and a torque motor does not. So the limit has the damping of that servo.
 
     Args:
+        inertia: effective inertia of each coordinate, with its rotor, kg m^2.
         servo: torque of servos and muscles at a command of 1 rad/s and 1 rad, N m.
         torque_limit: largest torque of motors, N m.
         torque_motors: torque motors, or None.
     """
-    if torque_motors is None:
-        return servo
-    full = xp.minimum(xp.abs(torque_motors.gear), torque_limit)
-    return servo + xp.where(np.array(torque_motors.driven), full, 0.0)
+    rate = 2 * np.pi * LIMIT_FREQUENCY
+    push, damping = servo, 2 * LIMIT_DAMPING_RATIO * inertia * rate
+    if torque_motors is not None:
+        full = xp.minimum(xp.abs(torque_motors.gear), torque_limit)
+        full = xp.where(np.array(torque_motors.driven), full, 0.0)
+        push, damping = push + full, damping + full
+    return inertia * rate**2 + push * rate, damping
 
 
 def dry_friction_of(

@@ -11,7 +11,6 @@ from evo_cpg.creature.axis_laws import (
     DryFriction,
     dry_friction_of,
     idle_motors,
-    push_of,
     soft_limits,
 )
 from evo_cpg.creature.creature import CreatureError, Tendon, driven_by
@@ -149,7 +148,7 @@ def tendons_of(
     gain, spring, limit, motors, _ = zip(*(driven_by(x.actuator) for x in tendons), strict=True)
     gain, spring, limit = (xp.array(list(x), float) for x in (gain, spring, limit))
     torque_motors = torque_motors_of(motors)
-    limit_stiffness, limit_damping = soft_limits(own, push_of(gain + spring, limit, torque_motors))
+    limit_stiffness, limit_damping = soft_limits(own, gain + spring, limit, torque_motors)
     return Tendons(
         names=tuple(names),
         owners=tuple(owners),

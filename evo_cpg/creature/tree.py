@@ -26,7 +26,6 @@ from evo_cpg.creature.axis_laws import (
     DryFriction,
     dry_friction_of,
     idle_motors,
-    push_of,
     soft_limits,
 )
 from evo_cpg.creature.ball_limits import BallLimits, ball_limits_of
@@ -300,9 +299,9 @@ def build_tree(creature: Creature) -> Tree:
     muscles = muscles_of([dof.muscle for dof in dofs])
     torque_motors = torque_motors_of([dof.torque_motor for dof in dofs])
     torque_limit = each("torque_limit")
-    push = gain + spring if muscles is None else gain + spring + muscles.strength
-    push = push_of(push, torque_limit, torque_motors)
-    limit_stiffness, limit_damping = soft_limits(leverage, push)
+    servo = gain + spring if muscles is None else gain + spring + muscles.strength
+    joint_inertia = leverage + armature
+    limit_stiffness, limit_damping = soft_limits(joint_inertia, servo, torque_limit, torque_motors)
     dof_names = _dof_names([names[i] for i in dof_bodies], dofs)
     idle = tuple(motor is None for joint in own if joint for motor in joint.motors)
     return Tree(
@@ -335,7 +334,7 @@ def build_tree(creature: Creature) -> Tree:
         rest=rest if some_hold(lambda: rest != 0) else None,
         damping=each("damping"),
         armature=armature,
-        dry_friction=dry_friction_of(loss, leverage + armature),
+        dry_friction=dry_friction_of(loss, joint_inertia),
         lower=xp.array([-NO_LIMIT if dof.kind == "ball" else dof.lower for dof in dofs], float),
         upper=xp.array([NO_LIMIT if dof.kind == "ball" else dof.upper for dof in dofs], float),
         ball_limits=ball_limits_of(dofs, limit_stiffness, limit_damping),
@@ -351,7 +350,7 @@ def build_tree(creature: Creature) -> Tree:
             dof_names,
             idle,
             [dof.kind == "ball" for dof in dofs],
-            leverage + armature,
+            joint_inertia,
         ),
     )
 

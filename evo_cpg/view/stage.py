@@ -21,6 +21,8 @@ from evo_cpg.view.terrain import Level, Terrain, heights
 _ELEVATIONS, _CLEARANCE, _HIDDEN = np.radians([16.0, 22.0, 28.0, 35.0, 45.0]), 0.3, 0.03
 # The mesh of the ground ends this many visibilities from the path, where it has faded to nothing.
 _HORIZON = 2.4
+# A camera far away sees at least this many of its distances.
+_IN_VIEW = 0.9
 # Things on the ground are lifted by this fraction of the animal's radius.
 _LIFT = 0.008
 
@@ -85,7 +87,7 @@ class Stage:
     @property
     def visible(self) -> float:
         """Distance at which the ground has faded to a third, m."""
-        return self.look.visibility * self.radius
+        return max(self.look.visibility * self.radius, _IN_VIEW * self.away)
 
     @functools.cached_property
     def ground(self) -> Level | Terrain:

@@ -29,7 +29,7 @@ H = 1 / 1000
 STIFF = {"timestep": 1 / 4000, "cone": "elliptic", "impratio": 100, "integrator": "implicitfast"}
 
 
-def both(creature: Creature, ground: Ground, state: dict, seconds: float):
+def both(creature: Creature, ground: Ground, state: dict, seconds: float, limits: bool = False):
     """Return our states, supports and contact offsets along x, and MuJoCo's model and data."""
     tree = build_tree(creature)
     world = World(tree, GRAVITY, contact_model=make_contact_model(creature, tree, ground))
@@ -55,7 +55,7 @@ def both(creature: Creature, ground: Ground, state: dict, seconds: float):
         return jax.lax.scan(advance, begin, length=round(seconds / H))[1]
 
     states, support, offset = jax.tree.map(lambda x: np.asarray(x)[..., 0], run(start))
-    model = mujoco_model(creature, STIFF, ground=ground)
+    model = mujoco_model(creature, STIFF, limits=limits, ground=ground)
     model.pair_solref[:] = 0.001, 1.0
     model.pair_solimp[:] = 0.99, 0.999, 1e-4, 0.5, 2.0
     data = mujoco.MjData(model)
@@ -154,3 +154,22 @@ def test_a_swinging_leg_hits_the_ground_as_in_mujoco(x64):
     np.testing.assert_allclose(ours, theirs, rtol=0.03, atol=1e-6)
     # The motion differs from free fall.
     assert abs(ours[2] - (-1.0 - GRAVITY * 0.1)) > 0.3
+
+
+def test_a_joint_with_a_rotor_stops_at_its_limit_as_in_mujoco(x64):
+    """Both limits are critically damped springs, which return the speed v at v / e^2.
+
+    The rotor has 1000 times the inertia of the boxes, as in gymnasium's ant. The joint reaches its
+    limit in free fall, where both programs use the laws of animals on the ground.
+    """
+    centre, axis, speed = (0.0, 0.0, 0.0), ((0.0, 0.0, 1.0),), 6.0
+    joint = Joint("a", centre, centre, axis, (-0.5,), (0.5,), armature=1.0)
+    bodies = (
+        Body("a", Box((0.2, 0.1, 0.1)), Material(300.0)),
+        Body("b", Box((0.2, 0.1, 0.1)), Material(300.0), joint),
+    )
+    start = {"position": (0.0, 0.0, 5.0), "q": np.array([0.5]), "qd": np.array([speed])}
+    _, (states, *_), _, data = both(Creature("pair", bodies), Ground(), start, 0.2, limits=True)
+    theirs, ours = data.qvel[6], states.qd[-1, 0]
+    assert theirs == pytest.approx(-speed / np.e**2, rel=0.02)
+    assert ours == pytest.approx(theirs, rel=0.1)

@@ -11,7 +11,15 @@ from jaxtyping import Array
 from creatures import STRUCTURES, box_chain, in_water, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import mechanical_energy
 from evo_cpg.creature.axis_laws import LIMIT_FREQUENCY
-from evo_cpg.creature.creature import NO_LIMIT, Actuator, Body, Creature, Joint, Material
+from evo_cpg.creature.creature import (
+    NO_LIMIT,
+    Actuator,
+    Body,
+    Creature,
+    Joint,
+    Material,
+    TorqueMotor,
+)
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.joint_torque import MotorCommand
@@ -102,7 +110,7 @@ def test_a_limit_that_is_not_reached_changes_nothing():
 
 
 def spring_pair(
-    stiffness: float, damping: float = 0.0, limits: float = 9.0, motor=None
+    stiffness: float, damping: float = 0.0, limits: float = 9.0, motor=None, rotor: float = 0.0
 ) -> Creature:
     """Return two boxes with a common centre that turn against each other about z."""
     material = Material(1000.0)
@@ -115,6 +123,7 @@ def spring_pair(
         upper=(limits,),
         stiffness=stiffness,
         damping=damping,
+        armature=rotor,
         actuator=motor,
     )
     bodies = (
@@ -236,21 +245,39 @@ def test_soft_limit_balances_its_own_motor():
     assert np.asarray(states.q).max() - limits < 1 / rate
 
 
-def test_soft_limit_stops_a_swing():
-    """A joint that reaches its limit at speed v passes it by less than v / (e w).
+@pytest.mark.parametrize("rotor", [0.0, 1.0])
+def test_soft_limit_stops_a_swing(rotor):
+    """A joint that reaches its limit at speed v passes it by v / (e w), with or without a rotor.
 
-    This is the peak of a critically damped spring, v t exp(-w t) at t = 1/w. Implicit damping
-    reduces it. The joint rests before or at the limit.
+    This is the peak of a critically damped spring, v t exp(-w t) at t = 1/w. The spring returns at
+    v / e^2 at most, at t = 2/w. The rotor here has 280 times the inertia of the boxes.
     """
-    limits, speed = 0.5, 6.0
-    creature = spring_pair(0.0, limits=limits)
-    world = World(build_tree(creature), 0.0)
-    state = resting_state(world.tree, dtype=jnp.float64)
-    state = dataclasses.replace(state, qd=jnp.array([speed]))
-    states, _ = record(world, state, jnp.zeros((240, 1)))
-    beyond = np.asarray(states.q)[:, 0] - limits
+    limits, speed, h = 0.5, 6.0, 1 / 9600
+    creature = spring_pair(0.0, limits=limits, rotor=rotor)
+    beyond, rate = at_the_limit(creature, speed, h)
+    peak = speed / (np.e * 2 * np.pi * LIMIT_FREQUENCY)
+    assert beyond.max() == pytest.approx(peak, rel=0.01)
+    assert 0 < -rate.min() < 1.01 * speed / np.e**2
+
+
+@pytest.mark.parametrize("gear", [0.02, 1.0, 50.0])
+def test_soft_limit_of_a_torque_motor_does_not_bounce(gear):
+    """The stiffness that balances the motor has a damper. The joint keeps at most v / e^2."""
+    speed = 6.0
+    creature = spring_pair(0.0, limits=0.5, motor=TorqueMotor(gear))
+    beyond, rate = at_the_limit(creature, speed, 1 / 9600)
     assert 0 < beyond.max() < speed / (np.e * 2 * np.pi * LIMIT_FREQUENCY)
-    assert abs(float(states.qd[-1, 0])) < 0.2 * speed
+    assert -rate.min() < speed / np.e**2
+
+
+def at_the_limit(creature: Creature, speed: float, h: float):
+    """Return angles beyond the limit and rates of a joint that reaches its limit at a speed."""
+    world = World(build_tree(creature), 0.0)
+    limit = float(world.tree.upper[0])
+    state = resting_state(world.tree, dtype=jnp.float64)
+    state = dataclasses.replace(state, q=jnp.array([limit]), qd=jnp.array([speed]))
+    states, _ = record(world, state, jnp.zeros((round(0.1 / h), 1)), h)
+    return np.asarray(states.q)[:, 0] - limit, np.asarray(states.qd)[:, 0]
 
 
 def two_boxes(**joint) -> World:
