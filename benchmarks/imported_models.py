@@ -43,8 +43,9 @@ from evo_cpg.spatial.linear import expand_dims_like
 # Spread of random angles (rad or m) and rates (rad/s or m/s).
 _ANGLE, _RATE = 0.5, 2.0
 
-# Accelerations (rad/s^2 or m/s^2) below which a model counts as at rest.
-_RESTING = 1e-3
+# Accelerations (rad/s^2 or m/s^2) below which a model counts as at rest. Rounding is relative to
+# the forces that cancel, and this is a hundredth of gravity.
+_RESTING = 0.1
 
 # Bodies of the smallest model that counts, with the world.
 _FEWEST = 3

@@ -34,6 +34,28 @@ _FLAGS = (
 )
 _PATIENCE = 60.0
 
+# Text and pictures that end outside the window, except in a small box that scrolls, such as code.
+# The drawers of the docs' theme wait outside the window.
+_CUT = """(() => {
+  const found = [];
+  const cut = "img, iframe, p, li, td, th, pre, math, figure, button, h1, h2, h3, a, select, svg";
+  const whole = "body, .page, .main, .content, article, section, .drawing, .wide";
+  for (const element of document.body.querySelectorAll(cut)) {
+    if (element.closest(".sidebar-drawer, .toc-drawer, .skip-to-content, .visually-hidden"))
+      continue;
+    const box = element.getBoundingClientRect();
+    if (!box.width || !box.height || box.right <= innerWidth + 1) continue;
+    let above = element.parentElement;
+    while (above && (
+      above.matches(whole) || !["auto", "scroll"].includes(getComputedStyle(above).overflowX)
+    )) above = above.parentElement;
+    if (above) continue;
+    found.push(element.tagName + " " + element.textContent.trim().slice(0, 60));
+  }
+  if (document.documentElement.scrollWidth > innerWidth) found.push("the page scrolls sideways");
+  return found;
+})()"""
+
 
 def found() -> str | None:
     """Return the path of the program, or None if there is none."""
@@ -151,6 +173,10 @@ class Page:
         answer = self.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True,
                          paperWidth=8.27, paperHeight=11.69)  # fmt: skip
         return base64.b64decode(answer["data"])
+
+    def cut(self) -> list[str]:
+        """Return what a reader does not see whole in the window without scrolling sideways."""
+        return self.run(_CUT)
 
     @property
     def requests(self) -> list[str]:

@@ -77,7 +77,7 @@ def render(
             "--story",
             help="Tell the run in 15 s: the first generation as a crowd, later ones, the champion "
             "in slow motion. Writes a wide film, a tall film and a loop for a web page. With "
-            "--size: one film and the loop.",
+            "--size: only one film.",
         ),
     ] = False,
     fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,

@@ -10,7 +10,7 @@ from evo_cpg.files import make_folder
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.output import check_size, output_path
-from evo_cpg.view.story import Loop, story_film
+from evo_cpg.view.story import Loop, look_of, story_film
 
 # Sizes of the films, and the largest width and file of the loop, pixels and bytes.
 _WIDE, _TALL = (1920, 1080), (1080, 1920)
@@ -25,13 +25,13 @@ def tell(
     which: Which,
     cores: int | None,
 ) -> None:
-    """Film the story of a run, and print the paths of the files.
+    """Film the story of a run, and print the paths of the files. The wide film is the last.
 
     Args:
         run: run folder.
         output: ``.mp4`` file of the wide film, or None for ``story.mp4`` in the run's videos. The
             other files stand beside it.
-        size: size of the only film, or None for a wide and a tall film.
+        size: size of the only film, or None for a wide and a tall film, and a loop.
         title: title, if any.
         which: one of several runs in the folder, and trial.
         cores: number of processes that draw, or None for all cores.
@@ -43,16 +43,20 @@ def tell(
     path = output_path(output or make_folder(run / "videos") / name, (".mp4",))
     tall = path.with_name(f"{path.stem}_tall.mp4")
     films = [(tall, _TALL), (path, _WIDE)] if size is None else [(path, size)]
+    looped = size is None
     material = material_of(run, which)
     for place, pixels in films:
         story = story_of(material, title[0] if title else None, pixels[0] / pixels[1])
         width = min(_LOOP_WIDTH, pixels[0]) // 2 * 2
         small = width, round(width * pixels[1] / pixels[0] / 2) * 2
         with tempfile.TemporaryFile() as scratch:
-            loop = Loop(story.loop, small, scratch) if place == path else None
+            loop = None
+            if looped and place == path:
+                loop = Loop(story.loop, look_of(story.takes[-1]), small, scratch)
             with working("rendering", counted=True) as work:
                 story_film(
                     story.takes,
+                    story.words,
                     place,
                     pixels,
                     processes=cores or available_cores(),

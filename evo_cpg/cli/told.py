@@ -18,7 +18,7 @@ from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.camera import course, overview, project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.scene import Panel, animal_radius, panel_of
-from evo_cpg.view.story import DISSOLVE, FPS, Overview, Take, spans
+from evo_cpg.view.story import DISSOLVE, FPS, LoopPart, Overview, Take, spans
 from evo_cpg.view.story_text import Words
 
 # Lengths in the film, s: of the whole story, of the champion's take, of the title before the first
@@ -26,7 +26,7 @@ from evo_cpg.view.story_text import Words
 _WHOLE, _CHAMPION, _TITLE, _LATER = 15.0, 4.6, 1.9, 2.8
 # A generation runs for as long as the champion takes for this many of its own lengths, in this much
 # film, s. Allowed speeds of the film.
-_LENGTHS, _RUN, _SLOWEST, _FASTEST = 6.0, 3.0, 1.0, 3.0
+_LENGTHS, _RUN, _SLOWEST, _FASTEST = 6.0, 3.0, 1.0, 6.0
 # Speed of the film when the champion arrives, and time that is shown after it has arrived, s. The
 # champion has arrived when it is this much farther away than ever, as a fraction of the way.
 _SLOW, _AFTER, _ARRIVED = 0.5, 0.5, 0.03
@@ -38,9 +38,9 @@ _SHOWN = 0.04
 # points to the light.
 _SMALLEST = 0.06
 # Distance of the camera at the start and at the end of all crowds, relative to the least.
-_FAR, _NEAR = 1.12, 1.0
-# Animals that move in one plane stand side by side. Number of lanes, and width in lengths.
-_LANES, _LANE = 24, 0.35
+_FAR, _NEAR = 1.18, 1.06
+# Animals that walk without a light stand side by side. Number of lanes, and width in lengths.
+_LANES, _LANE = 24, 0.4
 # Lengths of the parts of the loop, s.
 _OF_FIRST, _OF_LAST, _OF_CHAMPION = 2.3, 2.2, 2.8
 
@@ -68,11 +68,13 @@ class Story(NamedTuple):
 
     Attributes:
         takes: the takes.
-        loop: first frame and frame after the last one of the parts of the film that the loop shows.
+        words: title and captions.
+        loop: parts of the film that the loop shows.
     """
 
     takes: list[Take]
-    loop: list[tuple[int, int]]
+    words: list[Words]
+    loop: list[LoopPart]
 
 
 def material_of(run: Path, which: Which) -> Material:
@@ -101,36 +103,41 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
     opened, panel, length, speed, crowds = material
     experiment, recording, creature = opened.experiment, panel.recording, panel.creature
     task = experiment.simulation.task
+    if panel.ground is not None and not np.isfinite(recording.goal).all():
+        lanes = creature.root_index, task.heading, _LANE * length
+        crowds = [(generation, _in_lanes(crowd, *lanes)) for generation, crowd in crowds]
     heading = title or _title(panel.world, panel.ground is not None)
-    final = f"After {_generations(opened.champion.generation)}, in slow motion"
-    wide = _overview(recording, creature.root_index, [crowd for _, crowd in crowds], length, aspect)
+    wide = _overview(
+        recording, creature.root_index, task.heading, [crowd for _, crowd in crowds], length, aspect
+    )
     times = _lengths(len(crowds))
     total = sum(times[:-1]) or 1.0
     takes, done = [], 0.0
-    for number, ((generation, crowd), seconds) in enumerate(zip(crowds, times, strict=False)):
-        if planar(crowd, length):
-            crowd = _in_lanes(crowd, creature.root_index, task.heading, _LANE * length)
+    for number, ((_, crowd), seconds) in enumerate(zip(crowds, times, strict=False)):
         leader, others = crowd.led(creature.root_index, task.heading)
         seen = panel._replace(recording=leader, crowd=others)
-        words = [Words(_caption(generation), "caption", 0.1, seconds)]
-        if number == 0:
-            animals = f"{experiment.strategy.population} random nervous systems."
-            animals += " One light." if np.isfinite(crowd.goal).all() else ""
-            words = [
-                Words(heading, "title", -1.0, _TITLE + 0.5),
-                Words(animals, "subtitle", 0.3, _TITLE + 0.5),
-                Words(_caption(generation), "caption", _TITLE, seconds),
-            ]
-        nearness = tuple(_FAR + (_NEAR - _FAR) * part / total for part in (done, done + seconds))
-        camera = wide._replace(nearness=nearness)
+        start, end = (_FAR + (_NEAR - _FAR) * part / total for part in (done, done + seconds))
+        camera = wide._replace(nearness=(start, end))
         hold = _TITLE if number == 0 else 0.0
-        takes.append(Take(seen, seconds, 0.0, speed, tuple(words), camera, hold))
+        takes.append(Take(seen, seconds, 0.0, speed, camera, hold))
         done += seconds
-    first = [] if takes else [Words(heading, "title", -1.0, _TITLE + 1.0)]
-    ending = _arrival(recording, times[-1])
-    words = (*first, Words(final, "caption", 0.3 if takes else _TITLE, math.inf))
-    takes.append(Take(panel, times[-1], ending, _SLOW, words))
-    return Story(takes, _loop(takes))
+    takes.append(Take(panel, times[-1], _arrival(recording, times[-1]), _SLOW))
+    captions = [_caption(generation) for generation, _ in crowds]
+    captions.append(f"After {_generations(opened.champion.generation)}, in slow motion")
+    animals = f"{experiment.strategy.population} random nervous systems."
+    if np.isfinite(recording.goal).all():
+        animals += " One light."
+    words = [Words(heading, "title", -1.0, _TITLE + 0.5)]
+    if crowds:
+        words.append(Words(animals, "subtitle", 0.3, _TITLE + 0.5))
+    start = _TITLE
+    for caption, end in zip(captions, np.cumsum(times), strict=True):
+        # One caption has gone when the next one appears. The last one stays.
+        words.append(
+            Words(caption, "caption", start, float(end) if caption != captions[-1] else 99)
+        )
+        start = float(end)
+    return Story(takes, words, _loop(takes, captions))
 
 
 def generations_of(done: int, champion: int) -> list[int]:
@@ -149,8 +156,9 @@ def generations_of(done: int, champion: int) -> list[int]:
 def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int, CrowdMotion]]:
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
-    seconds = speed * (_WHOLE - _CHAMPION - _TITLE + 2 * DISSOLVE)
     chosen = generations_of(folder.newest, opened.champion.generation)
+    first, *later = _lengths(len(chosen))[:-1]
+    seconds = speed * (max(first - _TITLE, *later, 0.0) + DISSOLVE)
     try:
         opened.require_configured()
         with working("breeding the first generations again"):
@@ -173,7 +181,9 @@ def _speed(recording: Recording, root: int, length: float) -> float:
     away = np.linalg.norm(path - path[0], axis=-1)
     there = int((away >= 0.9 * away.max()).argmax())
     pace = away[there] / max(recording.time[there], 1e-9)
-    return float(np.clip(_LENGTHS * length / max(pace, 1e-9) / _RUN, _SLOWEST, _FASTEST))
+    # A short trial must not end before its take.
+    fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_RUN + DISSOLVE))
+    return float(min(max(_LENGTHS * length / max(pace, 1e-9) / _RUN, _SLOWEST), fastest))
 
 
 def _lengths(crowds: int) -> list[float]:
@@ -186,32 +196,32 @@ def _lengths(crowds: int) -> list[float]:
 
 
 def _overview(
-    recording: Recording, root: int, crowds: Sequence[CrowdMotion], length: float, aspect: float
+    recording: Recording,
+    root: int,
+    heading: str,
+    crowds: Sequence[CrowdMotion],
+    length: float,
+    aspect: float,
 ) -> Overview:
     """Return the camera of the crowds, which shows their start, most of them, and the light."""
-    bodies = recording.position[0]
-    start = np.concatenate([bodies - length / 8, bodies + length / 8])
-    boxes = [start]
+    start = recording.position[0]
+    places = [start]
     for crowd in crowds:
-        middles = crowd.position.mean(2)[:: max(len(crowd.time) // 20, 1)].reshape(-1, 3)
-        boxes.append(np.quantile(middles, (_SHOWN, 1 - _SHOWN), axis=0))
-    low = np.concatenate(boxes).min(0)
-    high = np.concatenate(boxes).max(0)
-    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+        leader = crowd.leader(root, heading)
+        places.append(crowd.position[::10, leader].reshape(-1, 3))
+        middles = crowd.position.mean(2)[:: max(len(crowd.time) // 10, 1)].reshape(-1, 3)
+        low, high = np.quantile(middles, (_SHOWN, 1 - _SHOWN), axis=0)
+        places.append(middles[((middles >= low) & (middles <= high)).all(1)])
+    every = np.concatenate(places)
     goal = recording.goal
     bearing = course(recording.position[:, root], goal, length / 20)
-    lit = np.concatenate([corners, goal[None]]) if np.isfinite(goal).all() else corners
-    for points in (lit, corners):
+    lit = np.concatenate([every, goal[None]]) if np.isfinite(goal).all() else every
+    for points in (lit, every):
         path = overview(points, bearing, np.radians(20), aspect, np.ones(1))
         seen = np.ptp(project(path, start[None], aspect)[0, :, 0]) / 2
         if seen >= _SMALLEST:
             break
     return Overview(points, bearing, (1.0, 1.0))
-
-
-def planar(crowd: CrowdMotion, length: float) -> bool:
-    """Return whether all animals of a crowd move in one plane, which hides them."""
-    return bool(np.ptp(crowd.position.mean(2)[..., 1]) < 1e-3 * length)
 
 
 def _in_lanes(crowd: CrowdMotion, root: int, heading: str, width: float) -> CrowdMotion:
@@ -236,17 +246,20 @@ def _arrival(recording: Recording, seconds: float) -> float:
     return float(max(min(end, time[-1]) - shown, time[0]))
 
 
-def _loop(takes: Sequence[Take]) -> list[tuple[int, int]]:
+def _loop(takes: Sequence[Take], captions: Sequence[str]) -> list[LoopPart]:
     """Return the parts of the film that the loop shows: first and last crowd, and champion."""
     every, shared = spans([take.seconds for take in takes]), round(DISSOLVE * FPS)
     first, end = every[-1]
-    parts = [(max(first + shared, end - round(_OF_CHAMPION * FPS)), end)]
+    first = max(first + shared, end - round(_OF_CHAMPION * FPS))
+    parts = [LoopPart(first, end, captions[-1])]
     if len(takes) > 2:
         first = every[-2][0] + shared
-        parts.insert(0, (first, min(first + round(_OF_LAST * FPS), every[-2][1] - shared)))
+        end = min(first + round(_OF_LAST * FPS), every[-2][1] - shared)
+        parts.insert(0, LoopPart(first, end, captions[-2]))
     if len(takes) > 1:
-        first = round((_TITLE + 0.5) * FPS)
-        parts.insert(0, (first, min(first + round(_OF_FIRST * FPS), every[0][1] - shared)))
+        first = round(_TITLE * FPS)
+        end = min(first + round(_OF_FIRST * FPS), every[0][1] - shared)
+        parts.insert(0, LoopPart(first, end, captions[0]))
     return parts
 
 

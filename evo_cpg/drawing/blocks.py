@@ -55,7 +55,7 @@ def mirror(data: Data, name: str, axis: MirrorAxis = "y") -> str:
         # The written limb is on the positive side.
         for each in _limb(data, index):
             _reflect(data, each, axis)
-    _mark_limb(data, index, "{side}", front=True)
+    _mark_limb(data, _limb(data, index), "{side}", front=True)
     bodies(data)[index]["mirror"] = axis
     return str(bodies(data)[index]["name"])
 
@@ -224,7 +224,7 @@ def _number(data: Data, name: str, key: str, count: int) -> str:
     if count == 1:
         return str(entry["name"])
     if key == "radial":
-        _mark_limb(data, index, mark, front=False)
+        _mark_limb(data, _limb(data, index), mark, front=False)
         bodies(data)[index][key] = count
         return str(bodies(data)[index]["name"])
     old = str(entry["name"])
@@ -275,9 +275,8 @@ def _row_behind(data: Data, name: str, count: int) -> str:
 
 def _recount(data: Data, index: int, key: str, count: int) -> None:
     """Change the number of copies. Parts on the last body of a row stay on its last body."""
-    entry = bodies(data)[index]
-    before = all_copies(data)
-    own = [each for each in before if each.entry == index]
+    entry, limb = bodies(data)[index], _limb(data, index)
+    own = [each for each in all_copies(data) if each.entry == index]
     was, mark = entry.get(key, 1), _MARKS[key][1:-1]
     entry[key] = count
     names = {}
@@ -288,7 +287,7 @@ def _recount(data: Data, index: int, key: str, count: int) -> None:
     rename_references(data, {old: new for old, new in names.items() if old != new})
     if count == 1 and key == "radial":
         del entry[key]
-        _mark_limb(data, index, "{j}", front=False, remove=True)
+        _mark_limb(data, limb, "{j}", front=False, remove=True)
 
 
 def _limb(data: Data, index: int) -> list[int]:
@@ -306,10 +305,9 @@ def _limb(data: Data, index: int) -> list[int]:
         found += more
 
 
-def _mark_limb(data: Data, index: int, mark: str, front: bool, remove: bool = False) -> None:
+def _mark_limb(data: Data, limb: list[int], mark: str, front: bool, remove: bool = False) -> None:
     """Add a placeholder to the names of a limb's entries, or remove it."""
     names: dict[str, str] = {}
-    limb = _limb(data, index)
     for i in limb:
         old = str(bodies(data)[i]["name"])
         if remove:

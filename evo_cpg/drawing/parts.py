@@ -1,7 +1,7 @@
 """Edits of parts: add, remove, rename, and change shapes."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -394,25 +394,35 @@ def _carry(data: Data, name: str, factors: np.ndarray) -> None:
 
 
 def _half_extents(shape: Data | None) -> tuple[float, float, float]:
-    shape = shape or {}
+    given = shape or {}
+    try:
+        x, y, z = map(float, _halves(given))
+    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
+        if isinstance(error, DrawingError):
+            raise
+        raise DrawingError(f"the sizes of a {given.get('type')} are missing or wrong") from None
+    if not min(x, y, z) > 0:
+        raise DrawingError(f"the sizes of a {given.get('type')} must be greater than 0")
+    return x, y, z
+
+
+def _halves(shape: Data) -> Sequence[float]:
+    """Return the half extents of a shape whose sizes may be wrong."""
     match shape.get("type"):
         case "box":
-            x, y, z = (size / 2 for size in shape["size"])
+            return [size / 2 for size in shape["size"]]
         case "ellipsoid":
-            x, y, z = shape["radii"]
+            return shape["radii"]
         case "sphere":
-            x = y = z = shape["radius"]
+            return [shape["radius"]] * 3
         case "capsule":
-            y = z = shape["radius"]
-            x = shape["length"] / 2 + y
+            return [shape["length"] / 2 + shape["radius"], shape["radius"], shape["radius"]]
         case "cylinder":
-            y = z = shape["radius"]
-            x = shape["length"] / 2
+            return [shape["length"] / 2, shape["radius"], shape["radius"]]
         case "loft":
-            x, y, z = loft_half_extents(shape)
+            return loft_half_extents(shape).tolist()
         case other:
             raise DrawingError(f"a shape of type {other!r} has no sizes that can be changed here")
-    return float(x), float(y), float(z)
 
 
 def _fitting(parent: Any) -> Data:

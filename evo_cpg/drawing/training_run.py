@@ -110,9 +110,7 @@ class TrainingRun:
         """
         if self.is_running and not self._is_stopping:
             self._is_stopping = True
-            # The process interrupts itself (`tethered`).
-            assert self._process.stdin is not None
-            self._process.stdin.close()
+            _release(self._process)
             threading.Thread(target=self._end, daemon=True).start()
 
     def close(self) -> None:
@@ -122,10 +120,12 @@ class TrainingRun:
         if self._watching is not None:
             self._watching.kill()
             self._watching.wait()
+            _release(self._watching)
         self._scratch.cleanup()
 
     def _end(self) -> None:
         """Wait for the end of the process, and kill it after some time."""
+        _release(self._process)
         try:
             self._process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
@@ -151,6 +151,12 @@ def _number(text: str | None) -> float | None:
         return float(text or "")
     except ValueError:
         return None
+
+
+def _release(process: subprocess.Popen) -> None:
+    """Close the input of a process, which then interrupts itself (`tethered`)."""
+    if process.stdin is not None:
+        process.stdin.close()
 
 
 def _started(arguments: list[str], output: Path) -> subprocess.Popen:

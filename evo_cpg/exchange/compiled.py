@@ -278,6 +278,11 @@ def _is_urdf(path: Path) -> bool:
     return first is not None and first.tag == "robot"
 
 
+def printed(name: str) -> str:
+    """Return a name on one line, without control characters."""
+    return re.sub(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]", "_", name)
+
+
 def tidy(value: float) -> float:
     """Return a number without digits left by rounding in the compiler. 0 has no sign."""
     return float(f"{value:.{_DIGITS}g}") + 0.0

@@ -36,7 +36,7 @@ from evo_cpg.config.wording import checked
 from evo_cpg.creature.creature import CreatureError, lowest_height
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.compiled import WORLD, Compiled, compile_model, tidy, tidy_vector
+from evo_cpg.exchange.compiled import WORLD, Compiled, compile_model, printed, tidy, tidy_vector
 from evo_cpg.exchange.mjcf_contact import (
     read_color,
     read_ground,
@@ -237,7 +237,7 @@ def _body_names(compiled: Compiled, rigids: Sequence[Rigid]) -> dict[int, str]:
         elif not given and rigid.joints:
             given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, rigid.joints[0])
         # Braces stand for numbers in our names, and these two words for all bodies and no body.
-        name = re.sub(r"[{}*\x00-\x1f\x7f-\x9f\u2028\u2029]", "_", given or f"body{rigid.lead}")
+        name = re.sub(r"[{}*]", "_", printed(given or f"body{rigid.lead}"))
         name = f"{name}_" if name in ("all", "world") else name
         while name in names.values():
             name += "_"
@@ -440,7 +440,7 @@ def _centre_of(root: Placed) -> np.ndarray:
 
 def _model_name(compiled: Compiled) -> str:
     name = bytes(compiled.model.names).split(b"\0", 1)[0].decode()
-    return compiled.source.stem if name in ("", "MuJoCo Model") else name
+    return printed(compiled.source.stem if name in ("", "MuJoCo Model") else name)
 
 
 def _run_name(name: str) -> str:

@@ -20,7 +20,7 @@ import numpy as np
 
 from evo_cpg.creature.creature import NO_LIMIT, Creature, topological_order
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.compiled import Compiled, tidy
+from evo_cpg.exchange.compiled import Compiled, printed, tidy
 from evo_cpg.exchange.mjcf_ground import number_text, set_effects
 from evo_cpg.exchange.mjcf_joints import joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
@@ -132,4 +132,4 @@ def _law(compiled: Compiled, number: int) -> dict[str, Any]:
 def _name(compiled: Compiled, number: int) -> str:
     mujoco, model = compiled.mujoco, compiled.model
     given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TENDON, number)
-    return given or f"tendon{number + 1}"
+    return printed(given or f"tendon{number + 1}")

@@ -45,14 +45,14 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
     Raises:
         RefusedError: nothing moves.
     """
-    model = compiled.model
+    model, welds = compiled.model, _welds(compiled.model)
     welded: dict[int, list[int]] = {}
     for body in range(1, model.nbody):
-        welded.setdefault(int(model.body_weldid[body]), []).append(body)
+        welded.setdefault(int(welds[body]), []).append(body)
     leads = [lead for lead in welded if lead != WORLD and _dof_count(model, welded[lead])]
     if not leads:
         raise _none_moves(compiled)
-    tops = [lead for lead in leads if model.body_weldid[model.body_parentid[lead]] == WORLD]
+    tops = [lead for lead in leads if welds[model.body_parentid[lead]] == WORLD]
     kept = _kept_trees(compiled, tops, leads)
     leads = [lead for lead in leads if _top(model, lead) in kept]
     carriers = {_trunk(model, int(model.body_parentid[top])) for top in kept}
@@ -63,7 +63,7 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
         root = min(fixed) if fixed and len(carriers) == 1 else WORLD
         bodies.append(Rigid(root, fixed, None, ()))
     for lead in leads:
-        parent = int(model.body_weldid[model.body_parentid[lead]])
+        parent = int(welds[model.body_parentid[lead]])
         free = is_free(compiled, lead)
         joints = () if free else _joints(compiled, lead)
         carrier = root if parent == WORLD else parent
@@ -97,12 +97,11 @@ def scenery(compiled: Compiled, bodies: list[Rigid]) -> list[int]:
     """Return the numbers of the fixed geoms that are not part of the animal."""
     model = compiled.model
     own = {member for body in bodies for member in body.members}
-    owners = np.asarray(model.geom_bodyid)
+    owners, welds = np.asarray(model.geom_bodyid), _welds(model)
     return [
         geom
         for geom in range(model.ngeom)
-        if is_flat(compiled, geom)
-        or (owners[geom] not in own and model.body_weldid[owners[geom]] == WORLD)
+        if is_flat(compiled, geom) or (owners[geom] not in own and welds[owners[geom]] == WORLD)
     ]
 
 
@@ -110,6 +109,12 @@ def is_flat(compiled: Compiled, geom: int) -> bool:
     """Return whether a geom is a plane or a height field, which only fixed bodies have."""
     kinds = compiled.mujoco.mjtGeom
     return int(compiled.model.geom_type[geom]) in (kinds.mjGEOM_PLANE, kinds.mjGEOM_HFIELD)
+
+
+def _welds(model: Any) -> np.ndarray:
+    """Return the body that each body is welded to. A mocap body, refused elsewhere, is fixed."""
+    welds = np.array(model.body_weldid)
+    return np.where(np.asarray(model.body_mocapid)[welds] >= 0, WORLD, welds)
 
 
 def _none_moves(compiled: Compiled) -> RefusedError:
@@ -124,7 +129,7 @@ def _none_moves(compiled: Compiled) -> RefusedError:
 
 def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[int]:
     """Return the tops of the trees that become the animal. Refuse trees beside a free one."""
-    model = compiled.model
+    model, welds = compiled.model, _welds(compiled.model)
     free = [top for top in tops if is_free(compiled, top)]
     if len(tops) == 1 or not free:
         return tops
@@ -132,7 +137,7 @@ def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[i
     for number in range(len(model.actuator_trnid)):
         joint = _driven_joint(compiled, number)
         if joint is not None:
-            motors[_top(model, int(model.body_weldid[model.jnt_bodyid[joint]]))] += 1
+            motors[_top(model, int(welds[model.jnt_bodyid[joint]]))] += 1
     sizes = {top: sum(_top(model, lead) == top for lead in leads) for top in tops}
     best = max(tops, key=lambda top: (motors[top], sizes[top]))
     kept = [best] if best in free else [top for top in tops if top not in free]
@@ -159,8 +164,10 @@ def _driven_joint(compiled: Compiled, number: int) -> int | None:
 
 def _top(model: Any, lead: int) -> int:
     """Return the lead of the tree of a moving body."""
-    above = int(model.body_weldid[model.body_parentid[lead]])
-    return lead if above == WORLD else _top(model, above)
+    welds = _welds(model)
+    while (above := int(welds[model.body_parentid[lead]])) != WORLD:
+        lead = above
+    return lead
 
 
 def _trunk(model: Any, body: int) -> int:
@@ -172,7 +179,7 @@ def _trunk(model: Any, body: int) -> int:
 
 def _fixed_bodies(model: Any, trunks: set[int]) -> tuple[int, ...]:
     """Return the fixed bodies below some bodies of the worldbody."""
-    fixed = np.flatnonzero(np.asarray(model.body_weldid) == WORLD)[1:].tolist()
+    fixed = np.flatnonzero(_welds(model) == WORLD)[1:].tolist()
     return tuple(body for body in fixed if _trunk(model, body) in trunks)
 
 

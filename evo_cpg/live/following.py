@@ -23,7 +23,7 @@ from evo_cpg.view.units import UNITS, in_words
 _LOOK, _PAUSE = 1.0, 0.2
 # Least time between two drawings of the curves, s.
 _SELDOM = 3.0
-# Niceness of this work: the trainer has priority, but the work goes on if all cores are busy.
+# Niceness of the replays: the trainer has priority, but they go on if it keeps all cores busy.
 _NICE = 10
 # Largest number of the champion's terms that are shown.
 _TERMS = 4
@@ -61,8 +61,8 @@ class Following:
 
     def start(self) -> None:
         """Follow the run in threads until `close`."""
-        for each in ((self.look, _LOOK), (self.replay, _PAUSE)):
-            threading.Thread(target=self._repeat, args=each, daemon=True).start()
+        for each in (self._follow, self._replay):
+            threading.Thread(target=each, daemon=True).start()
 
     def close(self) -> None:
         """End the threads after their present work."""
@@ -102,15 +102,19 @@ class Following:
         if now is not None and now.checkpoint is not None:
             self._replaying.work(now.checkpoint, now.finished)
 
-    def _repeat(self, work: Callable[[], object], pause: float) -> None:
-        """Work in a thread until `close`, with a pause after each time, s."""
+    def _follow(self) -> None:
+        with trusting(self._trusted):
+            while not self._ended.wait(_LOOK):
+                self.look()
+
+    def _replay(self) -> None:
         # On Linux it holds for this thread and the threads that it starts.
         if hasattr(os, "nice"):
             with contextlib.suppress(OSError):
                 os.nice(_NICE)
         with trusting(self._trusted):
-            while not self._ended.wait(pause):
-                work()
+            while not self._ended.wait(_PAUSE):
+                self.replay()
 
     def _read(self) -> tuple[str, str]:
         """Read the folder. Return the kind of its state, and a sentence about it."""

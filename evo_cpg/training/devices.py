@@ -93,8 +93,8 @@ def layout(count: int, mesh: Mesh) -> Layout:
     Args:
         count: number of individuals.
         mesh: the devices. Each used device gets at least one vector of `LANES` individuals,
-            because half a vector takes as long as a full vector. The other devices stay idle. Only
-            a single individual has no vector.
+            because half a vector takes as long as a full vector. The other devices stay idle. A
+            single individual needs no vector.
     """
     busy = Mesh(mesh.devices[: -(-count // LANES)], mesh.axis_names)
     return Layout(busy, chunk_width(count, mesh.size))
@@ -103,8 +103,8 @@ def layout(count: int, mesh: Mesh) -> Layout:
 def chunk_width(count: int, devices: int) -> int:
     """Return the number of individuals in a chunk. Chunks are full vectors, equally wide.
 
-    A single individual is a chunk: native code computes it without vectors. On devices other than
-    CPUs, a chunk is the device's whole part of the population.
+    A single individual is a chunk, because native code computes it without vectors. On devices
+    other than CPUs, a chunk is the device's whole part of the population.
 
     Args:
         count: number of individuals on all devices.

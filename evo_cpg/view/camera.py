@@ -54,7 +54,12 @@ _AROUND = np.radians(14.0)
 CAMERAS = ("follow", *_ASPECTS, "orbit")
 # The camera of an overview: angle between the line of sight and the way of the animals in wide and
 # in tall pictures, and its additional elevation in tall ones.
-_ACROSS, _ALONG, _STEEPER = np.radians(58.0), np.radians(14.0), np.radians(14.0)
+_ACROSS, _ALONG, _STEEPER = np.radians(58.0), np.radians(14.0), np.radians(24.0)
+# Upper end of the part of the frame for an overview, below a title.
+_UNDER_TITLE = 0.56
+# Largest distance of an overview, in lengths of what it shows, and number of halvings of the
+# interval in which its least distance lies. Number of shifts that bring the points into the middle.
+_FARTHEST, _HALVINGS, _SHIFTS = 12.0, 14, 24
 # Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
@@ -169,12 +174,45 @@ def overview(
     turn = _ACROSS if aspect >= 1 else _ALONG
     sight = _direction(bearing + turn, elevation if aspect >= 1 else elevation + _STEEPER)
     middle = (points.min(0) + points.max(0)) / 2
-    first = float(np.linalg.norm(np.ptp(points, axis=0))) / np.sin(np.radians(VIEW_ANGLE / 2))
-    path = CameraPath((middle - first * sight)[None], middle[None], VIEW_ANGLE)
-    path = _filled(path, points[None], aspect, np.zeros((0, 3)), True, (np.inf, np.inf))
-    back = (path.position - path.focus) * nearness[:, None]
-    focus = np.repeat(path.focus, len(nearness), 0)
+    far = _FARTHEST * float(np.linalg.norm(np.ptp(points, axis=0)))
+    near, best = 0.0, _centred(middle, far * sight, points, aspect)
+    assert best is not None
+    for _ in range(_HALVINGS):
+        half = (near + far) / 2
+        found = _centred(middle, half * sight, points, aspect)
+        near, far = (half, far) if found is None else (near, half)
+        best = found or best
+    back = (best.position - best.focus) * nearness[:, None]
+    focus = np.repeat(best.focus, len(nearness), 0)
     return CameraPath(focus + back, focus, VIEW_ANGLE)
+
+
+def _centred(
+    focus: Float[np.ndarray, "3"],
+    ahead: Float[np.ndarray, "3"],
+    points: Float[np.ndarray, "n 3"],
+    aspect: float,
+) -> CameraPath | None:
+    """Return a camera of one frame with the points in the middle, or None if they do not fit.
+
+    Args:
+        focus: point at which the camera may look first, m.
+        ahead: way from the eye to the focus, m.
+        points: the points, m.
+        aspect: width of the picture over its height.
+    """
+    path = CameraPath((focus - ahead)[None], focus[None], VIEW_ANGLE)
+    for _ in range(_SHIFTS):
+        place = project(path, points[None], aspect)[0]
+        if not np.isfinite(place).all():
+            return None
+        low, most = place.min(0), place.max(0)
+        off = (low + most) / 2 - [0.0, (_UNDER_TITLE - _BELOW) / 2]
+        # A full shift would overshoot for points farther away than the focus.
+        path = _moved(path, 1.0, off / 2, aspect)
+    place = np.nan_to_num(project(path, points[None], aspect)[0], nan=np.inf)
+    fits = (place > [-_ROOM, -_BELOW]) & (place < [_ROOM, _UNDER_TITLE])
+    return path if fits.all() else None
 
 
 def _filled(
@@ -183,7 +221,6 @@ def _filled(
     aspect: float,
     at_first: Float[np.ndarray, "m 3"],
     moves: bool,
-    fill: tuple[float, float] | None = None,
 ) -> CameraPath:
     """Return the path at the distance at which the animal fills its part of the frame.
 
@@ -193,10 +230,8 @@ def _filled(
         aspect: width of the picture over its height.
         at_first: points that the first frame shows, too, m.
         moves: whether the camera may move across the line of sight, too.
-        fill: largest parts of the frame's width and height that the points fill in half of the
-            frames, or None for an animal's.
     """
-    wide, high = fill or (_FILL if aspect >= 1 else _FILL_TALL, _FILL_HEIGHT)
+    wide, high = _FILL if aspect >= 1 else _FILL_TALL, _FILL_HEIGHT
     for _ in range(_ROUNDS):
         few, shown = _thinned(path, points)
         place = project(few, shown, aspect)

@@ -14,9 +14,11 @@ from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.textures import spot_texture
 
 # Opacity of a ghost, alone and among many.
-_OPACITY, _OPACITY_OF_MANY, _MANY = 0.5, 0.22, 60
+_OPACITY, _OPACITY_OF_MANY, _MANY = 0.5, 0.12, 100
 # Brightness of a point that faces sideways, and its change with the height of the direction.
 _LEVEL, _SLOPE = 0.9, 0.3
+# Mean distance of a ghost's bodies from the animal's at which it is fully seen, in its radius.
+_APART = 0.2
 # Subdivisions of the icosahedron whose directions give the points of a coarse body.
 _FINENESS = 1
 # Opacity of the soft patch under a ghost, relative to that under the animal.
@@ -60,6 +62,9 @@ def add_ghosts(stage: Stage) -> Update:
         ]
         shade = _LEVEL + _SLOPE * np.concatenate(upwards, axis=1).reshape(-1, 1)
         rgba[:, :3] = np.minimum(color[:3] * shade, 255)
+        # A ghost that still coincides with the animal is not seen.
+        apart = np.linalg.norm(place - shot.position, axis=-1).mean(1) / (_APART * stage.radius)
+        rgba[:, 3] = np.repeat(color[3] * np.clip(apart, 0.0, 1.0), first[-1])
         mesh["rgba"] = rgba
         if patches is not None:
             patches.lay(place.mean(1)[:, :2].astype(float), axes)

@@ -197,7 +197,8 @@ def film_writer(
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{rendered[0]}x{rendered[1]}"]
     command += ["-r", f"{fps:.6f}", "-i", "-", "-vf", filters, *_ENCODERS[suffix].split()]
     if quality is not None:
-        command += ["-quality", str(quality)]
+        # Trying several qualities takes long at higher levels.
+        command += ["-quality", str(quality), "-compression_level", "4"]
     with in_one_piece(path) as partial, scratch_file() as complaints:
         # ffmpeg takes a relative path with a colon for a protocol.
         process = subprocess.Popen(

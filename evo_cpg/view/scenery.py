@@ -21,7 +21,7 @@ _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 _TRAIL_FADE, _TRAIL = 4.0, 0.0065
 # Shafts of light in water: number, seed, lengths and half widths in radii of the animal, slant, and
 # largest opacity. They stand within some radii of the path.
-_SHAFTS, _SHAFT_SEED, _SHAFT_HIGH, _SHAFT_WIDE = 14, 20107, (1.5, 4.0), (0.12, 0.45)
+_SHAFTS, _SHAFT_SEED, _SHAFT_HIGH, _SHAFT_WIDE = 14, 20107, (3.0, 6.0), (0.12, 0.45)
 _SHAFT_SLANT, _SHAFT_OPACITY, _SHAFT_NEAR = 0.22, 0.13, 4.5
 # Distance of the sky from the camera and height over which it turns blue, in distances between the
 # camera and its focus. The floor fades away before the sky begins. Water brightens slowly from the
@@ -106,13 +106,18 @@ def add_particles(stage: Stage) -> None:
     if scene.goal is not None:
         path = np.concatenate([path, scene.goal[None]])
     generator = np.random.default_rng(_PARTICLE_SEED)
-    low, high = path.min(0) - 3 * stage.radius, path.max(0) + 3 * stage.radius
-    high[2] = path[:, 2].max() + 1.2 * stage.radius
+    # From far away, the edges of a small cloud of specks would be seen.
+    around = max(3 * stage.radius, 0.6 * stage.away) if stage.wide else 3 * stage.radius
+    low, high = path.min(0) - around, path.max(0) + around
+    high[2] = path[:, 2].max() + 0.4 * around
     if scene.surface is not None:
         high[2] = min(high[2], scene.surface)
     low[2] = min(np.min(stage.ground.z), high[2])
     points = generator.uniform(low, high, (_PARTICLES, 3))
     points = points[points[:, 2] > stage.ground.height(points[:, :2])]
+    # Specks fade with distance as the floor does.
+    far = np.linalg.norm(points[:, None] - path[:: max(len(path) // 20, 1)], axis=-1).min(1)
+    points = points[far < stage.visible]
     for chosen, size, opacity in ((points[::4], 2.1, 0.5), (points[1::2], 1.3, 0.35)):
         if len(chosen):
             stage.plotter.add_mesh(
@@ -137,13 +142,16 @@ def add_shafts(stage: Stage) -> None:
     high = generator.uniform(*_SHAFT_HIGH, _SHAFTS) * radius + focus[along, 2] - foot[:, 2]
     wide = generator.uniform(*_SHAFT_WIDE, _SHAFTS)[:, None] * radius * across
     top = foot + high[:, None] * ([0.0, 0.0, 1.0] + _SHAFT_SLANT * across)
-    points = np.stack([foot - wide, foot, foot + wide, top - wide, top, top + wide], 1)
-    triangles = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]])
-    faces = (triangles + 6 * np.arange(_SHAFTS)[:, None, None]).reshape(-1, 3)
+    middle = foot + 0.6 * (top - foot)
+    rows = ([row - wide, row, row + wide] for row in (foot, middle, top))
+    points = np.stack([point for row in rows for point in row], 1)
+    lower = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]])
+    triangles = np.concatenate([lower, lower + 3])
+    faces = (triangles + 9 * np.arange(_SHAFTS)[:, None, None]).reshape(-1, 3)
     mesh = pv.PolyData.from_regular_faces(points.reshape(-1, 3), faces)
-    rgba = np.tile(pv.Color(stage.look.zenith, opacity=0).int_rgba, (6 * _SHAFTS, 1))
-    # They are bright in the middle of the upper end, and fade downwards and to the sides.
-    rgba[4::6, 3] = 255 * _SHAFT_OPACITY * generator.uniform(0.5, 1.0, _SHAFTS)
+    rgba = np.tile(pv.Color(stage.look.zenith, opacity=0).int_rgba, (9 * _SHAFTS, 1))
+    # They are bright in the middle, and fade to all ends.
+    rgba[4::9, 3] = 255 * _SHAFT_OPACITY * generator.uniform(0.5, 1.0, _SHAFTS)
     add_faded(stage.plotter, mesh, rgba.astype(np.uint8))
 
 

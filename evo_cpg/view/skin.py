@@ -8,7 +8,7 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.shapes import Box, Shape
 from evo_cpg.creature.slender import LEAST_BODIES, SlenderChain, slender_chains
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.stage import Shot, Stage, Update
@@ -105,7 +105,7 @@ def add_skins(stage: Stage) -> Update:
     return update
 
 
-def _outline(shape, tangent: np.ndarray) -> np.ndarray:
+def _outline(shape: Shape, tangent: np.ndarray) -> np.ndarray:
     """Return points around a body's section across a unit vector ``(points, 3)``, m."""
     # The axes of the section are those of the frame that lie most across.
     first = int(np.argmin(np.abs(tangent)))

@@ -19,6 +19,7 @@ from evo_cpg.view.clip import Clip, sample_at
 from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.frame_processes import Reel, drawing_processes, drawn_frames
 from evo_cpg.view.legible import lettering
+from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import check_size, film_writer, oversampling, picture_of
@@ -38,7 +39,7 @@ _OVERSAMPLING = 1.25
 # Ease at the start of a take, s.
 _EASE = 0.5
 # Qualities of a loop, from the best one.
-_QUALITIES = (75, 60, 48, 38, 30, 22, 15, 8)
+_QUALITIES = (75, 48, 36, 26, 18, 10)
 
 
 class Overview(NamedTuple):
@@ -65,7 +66,6 @@ class Take(NamedTuple):
             neighbours.
         start: first instant of the recording that is shown, s.
         speed: recorded seconds per second of film.
-        words: texts of the take.
         overview: camera of a crowd, or None for a camera that follows the animal.
         hold: time in the film before the motion begins, s.
     """
@@ -74,7 +74,6 @@ class Take(NamedTuple):
     seconds: float
     start: float
     speed: float
-    words: tuple[Words, ...]
     overview: Overview | None = None
     hold: float = 0.0
 
@@ -140,16 +139,13 @@ class StoryFrames:
         aspect = self.size[0] / self.size[1]
         with canvas(self.rendered) as plotter:
             camera = camera_of(take, scene, aspect)
-            stage = Stage(plotter, scene, camera, self._scale)
+            stage = Stage(plotter, scene, camera, self._scale, wide=take.overview is not None)
             point = pointer(camera, scene.goal, scene.look, self.rendered)
             show = set_scene(stage, add_bodies(plotter, take.panel.creature, scene.look.ambient))
 
             def draw(frame: int) -> np.ndarray:
                 seen = show(frame)
                 point(seen, frame)
-                with lettering(seen) as draw:
-                    for words in take.words:
-                        written(draw, words, frame / FPS, scene.look, self.rendered)
                 return seen
 
             yield draw
@@ -187,7 +183,8 @@ def camera_of(take: Take, scene: Scene, aspect: float) -> CameraPath:
         return camera_path(scene, "follow", aspect)
     points, bearing, (start, end) = take.overview
     nearness = np.linspace(start, end, len(scene.clip.time))
-    return overview(points, bearing, scene.look.elevation, aspect, nearness)
+    elevation = scene.look.side_elevation if scene.goal is None else scene.look.elevation
+    return overview(points, bearing, elevation, aspect, nearness)
 
 
 def smoothly(part: float) -> float:
@@ -202,8 +199,14 @@ def blended(before: np.ndarray, after: np.ndarray, weight: float) -> np.ndarray:
     return (mixed + 0.5).astype(np.uint8)
 
 
+def look_of(take: Take) -> Look:
+    """Return the look of the world of a take."""
+    return scene_of(take.panel._replace(crowd=None), clip_of(take, round(take.seconds * FPS))).look
+
+
 def story_film(
     takes: Sequence[Take],
+    words: Sequence[Words],
     path: Path,
     size: tuple[int, int],
     *,
@@ -215,11 +218,12 @@ def story_film(
 
     Args:
         takes: the takes.
+        words: texts, with times of the film.
         path: path checked by `evo_cpg.view.output.output_path`.
         size: width and height, pixels.
         processes: number of processes that draw.
         progress: function that receives the number of finished frames and their total.
-        on_frame: function that receives the number and the pixels of every frame.
+        on_frame: function that receives the number and the pixels of every frame, without words.
 
     Raises:
         SettingError: the size is out of range.
@@ -227,26 +231,45 @@ def story_film(
     """
     check_size(size)
     make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
-    frames = make()
+    frames, look = make(), look_of(takes[-1])
     with (
         drawn_frames(frames, make, drawing_processes(frames.count, processes)) as drawn,
         film_writer(path, frames.size, frames.rendered, FPS) as write,
     ):
-        for number, frame in enumerate(drawn):
-            write(frame)
+        for number, bare in enumerate(drawn):
             if on_frame is not None:
-                on_frame(number, frame)
+                on_frame(number, bare)
+            # A picture from another process cannot be changed.
+            frame = bare if bare.flags.writeable else bare.copy()
+            with lettering(frame) as draw:
+                for each in words:
+                    written(draw, each, number / FPS, look, frames.rendered)
+            write(frame)
             if progress is not None:
                 progress(number + 1, frames.count)
     return path
+
+
+class LoopPart(NamedTuple):
+    """Part of a story that a loop shows.
+
+    Attributes:
+        first: first frame, at which the part before begins to dissolve into this one.
+        end: frame after the last one.
+        caption: text of the part.
+    """
+
+    first: int
+    end: int
+    caption: str
 
 
 class Loop:
     """A short loop of parts of a story, whose end dissolves into its start.
 
     Args:
-        parts: first frame and frame after the last one, for each part. The dissolves at both ends
-            are included.
+        parts: the parts.
+        look: look of the world.
         size: width and height, pixels.
         file: empty scratch file for frames.
         every: frames of the film for each frame of the loop.
@@ -254,18 +277,20 @@ class Loop:
 
     def __init__(
         self,
-        parts: Sequence[tuple[int, int]],
+        parts: Sequence[LoopPart],
+        look: Look,
         size: tuple[int, int],
         file: IO[bytes],
         every: int = 2,
     ):
-        self._parts, self._size, self._file, self._every = parts, size, file, every
+        self._parts, self._look, self._size = parts, look, size
+        self._file, self._every = file, every
         self._shared = round(DISSOLVE * FPS / every)
         self._numbers: dict[int, int] = {}
 
     def take(self, number: int, frame: np.ndarray) -> None:
         """Keep a frame of the film if the loop shows it."""
-        if any(number in range(*part, self._every) for part in self._parts):
+        if any(number in self._shown(part) for part in self._parts):
             self._numbers[number] = len(self._numbers)
             self._file.seek(0, 2)
             self._file.write(picture_of(frame, self._size).tobytes())
@@ -283,27 +308,34 @@ class Loop:
         for quality in _QUALITIES:
             with film_writer(path, self._size, self._size, FPS / self._every, quality) as write:
                 for frame in self.frames():
-                    write(np.ascontiguousarray(frame[::-1]))
+                    write(frame)
             if path.stat().st_size <= largest:
                 break
         return quality
 
     def frames(self) -> Iterator[np.ndarray]:
-        """Return the frames, top row first, with all dissolves."""
+        """Return the frames with all dissolves and captions, bottom row first."""
         shared = self._shared
         for i, part in enumerate(self._parts):
-            own = [*range(*part, self._every)]
-            before = [*range(*self._parts[i - 1], self._every)][-shared:]
+            own, before = self._shown(part), self._shown(self._parts[i - 1])[-shared:]
+            # No caption is seen while one part dissolves into the next.
+            last = (len(own) - shared) * self._every / FPS
+            words = Words(part.caption, "caption", DISSOLVE, last)
             for j, number in enumerate(own[: len(own) - shared]):
                 frame = self._kept(number)
                 if j < shared:
                     weight = smoothly((j + 1) / (shared + 1))
                     frame = blended(self._kept(before[j]), frame, weight)
+                frame = np.ascontiguousarray(frame[::-1])
+                with lettering(frame) as draw:
+                    written(draw, words, j * self._every / FPS, self._look, self._size)
                 yield frame
+
+    def _shown(self, part: LoopPart) -> range:
+        return range(part.first, part.end, self._every)
 
     def _kept(self, number: int) -> np.ndarray:
         width, height = self._size
         self._file.seek(self._numbers[number] * width * height * 3)
-        return np.frombuffer(self._file.read(width * height * 3), np.uint8).reshape(
-            height, width, 3
-        )
+        pixels = np.frombuffer(self._file.read(width * height * 3), np.uint8)
+        return pixels.reshape(height, width, 3)

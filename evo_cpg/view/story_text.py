@@ -9,8 +9,8 @@ from evo_cpg.view.legible import font, legible, write
 from evo_cpg.view.look import Look
 
 # Sizes of letters, margin, and distance of lines, in a picture whose shorter side is 1080 pixels.
-_SIZES = {"title": 84.0, "subtitle": 42.0, "caption": 54.0}
-_MARGIN, _LINE = 84.0, 1.18
+_SIZES = {"title": 84.0, "subtitle": 46.0, "caption": 54.0}
+_MARGIN, _LINE = 84.0, 1.25
 # Time in which words fade in and out, s.
 _FADE = 0.35
 # Offset and opacity of the shadow behind letters, in their size.
@@ -18,12 +18,12 @@ _SHADOW, _SHADOW_OPACITY = 0.045, 0.45
 
 
 class Words(NamedTuple):
-    """A text in a take.
+    """A text in a story.
 
     Attributes:
         text: the text.
         kind: ``title`` and ``subtitle`` stand at the top, ``caption`` at the bottom.
-        start: time in the take at which it begins to appear, s.
+        start: time in the film at which it begins to appear, s.
         end: time at which it has gone, s.
     """
 
@@ -36,12 +36,12 @@ class Words(NamedTuple):
 def written(
     draw: ImageDraw.ImageDraw, words: Words, time: float, look: Look, size: tuple[int, int]
 ) -> None:
-    """Write words into a picture, if they are shown at a time of the take.
+    """Write words into a picture, if they are shown at a time.
 
     Args:
         draw: drawing context, see `evo_cpg.view.legible.lettering`.
         words: the words.
-        time: time in the take, s.
+        time: time in the film, s.
         look: look of the world.
         size: width and height of the picture, pixels.
     """
@@ -58,7 +58,9 @@ def written(
         first = margin + letters
         if words.kind == "subtitle":
             # It stands below a title of one line, or of two in a tall picture.
-            first += _SIZES["title"] * unit * _LINE * (2 if size[0] < size[1] else 1)
+            first += 0.3 * letters + _SIZES["title"] * unit * (
+                2 * _LINE if size[0] < size[1] else _LINE
+            )
     bold = words.kind != "subtitle"
     dark = float(np.mean([int(look.text[i : i + 2], 16) for i in (1, 3, 5)])) > 128
     for number, line in enumerate(lines):
@@ -81,6 +83,15 @@ def wrapped(text: str, size: float, room: float) -> list[str]:
         size: size of the letters, pixels.
         room: available width, pixels.
     """
+    lines = _filled(text, size, room)
+    # Lines of about equal length look better than a last line of one word.
+    while len(lines) > 1 and len(shorter := _filled(text, size, 0.95 * room)) == len(lines):
+        lines, room = shorter, 0.95 * room
+    return lines
+
+
+def _filled(text: str, size: float, room: float) -> list[str]:
+    """Return the lines of a text, each filled as far as its words go."""
     lines: list[str] = []
     for word in legible(text).split():
         longer = f"{lines[-1]} {word}" if lines else word

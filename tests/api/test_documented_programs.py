@@ -8,6 +8,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+import yaml
 
 import evo_cpg as evo
 from evo_cpg.analysis.limit_cycle import limit_cycle
@@ -169,6 +170,22 @@ def test_the_documented_walker_walks(lizard):
     trained = evo.train(evo.load(lizard), "runs/lizard")
     assert trained.terms["forward"] > 0.7
     assert trained.terms["airborne"] < 0.1 and trained.terms["tilt"] < 0.05
+
+
+@pytest.mark.slow
+def test_the_task_of_the_tutorial_trains(here, monkeypatch):
+    (task,) = programs("docs/tutorials/task.md")
+    (sections,) = configs("docs/tutorials/task.md")
+    (here / "dive.py").write_text(task)
+    monkeypatch.delitem(sys.modules, "dive", raising=False)
+    config = yaml.safe_load((here / "configs" / "turtle.yaml").read_text())
+    config |= yaml.safe_load(sections) | {"creature": "configs/creatures/turtle.yaml"}
+    (here / "turtle.yaml").write_text(yaml.safe_dump(config))
+    short = {"simulation.steps": 120, "evolution.generations": 3, "evolution.population": 16}
+    trained = evo.train(evo.load("turtle.yaml", short | {"evolution.elites": 4}), "runs/diver")
+    depth, energy = trained.terms["depth"], trained.terms["energy"]
+    # An animal at rest has the fitness 0.
+    assert trained.fitness == pytest.approx(depth - 0.002 * energy, rel=1e-4) and depth > 0
 
 
 def test_a_custom_optimiser_trains(here, monkeypatch):

@@ -376,6 +376,10 @@ def test_the_page_plays_and_scrubs_in_a_browser_without_a_network(request, tmp_p
         now = tab.run("+document.querySelector('#animal input[type=range]').value")
         assert now == pytest.approx(0.75 * box[2], abs=0.1)
 
+        for width in (1280, 390):
+            tab.resize((width, 900))
+            assert tab.cut() == []
+
         assert not tab.complaints
         requested = [address for address in tab.requests if not address.startswith("data:")]
         assert requested == [(run / "analysis.html").resolve().as_uri()]

@@ -117,8 +117,10 @@ def test_a_star_is_shifted_along_its_own_ray(animal):
     moved = {name: place - before[name] for name, place in centres(animal).items()}
     np.testing.assert_allclose(moved["ray_2"], [0, 0.01, 0], atol=1e-6)
     np.testing.assert_allclose(moved["ray_1"], [0.01, 0, 0], atol=1e-6)
+    do(animal, "add_part", parent="ray_1", place=[0.1, 0, 0], normal=[1, 0, 0], name="tip")
+    assert "tip4" in centres(animal)
     do(animal, "radial", name="ray_{j}", count=1)
-    assert set(centres(animal)) == {"body", "ray_1"}
+    assert set(centres(animal)) == {"body", "ray_1", "tip1"}
 
 
 def test_separate_copies_stay_where_they_are(animal):

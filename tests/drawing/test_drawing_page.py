@@ -96,7 +96,7 @@ class Drawn:
 def opened(document: Document, profile: Path) -> Iterator[Drawn]:
     """Serve a document and open its page."""
     with DrawingServer(Session(document)) as server, chromium.browser(profile) as page:
-        thread = threading.Thread(target=server.serve_forever)
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         page.visit(server.address)
         page.wait("document.querySelectorAll('#tree button').length > 0")

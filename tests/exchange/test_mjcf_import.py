@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -16,6 +17,7 @@ from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_model
 from evo_cpg.exchange.refusals import ExchangeError
+from evo_cpg.exchange.rigid import _top
 from evo_cpg.physics.water import Water
 from imported import creature_of
 from tiny_run import REPOSITORY
@@ -389,10 +391,6 @@ OTHER = '<body name="other">{}<geom size="1"/></body>'
             "joint 'h': actuator.gain: inf: must be",
         ),
         (
-            model().replace('"limb"', '"limb&#27;[31m"'),
-            "must be on one line, without control char",
-        ),
-        (
             model(
                 actuators='<velocity name="m" joint="h" kv="1" group="2"/>',
                 extra='<option actuatorgroupdisable="1 2"/>',
@@ -473,6 +471,24 @@ def test_refused_parts_can_be_dropped(read):
         found = read(model(actuators=actuators, beside=driven, extra=tendon), drop=True)
         assert found.experiment["creature"]["bodies"][0]["name"] == kept
         assert len(found.dropped) == 1 and "it moves beside body" in found.dropped[0]
+
+
+def test_a_chain_of_any_length_has_one_top():
+    """Longer than Python's stack."""
+    numbers = np.arange(3000)
+    model = SimpleNamespace(
+        body_weldid=numbers, body_parentid=np.maximum(numbers - 1, 0), body_mocapid=0 * numbers - 1
+    )
+    assert _top(model, 2999) == 1
+
+
+def test_a_dropped_mocap_body_is_a_fixed_root(read):
+    text = model(free="").replace('<body name="trunk">', '<body name="trunk" mocap="true">')
+    with pytest.raises(ExchangeError, match="body 'trunk': it is a mocap body, moved from outside"):
+        read(text)
+    found = read(text, drop=True).experiment["creature"]
+    assert [body["name"] for body in found["bodies"]] == ["trunk", "limb"]
+    assert found["bodies"][0]["joint"]["axes"] == []
 
 
 def test_a_dropped_ball_leaves_the_other_joints_of_its_body(read):
@@ -569,6 +585,8 @@ def test_names_are_made_unique(read):
     odd = model().replace('"limb"', '"li&#10;mb{i}"').replace('"trunk"', '"all"')
     names = [body["name"] for body in read(odd).experiment["creature"]["bodies"]]
     assert names == ["all_", "li_mb_i_"]
+    escaped = model().replace("<mujoco>", '<mujoco model="cat&#27;[31m">')
+    assert read(escaped).experiment["creature"]["name"] == "cat_[31m"
 
 
 @pytest.mark.parametrize(

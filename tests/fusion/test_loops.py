@@ -9,6 +9,7 @@ import pytest
 from against_jax import assert_agrees, fused, sample
 from jax import lax
 
+from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.converge import implicit, while_each
 from evo_cpg.fusion.frontend.builder import Builder
 from evo_cpg.fusion.frontend.lower import trace_closed
@@ -73,6 +74,23 @@ def test_loops_with_individual_numbers_of_rounds_agree_with_jax(count, dtype):
             return lax.scan(turn, x[2], rounds)
 
         assert_agrees(whole, x, jnp.asarray(rounds, jnp.int32), rtol=1e-5, atol=1e-5)
+
+
+def test_vectors_run_alone_if_their_memory_is_large(monkeypatch):
+    """Results are equal to the last bit if no two vectors run together."""
+
+    def decayed(x):
+        return fuse(
+            lambda x: lax.while_loop(lambda v: jnp.abs(v) > 0.1, lambda v: 0.7 * v, x),
+            x,
+            batch_ndim=1,
+        )
+
+    x = sample((40,))
+    expected = jax.jit(decayed)(x)
+    monkeypatch.setattr(machine_constants, "LARGEST_GROUP", 1)
+    np.testing.assert_array_equal(jax.jit(lambda x: decayed(x))(x), expected)
+    assert (np.abs(expected) <= 0.1).all()
 
 
 def test_nested_loops_agree_with_jax():

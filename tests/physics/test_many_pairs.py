@@ -13,6 +13,7 @@ from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.physics import many_pairs
 from evo_cpg.physics import pairs as written_out
 from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.kinematics import kinematics
@@ -162,6 +163,40 @@ def test_points_that_are_not_watched_exert_no_force(x64, loops):
     seen = np.array([watched[own].max(0) == 1 for own in points])
     assert comes.sum() >= 10 and (~seen).sum() >= 10, "the test needs approaching pairs"
     assert seen[comes].all()
+
+
+def test_points_that_are_left_out_change_no_bit(loops, monkeypatch):
+    """Sums over the watched points equal sums over all points, one by one."""
+    creature = clapper(LIMBS["capsules"], "z")
+    tree = build_tree(creature)
+    pairs = make_pairs(creature, tree, SelfCollision())
+    state = folded(tree, jnp.float32)
+    loops(True)
+    monkeypatch.setattr(many_pairs, "_TOGETHER", 5)
+
+    def evaluated():
+        def evaluate(state):
+            kin = kinematics(tree, state)
+            contacts = ManyPairContacts(tree, pairs, kin, state.qd, H)
+            forces, again = (contacts.at(jnp.zeros_like(state.q)) for _ in range(2))
+            watched = jnp.concatenate([run.points.watched for run in contacts.runs])
+            matrix = forces.newton()
+            return watched, matrix, forces.sums, again.sums
+
+        return quick_jit(evaluate)(state)
+
+    watched, *found = evaluated()
+    monkeypatch.setattr(many_pairs, "_MARGIN", 1e6)
+    monkeypatch.setattr(many_pairs, "_TOGETHER", 1)
+    everything, *expected = evaluated()
+    assert len(watched) % 5, "the test needs an incomplete group"
+    # The second point of a pair need not exist.
+    assert everything.sum() > 1.5 * watched.sum() and (found[-1].load > 0).sum() >= 5
+    jax.tree.map(np.testing.assert_array_equal, found, expected)
+    _, with_matrix, alone = found
+    np.testing.assert_allclose(with_matrix.load, alone.load, rtol=1e-6)
+    scale = np.abs(alone.torque).max()
+    np.testing.assert_allclose(with_matrix.torque, alone.torque, rtol=0, atol=1e-6 * scale)
 
 
 def snake(count):

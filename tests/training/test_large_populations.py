@@ -76,7 +76,7 @@ def test_widths_of_usual_populations(population, count, expected):
 
 
 def test_a_single_individual_is_a_chunk_without_vectors():
-    """A full vector would cost several times as much as one individual."""
+    """Native code of one individual has no vectors, and costs less than a vector of copies."""
     assert [chunk_width(1, devices) for devices in (1, 2, 8)] == [1, 1, 1]
     assert layout(1, population_mesh(2)).block == 1
 

@@ -345,7 +345,7 @@
   }
   function hint() {
     let words = adding ? `Click the surface where the new ${adding} shall sit. Escape cancels.` : "";
-    if (state.undrawn) words = `Not drawn, because of ${state.undrawn}`;
+    if (state.undrawn) words = `Not drawn: ${state.undrawn.replace(`${state.path}: `, "")}`;
     else if (!adding && chosen && bodyOf(chosen)?.sections?.length) words = View?.section === null ? "Click the dot of a section to move it or to stretch it." : "Move or stretch the section with the gizmo. Click its dot again for the part.";
     else if (!adding && !chosen) words = "Click a part to select it. Drag to turn the view, right-drag to move it. The arrow points ahead.";
     $("hint").textContent = View ? words : "This browser has no WebGL, so the animal is not drawn. The fields work.";

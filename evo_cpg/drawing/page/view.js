@@ -3,9 +3,18 @@
 "use strict";
 const View = (() => {
   const canvas = document.getElementById("canvas");
+  // Without a graphics card the processor draws. Its antialiasing takes half of the time, so a
+  // picture at rest is drawn larger in its place.
+  function isDrawnBySoftware() {
+    const gl = document.createElement("canvas").getContext("webgl2"), info = gl?.getExtension("WEBGL_debug_renderer_info");
+    const name = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+    gl?.getExtension("WEBGL_lose_context")?.loseContext();
+    return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+  }
+  const bySoftware = isDrawnBySoftware();
   let renderer;
   try {
-    renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+    renderer = new THREE.WebGLRenderer({ canvas, antialias: !bySoftware });
   } catch (error) {
     return null;
   }
@@ -57,6 +66,30 @@ const View = (() => {
     }
     return shapes.get(key);
   }
+  // The same shape with about a sixth of its triangles, for motions on slow machines: vertices with
+  // nearly the same place and normal become one.
+  function coarse(made) {
+    if (made.userData.coarse || !made.index) return made.userData.coarse || made;
+    const places = made.attributes.position.array, normals = made.attributes.normal.array, index = made.index.array;
+    made.computeBoundingBox();
+    const low = made.boundingBox.min.toArray(), size = made.boundingBox.getSize(new THREE.Vector3()).toArray();
+    const kept = new Map(), same = [];
+    for (let i = 0; i < places.length / 3; i++) {
+      const cell = [0, 1, 2].map((k) => [Math.round(normals[3 * i + k] / 42), Math.round((4 * (places[3 * i + k] - low[k])) / (size[k] || 1))]).join();
+      if (!kept.has(cell)) kept.set(cell, i);
+      same.push(kept.get(cell));
+    }
+    const faces = [];
+    for (let i = 0; i < index.length; i += 3) {
+      const [a, b, c] = [same[index[i]], same[index[i + 1]], same[index[i + 2]]];
+      if (a !== b && b !== c && c !== a) faces.push(a, b, c);
+    }
+    const found = new THREE.BufferGeometry();
+    for (const name of ["position", "normal"]) found.setAttribute(name, made.attributes[name]);
+    found.setIndex(faces);
+    made.userData.coarse = found;
+    return found;
+  }
   const vector = (xyz) => new THREE.Vector3(...xyz);
   function clear(group) {
     for (const child of [...group.children]) {
@@ -86,7 +119,7 @@ const View = (() => {
       mesh.castShadow = mesh.receiveShadow = true;
       group.add(mesh);
       animal.add(group);
-      bodies.set(body.name, { ...body, group, mesh });
+      bodies.set(body.name, { ...body, group, mesh, shape: mesh.geometry });
     }
     for (const eye of drawn.eyes) {
       const body = bodies.get(eye.body);
@@ -167,7 +200,9 @@ const View = (() => {
     clear(marks);
     gizmo.detach();
     if (chosen && !motion) {
-      drawBox(chosen);
+      for (const body of bodies.values()) {
+        if (body === chosen || (chosen.entry && body.entry === chosen.entry)) drawBox(body, body === chosen);
+      }
       if (chosen.joint) drawJoint(chosen);
       drawViews(chosen);
       drawPressure(chosen);
@@ -176,8 +211,8 @@ const View = (() => {
     }
     dirty = true;
   }
-  // Edges around the chosen part, which has any color.
-  function drawBox(body) {
+  // Edges around the chosen part and its copies, which have any color.
+  function drawBox(body, whole) {
     if (!Math.max(...body.half)) return;
     const points = [], [x, y, z] = body.half.map((half) => 1.05 * half);
     for (const one of [-1, 1]) {
@@ -187,7 +222,7 @@ const View = (() => {
     }
     // Each edge has its two ends three places apart.
     const ends = points.flatMap((at, i) => (i % 6 < 3 ? [at, points[i + 3]] : [])).map(vector);
-    const frame = new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(ends), new THREE.LineBasicMaterial({ color: dark.matches ? "#ffd9c2" : "#7a3410" }));
+    const frame = new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(ends), new THREE.LineBasicMaterial({ color: dark.matches ? "#ffd9c2" : "#7a3410", transparent: true, opacity: whole ? 1 : 0.4 }));
     frame.position.copy(body.group.position);
     frame.quaternion.copy(body.group.quaternion);
     marks.add(frame);
@@ -231,7 +266,7 @@ const View = (() => {
   function drawViews(body) {
     for (const eye of drawn.eyes) {
       if (eye.body !== body.name) continue;
-      const reach = 0.5 * drawn.length, along = vector(eye.along), from = vector(eye.place);
+      const reach = 0.3 * drawn.length, along = vector(eye.along), from = vector(eye.place);
       const sideways = (Math.abs(along.z) < 0.9 ? new THREE.Vector3(0, 0, 1) : new THREE.Vector3(1, 0, 0)).cross(along).normalize();
       const points = [];
       for (let k = 0; k < 48; k++) {
@@ -422,7 +457,7 @@ const View = (() => {
     for (const body of bodies.values()) {
       const from = body.group.position.clone().sub(centre), reach = Math.max(...body.half);
       const [x, y] = [right, up].map((axis) => Math.abs(from.dot(axis)) + reach);
-      far = Math.max(far, 1.15 * Math.max(x / wide, y / tall) + from.dot(out));
+      far = Math.max(far, 1.15 * Math.max(x / wide, y / tall) + from.dot(out) + reach);
     }
     orbit.target.copy(centre);
     camera.position.copy(centre).addScaledVector(out, far);
@@ -439,6 +474,9 @@ const View = (() => {
   function play(given) {
     const place = decoded(given.place, "f4"), turn = decoded(given.turn, "i2");
     motion = { ...given, from: motion ? motion.from : [camera.position.clone(), orbit.target.clone()], places: place, turns: turn, time: 0, going: true, last: null, duration: (given.count - 1) / given.rate };
+    // A burst of other work may have slowed the last motion.
+    level = bySoftware ? 1 : 0;
+    gaps = [];
     select(selected);
     world.position.z = 0;
     seek(0);
@@ -480,11 +518,38 @@ const View = (() => {
     dirty = true;
   }
 
+  // ---- quality of a motion: if frames are slow, as without a graphics card, it draws less. A
+  // picture at rest has all.
+  const REST = { pixels: bySoftware ? 1.5 : 1, shadows: true, fine: true };
+  const LEVELS = [
+    { pixels: 1, shadows: true, fine: true }, { pixels: 1, shadows: false, fine: false },
+    { pixels: 0.6, shadows: false, fine: false }, { pixels: 0.4, shadows: false, fine: false },
+  ];
+  const quality = () => (motion?.going ? LEVELS[level] : REST);
+  // Slowest frames of a motion that looks smooth, ms, and number of frames that decide.
+  const SLOW = 33, DECIDE = 12;
+  let level = 0, gaps = [];
+  function pace(gap) {
+    gaps.push(gap);
+    if (gaps.length < DECIDE) return;
+    const usual = gaps.sort((a, b) => a - b)[DECIDE / 2];
+    gaps = [];
+    if (usual > SLOW && level < LEVELS.length - 1) level += 1;
+  }
+  function applyQuality() {
+    const { shadows, fine } = quality();
+    if (sun.castShadow !== shadows) {
+      sun.castShadow = shadows;
+      dirty = true;
+    }
+    for (const { mesh, shape } of bodies.values()) mesh.geometry = fine ? shape : coarse(shape);
+  }
+
   // ---- loop: draws only after a change
   let frames = 0;
   function fit() {
     const wide = canvas.clientWidth, high = canvas.clientHeight;
-    const ratio = Math.min(devicePixelRatio, 2);
+    const ratio = Math.min(devicePixelRatio, 2) * quality().pixels;
     if (wide && high && (canvas.width !== Math.floor(wide * ratio) || canvas.height !== Math.floor(high * ratio))) {
       renderer.setPixelRatio(ratio);
       renderer.setSize(wide, high, false);
@@ -498,7 +563,9 @@ const View = (() => {
   function frame(now) {
     requestAnimationFrame(frame);
     fit();
+    applyQuality();
     if (motion && motion.going) {
+      if (motion.last !== null) pace(now - motion.last);
       if (motion.last !== null) seek(motion.time >= motion.duration ? 0 : motion.time + (now - motion.last) / 1000);
       motion.last = now;
       events.time?.(motion.time, motion.duration);
@@ -539,6 +606,7 @@ const View = (() => {
     },
     pose: (name) => bodies.get(name).group.position.toArray(),
     get frames() { return frames; },
+    get quality() { return level; },
     get playing() { return Boolean(motion); },
     get names() { return [...bodies.keys()]; },
   };

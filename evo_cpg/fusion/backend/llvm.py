@@ -41,9 +41,9 @@ class _Printer:
         # different cache sets.
         line = machine_constants.CACHE_LINE
         stride = (size // line | 1) * line + line
-        self.group = VectorGroup(
-            machine_constants.VECTOR_GROUP, variant.width, stride, variant.target.compresses
-        )
+        fitting = max(machine_constants.LARGEST_GROUP // stride, 1)
+        vectors = min(machine_constants.VECTOR_GROUP, fitting)
+        self.group = VectorGroup(vectors, variant.width, stride, variant.target.compresses)
         self.own = (self.group.vectors + 1) * stride if code.grouped else size
         count = len(code.arguments) + len(code.results)
         self.buffers = "".join(f"ptr %b{k}, " for k in range(count))
