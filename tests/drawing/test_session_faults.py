@@ -61,6 +61,9 @@ def test_a_value_nested_deeper_than_python_reaches_is_refused(session, capsys):
 def test_a_page_that_shows_a_former_state_is_refused(session):
     first = session.answer("open", {})
     second = session.answer("open", {})
+    # The second page has changed nothing yet.
+    assert "error" not in session.answer("edit", ADD | {"seen": first["revision"]})
+    second = session.answer("undo", {})
     made = session.answer("edit", ADD | {"seen": second["revision"]})
     assert "error" not in made
     remove = {"command": "remove_part", "given": {"name": "tail"}, "seen": first["revision"]}
