@@ -84,7 +84,10 @@ class TrainingRun:
         except UserError as error:
             raise DrawingError(f"there is no champion yet ({error})") from None
         if recording is None:
-            raise DrawingError("the champion has no recording")
+            raise DrawingError(
+                "the run ended before the motion of its champion was recorded. "
+                f"`evo-cpg resume {self.folder}` goes on"
+            )
         return motion(recording, [body.name for body in config.creature.build().bodies])
 
     def watch(self) -> None:
