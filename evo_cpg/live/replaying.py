@@ -148,7 +148,12 @@ class Replaying:
         own = rest.places[:LANES]
         found = replays.population(rest.checkpoint, rest.run, own)
         tiles = [
-            {"place": place, "fitness": number(fitness), "motion": _motion(recording)}
+            {
+                "place": place,
+                "value": float(fitness),
+                "fitness": number(fitness),
+                "motion": _motion(recording),
+            }
             for place, fitness, recording in zip(own, found.fitness, found.recordings, strict=True)
         ]
         shown = self.wall.content
