@@ -13,7 +13,7 @@ from tiny_run import CONFIG, LONG, PAIR
 
 browsing = pytest.mark.skipif(chromium.found() is None, reason="needs Chromium")
 # Enough for a compilation on a busy machine, s.
-PATIENCE = 240.0
+PATIENCE = 300.0
 
 
 def address_of(watcher: Any) -> str:
@@ -79,7 +79,7 @@ def test_a_run_moves_and_grows_on_its_page_while_it_trains(start, tmp_path):
             until(page, f"parseInt(document.querySelector('#numbers b').textContent) > {first}")
             assert trainer.poll() is None
             trainer.send_signal(signal.SIGINT)
-            trainer.communicate(timeout=60)
+            trainer.communicate(timeout=PATIENCE)
         shutil.rmtree(run)
         until(page, "document.getElementById('status').textContent.includes('was deleted')")
         # The page keeps what it shows, and no request left the machine.
@@ -88,7 +88,7 @@ def test_a_run_moves_and_grows_on_its_page_while_it_trains(start, tmp_path):
         origin = address.partition("/?")[0]
         assert all(each.startswith((origin, "data:", "about:")) for each in page.requests)
         watcher.send_signal(signal.SIGINT)
-        out, complaint = watcher.communicate(timeout=60)
+        out, complaint = watcher.communicate(timeout=PATIENCE)
         assert (watcher.returncode, complaint) == (0, "")
         lines = [line.removeprefix(f"{run}: ") for line in out.splitlines()]
         assert len(lines) == 3 and lines[0] == "Control-C ends the program."
@@ -120,4 +120,4 @@ def test_a_finished_run_stays_on_its_page_at_every_width(cli, start, tmp_path):
         assert page.run("document.getElementById('pause').textContent") == "Play"
         assert watcher.poll() is None and page.complaints == []
         watcher.send_signal(signal.SIGINT)
-        assert watcher.wait(60) == 0
+        assert watcher.wait(PATIENCE) == 0
