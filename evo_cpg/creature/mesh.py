@@ -318,8 +318,15 @@ def convex_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[ConvexMesh, np
     return shape, centre
 
 
-def few_corners_hull(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices and faces of the convex hull of a mesh, with few enough triangles.
+def few_corners_hull(
+    vertices: np.ndarray, most: int = MOST_TRIANGLES // 2
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices and faces of the convex hull of a mesh, with few vertices.
+
+    Args:
+        vertices: positions of the mesh's vertices ``(v, 3)``, m.
+        most: most vertices of the hull. A closed surface of triangles has twice as many faces as
+            vertices, less four.
 
     Raises:
         MeshError: a coordinate is not finite, or the vertices lie in a plane.
@@ -327,11 +334,10 @@ def few_corners_hull(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not np.isfinite(vertices).all():
         raise MeshError("a coordinate of a vertex is not a finite number")
     points, faces = hull(vertices, "its vertices")
-    if len(faces) <= MOST_TRIANGLES:
+    if len(points) <= most:
         return points, faces
-    # A closed surface of triangles has twice as many faces as vertices, less four.
     first = int(np.linalg.norm(points - points.mean(0), axis=1).argmax())
-    return hull(points[_far_apart(points, first, MOST_TRIANGLES // 2)], "its vertices")
+    return hull(points[_far_apart(points, first, most)], "its vertices")
 
 
 def hull(points: np.ndarray, whose: str) -> tuple[np.ndarray, np.ndarray]:

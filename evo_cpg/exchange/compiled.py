@@ -278,9 +278,9 @@ def _is_urdf(path: Path) -> bool:
     return first is not None and first.tag == "robot"
 
 
-def printed(name: str) -> str:
-    """Return a name on one line, without control characters."""
-    return re.sub(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]", "_", name)
+def printed(text: str) -> str:
+    """Return a name or a sentence on one line, without control characters."""
+    return re.sub(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]", "_", text)
 
 
 def tidy(value: float) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.config.yaml_text import to_yaml
+from evo_cpg.exchange.compiled import printed
 from evo_cpg.exchange.mjcf_import import Imported
 from evo_cpg.files import write_text, write_whole
 
@@ -53,8 +54,7 @@ def _head(imported: Imported, source: Path) -> str:
     if imported.dropped:
         lines += ["Dropped, although it changes the motion:"]
         lines += [f"  {sentence}" for sentence in imported.dropped]
-    safe = (re.sub(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]", " ", line) for line in lines)
-    return "".join(f"# {line}\n" for line in safe) + "\n"
+    return "".join(f"# {printed(line)}\n" for line in lines) + "\n"
 
 
 def _meshes(creature: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

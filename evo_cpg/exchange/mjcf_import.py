@@ -135,12 +135,12 @@ def read_model(
     leave_out_fields(compiled)
     leave_out_elements(compiled)
     joints = {body.name: body.rigid.joints for body in placed if body.rigid.joints}
-    if compiled.model.ntendon and (drop or not refusals.found):
-        built = _checked_creature(compiled, creature)
-        tendons = read_tendons(compiled, _dof_names(built, joints), tendon_motors)
-        if tendons:
-            creature["tendons"] = tendons
+    own = [joint for numbers in joints.values() for joint in numbers]
+    tendons = read_tendons(compiled, own, tendon_motors)
     refusals.check()
+    if tendons:
+        names = _dof_names(_checked_creature(compiled, creature), joints)
+        creature["tendons"] = [tendon.keys(names) for tendon in tendons]
     built = _checked_creature(compiled, creature)
     root, every_motor = placed[0], [*motors.values(), *tendon_motors.values()]
     data = experiment(
@@ -445,4 +445,4 @@ def _model_name(compiled: Compiled) -> str:
 
 def _run_name(name: str) -> str:
     """Return a name that a folder can have."""
-    return re.sub(r"[/\\\x00-\x1f\x7f]", "_", name).lstrip(".") or "imported"
+    return re.sub(r"[/\\]", "_", name).lstrip(".") or "imported"

@@ -138,9 +138,8 @@ def refuse_effects_on_free_root(compiled: Compiled, body: int) -> None:
         body: MuJoCo's number of the root.
     """
     joint = int(compiled.model.body_jntadr[body])
-    effects = [name for name in _passive(compiled, [joint], [0.0]) if name != "rest_deg"]
-    if effects:
-        words = ", ".join(effects)
+    if effects := _passive(compiled, [joint], [0.0]):
+        words = ", ".join(name.replace("_", "") for name in effects)
         item = compiled.item("joint", joint)
         item.refuse(f"it is a free joint with {words}", "<freejoint/>, which takes no defaults")
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from evo_cpg.creature.creature import Body, Creature
 from evo_cpg.creature.cylinder import Cylinder
-from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh
+from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh, few_corners_hull
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.exchange.compiled import Compiled, tidy, tidy_vector
 from evo_cpg.exchange.mjcf_ground import number_text
@@ -34,6 +34,9 @@ from evo_cpg.spatial.rotation import matrix_to_euler
 # Most corners of a mesh, and of further attempts: fewer corners are farther apart, so the hull has
 # no needles. Contact and buoyancy use at most 64 (`evo_cpg.creature.mesh`).
 _MOST_CORNERS = 100, 50, 25
+
+# Digits of the coordinates of corners after the decimal point, m. Files have single precision.
+_DIGITS = 9
 
 # Largest difference from the world's axes of a root's shape.
 _ALIGNED = 1e-12
@@ -291,7 +294,7 @@ def _read_mesh(compiled: Compiled, geom: int, axes: np.ndarray | None) -> Solid:
 
 
 def _body_of(vertices: np.ndarray) -> dict[str, Any]:
-    """Return the hull of the most corners that can be a body.
+    """Return the hull with the most corners that can be a body.
 
     Raises:
         MeshError: no hull of the points can be a body.
@@ -299,48 +302,15 @@ def _body_of(vertices: np.ndarray) -> dict[str, Any]:
     fault: MeshError | None = None
     for most in _MOST_CORNERS:
         try:
-            shape = hull(vertices, most)
-            convex_mesh(np.array(shape["vertices"]), np.array(shape["faces"]))
+            corners, faces = few_corners_hull(vertices, most)
+            corners = np.round(corners, _DIGITS)
+            convex_mesh(corners, faces)
         except MeshError as error:
             fault = fault or error
         else:
-            return shape
+            return {"type": "mesh", "vertices": corners.tolist(), "faces": faces.tolist()}
     assert fault is not None
     raise fault
-
-
-def hull(vertices: np.ndarray, most: int) -> dict[str, Any]:
-    """Return the convex hull of points as a shape, with a largest number of corners.
-
-    Raises:
-        MeshError: the points lie in a plane.
-    """
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        points = vertices[ConvexHull(vertices).vertices]
-        if len(points) > most:
-            points = points[_far_apart(points, most)]
-        found = ConvexHull(points)
-    except QhullError:
-        raise MeshError("its corners lie in a plane") from None
-    corners, faces = points[found.vertices], []
-    number = {int(old): new for new, old in enumerate(found.vertices)}
-    for face, plane in zip(found.simplices, found.equations, strict=True):
-        a, b, c = points[face]
-        outwards = np.cross(b - a, c - a) @ plane[:3] > 0
-        faces.append([number[int(i)] for i in (face if outwards else face[::-1])])
-    return {"type": "mesh", "vertices": np.round(corners, 9).tolist(), "faces": faces}
-
-
-def _far_apart(points: np.ndarray, count: int) -> list[int]:
-    """Return points of which each is the farthest from those before, the outermost first."""
-    chosen = [int(np.linalg.norm(points - points.mean(0), axis=1).argmax())]
-    distance = np.full(len(points), np.inf)
-    while len(chosen) < count:
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-        chosen.append(int(distance.argmax()))
-    return chosen
 
 
 def _shortest_turn(direction: np.ndarray) -> np.ndarray:

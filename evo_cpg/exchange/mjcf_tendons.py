@@ -12,8 +12,8 @@ Our length is 0 in the neutral pose. A tendon without a spring, a damper, a roto
 limits and a motor has no effect and is left out.
 """
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Container, Mapping
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -60,14 +60,37 @@ def add_tendons(root: Element, actuator: Element, creature: Creature) -> None:
             add_motor(actuator, tendon.name, tendon.actuator, "tendon")
 
 
+class ReadTendon(NamedTuple):
+    """A tendon of the file.
+
+    Attributes:
+        name: its name.
+        coefficients: coefficient of each joint, by MuJoCo's number.
+        law: keys of its springs, limits and motor.
+    """
+
+    name: str
+    coefficients: dict[int, float]
+    law: dict[str, Any]
+
+    def keys(self, names: Mapping[int, str]) -> dict[str, Any]:
+        """Return its keys in the configuration.
+
+        Args:
+            names: name of the degree of freedom of each of MuJoCo's joints.
+        """
+        joints = {names[joint]: value for joint, value in self.coefficients.items()}
+        return {"name": self.name, "joints": joints, **self.law}
+
+
 def read_tendons(
-    compiled: Compiled, names: Mapping[int, str], motors: Mapping[int, dict[str, Any]]
-) -> list[dict[str, Any]]:
-    """Return the keys of the tendons with an effect. Refused tendons are recorded.
+    compiled: Compiled, joints: Container[int], motors: Mapping[int, dict[str, Any]]
+) -> list[ReadTendon]:
+    """Return the tendons with an effect. Refused tendons are recorded.
 
     Args:
         compiled: the model.
-        names: name of the degree of freedom of each of MuJoCo's joints that the animal has.
+        joints: MuJoCo's numbers of the joints that the animal has.
         motors: keys of the motors, by MuJoCo's number of the tendon.
     """
     tendons = []
@@ -81,28 +104,28 @@ def read_tendons(
             )
             continue
         with compiled.refusals.collecting():
-            tendons.append(_read_tendon(compiled, number, names, law))
+            tendons.append(_read_tendon(compiled, number, joints, law))
     return tendons
 
 
 def _read_tendon(
-    compiled: Compiled, number: int, names: Mapping[int, str], law: dict[str, Any]
-) -> dict[str, Any]:
+    compiled: Compiled, number: int, joints: Container[int], law: dict[str, Any]
+) -> ReadTendon:
     model, item = compiled.model, compiled.item("tendon", number)
     first, count = int(model.tendon_adr[number]), int(model.tendon_num[number])
-    coefficients: dict[str, float] = {}
+    coefficients: dict[int, float] = {}
     for wrap in range(first, first + count):
         joint = int(model.wrap_objid[wrap])
         if int(model.wrap_type[wrap]) != compiled.mujoco.mjtWrap.mjWRAP_JOINT:
             raise item.refusal("it runs through sites", "fixed tendons, over joints")
-        if joint not in names:
+        if joint not in joints:
             raise item.refusal("it acts on a joint that is not part of the animal", "its joints")
-        old = coefficients.get(names[joint], 0.0)
-        coefficients[names[joint]] = tidy(old + float(model.wrap_prm[wrap]))
-    coefficients = {name: value for name, value in coefficients.items() if value}
+        old = coefficients.get(joint, 0.0)
+        coefficients[joint] = tidy(old + float(model.wrap_prm[wrap]))
+    coefficients = {joint: value for joint, value in coefficients.items() if value}
     if not coefficients:
         raise item.refusal("all its coefficients are 0", "one that is not 0")
-    return {"name": _name(compiled, number), "joints": coefficients, **law}
+    return ReadTendon(_name(compiled, number), coefficients, law)
 
 
 def _law(compiled: Compiled, number: int) -> dict[str, Any]:

@@ -46,15 +46,16 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
         RefusedError: nothing moves.
     """
     model, welds = compiled.model, _welds(compiled.model)
+    above = welds[model.body_parentid]
     welded: dict[int, list[int]] = {}
     for body in range(1, model.nbody):
         welded.setdefault(int(welds[body]), []).append(body)
     leads = [lead for lead in welded if lead != WORLD and _dof_count(model, welded[lead])]
     if not leads:
         raise _none_moves(compiled)
-    tops = [lead for lead in leads if welds[model.body_parentid[lead]] == WORLD]
+    tops = [lead for lead in leads if above[lead] == WORLD]
     kept = _kept_trees(compiled, tops, leads)
-    leads = [lead for lead in leads if _top(model, lead) in kept]
+    leads = [lead for lead in leads if _top(above, lead) in kept]
     carriers = {_trunk(model, int(model.body_parentid[top])) for top in kept}
     fixed = () if carriers == {WORLD} else _fixed_bodies(model, carriers - {WORLD})
     bodies = []
@@ -63,7 +64,7 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
         root = min(fixed) if fixed and len(carriers) == 1 else WORLD
         bodies.append(Rigid(root, fixed, None, ()))
     for lead in leads:
-        parent = int(welds[model.body_parentid[lead]])
+        parent = int(above[lead])
         free = is_free(compiled, lead)
         joints = () if free else _joints(compiled, lead)
         carrier = root if parent == WORLD else parent
@@ -133,12 +134,13 @@ def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[i
     free = [top for top in tops if is_free(compiled, top)]
     if len(tops) == 1 or not free:
         return tops
+    above = welds[model.body_parentid]
     motors = dict.fromkeys(tops, 0)
     for number in range(len(model.actuator_trnid)):
         joint = _driven_joint(compiled, number)
         if joint is not None:
-            motors[_top(model, int(welds[model.jnt_bodyid[joint]]))] += 1
-    sizes = {top: sum(_top(model, lead) == top for lead in leads) for top in tops}
+            motors[_top(above, int(welds[model.jnt_bodyid[joint]]))] += 1
+    sizes = {top: sum(_top(above, lead) == top for lead in leads) for top in tops}
     best = max(tops, key=lambda top: (motors[top], sizes[top]))
     kept = [best] if best in free else [top for top in tops if top not in free]
     for top in tops:
@@ -162,11 +164,15 @@ def _driven_joint(compiled: Compiled, number: int) -> int | None:
     return None
 
 
-def _top(model: Any, lead: int) -> int:
-    """Return the lead of the tree of a moving body."""
-    welds = _welds(model)
-    while (above := int(welds[model.body_parentid[lead]])) != WORLD:
-        lead = above
+def _top(above: np.ndarray, lead: int) -> int:
+    """Return the lead of the tree of a moving body.
+
+    Args:
+        above: lead of the body that carries each body.
+        lead: lead of the moving body.
+    """
+    while above[lead] != WORLD:
+        lead = int(above[lead])
     return lead
 
 

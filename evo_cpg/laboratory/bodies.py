@@ -129,12 +129,10 @@ def build_bodies(
     )
     if not joints and all(each == config for each in configs):
         return Bodies(common, [first.creature] * len(settings), common)
-    same = [
-        edit(build_experiment(each, source).simulation, i) for i, each in enumerate(configs[:1])
-    ]
-    if all(each == configs[0] for each in configs) and not joints:
-        creature = build_creature(configs[0], source)
-        return Bodies(same[0], [creature] * len(settings), same[0])
+    if not joints and all(each == configs[0] for each in configs):
+        same = build_experiment(configs[0], source)
+        simulation = edit(same.simulation, 0)
+        return Bodies(simulation, [same.creature] * len(settings), simulation)
     batched = batch_of_configs(config, configs, source, edit)
     creatures = [build_creature(each, source) for each in configs]
     return Bodies(batched, creatures, batched.common)
