@@ -43,8 +43,8 @@ test-jax: $(DEV) ## physics, oscillators and their derivatives on plain JAX, wit
 test-wheel: $(DEV) ## build and install the wheel in an empty environment, and go through the commands there
 	$(BIN)/pytest -m "slow or not slow" --numprocesses=0 tests/package
 
-test-compatibility: $(DEV) ## check that configurations, runs, commands and names of version 1.0 still work
-	$(BIN)/pytest -m "slow or not slow" tests/compatibility tests/cli/test_former_runs.py tests/cli/test_runs_of_version_1_0.py
+test-compatibility: $(DEV) ## check that configurations, commands and names of version 1.0 still work
+	$(BIN)/pytest -m "slow or not slow" tests/compatibility tests/cli/test_former_runs.py
 
 traces: $(DEV) ## record the reference motions of all animals anew, and print which animals moved
 	$(BIN)/python benchmarks/traces.py
