@@ -1,7 +1,6 @@
 """The interface and the configurations of version 1.0 still work.
 
-`version_1_0` holds files of version 1.0.0: its description by `public_interface.py`, its
-configurations, and two run folders (see `cli/test_runs_of_version_1_0.py`).
+`version_1_0` holds its description by `public_interface.py`, and its configurations.
 """
 
 import json
