@@ -216,7 +216,7 @@ def test_a_fault_of_the_program_is_printed(server, monkeypatch, capsys):
 
 
 def test_edits_do_not_wait_for_the_start_of_a_live_page(server, monkeypatch):
-    begun, go_on = threading.Event(), threading.Event()
+    started, go_on = threading.Event(), threading.Event()
 
     class Run:
         def watch(self) -> None:
