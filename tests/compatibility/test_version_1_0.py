@@ -1,6 +1,6 @@
 """The interface and the configurations of version 1.0 still work.
 
-`version_1_0` holds its description by `public_interface.py`, and its configurations.
+The folder `version_1_0` holds them: the interface as `public_interface.py` described version 1.0.0.
 """
 
 import json
