@@ -21,6 +21,8 @@ from evo_cpg.laboratory.trials import record_all
 CONFIGS = Path(__file__).parents[2] / "configs"
 # Largest number of bodies that an edit may leave, so that simulations compile in seconds.
 LARGEST = 16
+# Their controllers name parts by patterns. A renamed part leaves an animal that is refused.
+NAMING = ("starfish_land", "turtle", "hexapod")
 
 # Comments, an anchor, a merge, a row, a mirrored limb and a star, in block and in flow style.
 RICH = """\
@@ -164,7 +166,8 @@ def test_random_edits_leave_an_animal_that_runs_or_is_refused(tmp_path, start, c
             answer = session.answer("undo", {})
         if i % every == 0:
             ran += require_motion(document)
-    assert made > count / 4 and refused > count / 10 and (ran or count < 100)
+    assert made > count / 4 and refused > count / 10
+    assert ran or count < 100 or start in NAMING
     last, undone = document.texts, 0
     while document.can_undo:
         document.undo()
