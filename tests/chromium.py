@@ -32,7 +32,8 @@ _FLAGS = (
     "--hide-scrollbars",
     "--mute-audio",
 )
-_PATIENCE = 60.0
+# Longest wait, s: the whole suite may run on a busy machine meanwhile.
+_PATIENCE = 300.0
 
 # Text and pictures that end outside the window, except in a small box that scrolls, such as code.
 # The drawers of the docs' theme wait outside the window.

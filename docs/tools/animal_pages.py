@@ -139,7 +139,8 @@ def page(name: str) -> str:
     """Return the generated part of an animal's page."""
     from evo_cpg.config.shipped import shipped
 
-    about = re.sub(r"docs/([\w/-]+\.md)", r"[this page](../\1)", shipped(name).about)
+    about = re.sub(r"(^|\. )docs/([\w/-]+\.md)", r"\1[This page](../\2)", shipped(name).about)
+    about = re.sub(r"docs/([\w/-]+\.md)", r"[this page](../\1)", about)
     parts = [textwrap.fill(about, 100, break_long_words=False, break_on_hyphens=False)]
     study = next((link for start, link in _STUDIES if name.startswith(start)), None)
     if study:

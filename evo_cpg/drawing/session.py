@@ -24,7 +24,7 @@ from evo_cpg.errors import UserError
 Answer = dict[str, Any]
 
 # Requests that mean the same on a page that shows a former state of the document.
-_ALWAYS = ("open", "stop", "champion")
+_ALWAYS = ("open", "stop", "champion", "watch")
 _STALE = (
     "another page or window has changed the animal. This page shows it now. Look at it, and repeat "
     "your last step"
@@ -46,7 +46,9 @@ class Session:
         self._lock = threading.Lock()
         # Requests run in threads of their own, which do not inherit it.
         self._trusted = is_trusted()
+        # Number of the state that a page shows. It grows with what is drawn and written.
         self._revision = 0
+        self._last: tuple[Any, ...] = ()
         self._sent: set[str] = set()
         self._try: Answer = {"state": "none"}
         self._run: TrainingRun | None = None
@@ -111,6 +113,19 @@ class Session:
         with trusting(self._trusted):
             found = problems(data, source, advice=self._advice)
         return {"problems": _listed(found), "revision": revision}
+
+    def live_page(self) -> Answer:
+        """Return the address of the run's live page as soon as it has one, or an ``error``.
+
+        The program of the page takes seconds to start. Edits do not wait for it.
+        """
+        run = self._run
+        try:
+            if run is None:
+                raise DrawingError("there is no run")
+            return {"address": run.live_page()}
+        except UserError as error:
+            return {"error": str(error)}
 
     def poll(self) -> Answer:
         """Return the state of the try and of the run."""
@@ -206,23 +221,27 @@ class Session:
             raise DrawingError("there is no run")
         return {"motion": self._run.champion()}
 
-    def _watch(self) -> Answer:
+    def _watch(self) -> None:
         if self._run is None:
             raise DrawingError("there is no run")
-        return {"address": self._run.watch()}
+        self._run.watch()
 
     def _state(self) -> Answer:
         document = self.document
         data = document.data
         drawn: Answer | None = None
         error = None
+        shapes: frozenset[str] = frozenset()
         try:
             drawn = scene(data, document.path)
+            shapes = frozenset(drawn["arrays"])
             drawn["arrays"] = {k: v for k, v in drawn["arrays"].items() if k not in self._sent}
             self._sent |= drawn["arrays"].keys()
         except (KeyProblem, CreatureError) as problem:
             error = str(problem)
-        self._revision += 1
+        now = document.path, document.texts, shapes
+        if now != self._last:
+            self._revision, self._last = self._revision + 1, now
         return {
             "revision": self._revision,
             "path": str(document.path),

@@ -7,6 +7,7 @@ Control-C does when its standard input closes. The system closes it when the pag
 import _thread
 import os
 import runpy
+import signal
 import threading
 
 
@@ -18,5 +19,7 @@ def _interrupt_at_the_end_of_input() -> None:
 
 
 if __name__ == "__main__":
+    # A shell that starts the page's program in the background lets its processes ignore interrupts.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=_interrupt_at_the_end_of_input, daemon=True).start()
     runpy.run_module("evo_cpg", run_name="__main__", alter_sys=True)

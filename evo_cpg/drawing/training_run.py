@@ -1,5 +1,6 @@
 """A run of the drawn animal, in a process of its own, that the page can watch and stop."""
 
+import contextlib
 import csv
 import itertools
 import subprocess
@@ -23,7 +24,7 @@ _CURVES = ("generation", "best", "mean")
 # Time that a process gets to end, s.
 _PATIENCE = 10.0
 # Time in which the live page must start, s.
-_START = 60.0
+_START = 120.0
 # Number of characters of its output that are shown.
 _SHOWN = 2000
 
@@ -47,6 +48,7 @@ class TrainingRun:
         self._is_stopping = False
         self._scratch = tempfile.TemporaryDirectory()
         self._output = Path(self._scratch.name) / "output.txt"
+        self._watch_output = Path(self._scratch.name) / "watch.txt"
         self._process = _started(command, self._output)
         self._watching: subprocess.Popen | None = None
 
@@ -82,26 +84,35 @@ class TrainingRun:
         except UserError as error:
             raise DrawingError(f"there is no champion yet ({error})") from None
         if recording is None:
-            raise DrawingError("the champion has no recording")
+            raise DrawingError(
+                "the run ended before the motion of its champion was recorded. "
+                f"`evo-cpg resume {self.folder}` goes on"
+            )
         return motion(recording, [body.name for body in config.creature.build().bodies])
 
-    def watch(self) -> str:
-        """Open the live page of the run, which `evo-cpg watch` serves, and return its address.
+    def watch(self) -> None:
+        """Start `evo-cpg watch --page` for the run, if it does not serve the page yet."""
+        if self._watching is None or self._watching.poll() is not None:
+            self._watching = _started(["watch", str(self.folder), "--page"], self._watch_output)
+
+    def live_page(self) -> str:
+        """Wait until `watch` serves the page, and return its address.
 
         Raises:
             DrawingError: the program did not start.
         """
-        output = Path(self._scratch.name) / "watch.txt"
-        if self._watching is None or self._watching.poll() is not None:
-            self._watching = _started(["watch", str(self.folder), "--page"], output)
         until = time.monotonic() + _START
-        while time.monotonic() < until and self._watching.poll() is None:
-            words = output.read_text(encoding="utf-8", errors="replace").splitlines(True)
-            for line in words:
-                if line.startswith("http://") and line.endswith("\n"):
-                    return line.strip()
-            time.sleep(0.1)
-        raise DrawingError("the live page did not start")
+        words = ""
+        with contextlib.suppress(OSError):  # The run may be closed meanwhile.
+            while time.monotonic() < until and self._watching and self._watching.poll() is None:
+                words = self._watch_output.read_text(encoding="utf-8", errors="replace")
+                for line in words.splitlines(True):
+                    if line.startswith("http://") and line.endswith("\n"):
+                        return line.strip()
+                time.sleep(0.1)
+            words = self._watch_output.read_text(encoding="utf-8", errors="replace")
+        why = f": {words[-_SHOWN:].strip()}" if words.strip() else ""
+        raise DrawingError(f"the live page did not start{why}")
 
     def stop(self) -> None:
         """Interrupt the process as Control-C does, which keeps its generations.

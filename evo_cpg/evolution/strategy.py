@@ -31,13 +31,17 @@ class Evaluation(eqx.Module):
         terms: the task's terms and measures by name, averaged over the trials.
         descriptors: numbers that describe the behaviour of an individual: `Task.descriptors` and
             the measures of gait.
-        trial_fitness: fitness in each trial.
+        trial_fitness: fitness in each trial. By default there is one trial.
     """
 
     fitness: Float[Any, " n"]
     terms: dict[str, Float[Any, " n"]]
     descriptors: dict[str, Float[Any, " n"]]
-    trial_fitness: Float[Any, "trials n"]
+    trial_fitness: Float[Any, "trials n"] = None  # Version 1.0 had no such field.
+
+    def __post_init__(self):
+        if self.trial_fitness is None:
+            self.trial_fitness = self.fitness[None]
 
     def __repr__(self) -> str:
         shape = f"of shape {list(jnp.shape(self.fitness))}"

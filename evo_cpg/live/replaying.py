@@ -146,10 +146,15 @@ class Replaying:
     def _fill(self, replays: Replays, rest: _Rest) -> _Rest | None:
         """Add individuals to the wall, and return the rest."""
         own = rest.places[:LANES]
-        crowd = replays.population(rest.checkpoint, rest.run, own)
+        found = replays.population(rest.checkpoint, rest.run, own)
         tiles = [
-            {"place": place, "fitness": number(fitness), "motion": _motion(recording)}
-            for place, fitness, recording in zip(own, crowd.fitness, crowd.recordings, strict=True)
+            {
+                "place": place,
+                "value": float(fitness),
+                "fitness": number(fitness),
+                "motion": _motion(recording),
+            }
+            for place, fitness, recording in zip(own, found.fitness, found.recordings, strict=True)
         ]
         shown = self.wall.content
         self.wall = self.wall._replace(content={**shown, "tiles": shown["tiles"] + tiles})

@@ -9,9 +9,9 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_run_config
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
-from evo_cpg.training.crowd import Crowd, compile_crowd
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import ExperimentParts
+from evo_cpg.training.population_replay import PopulationReplay, compile_population_replay
 from evo_cpg.training.replay import compile_replay
 from evo_cpg.training.run_folder import RunFolder
 
@@ -44,8 +44,10 @@ class Replays:
         """Return the motion of a champion in its first trial."""
         return self._champion(champion)[2]
 
-    def population(self, checkpoint: Checkpoint, run: int, places: Sequence[int]) -> Crowd:
-        """Run individuals of the next generation (see `compile_crowd`)."""
+    def population(
+        self, checkpoint: Checkpoint, run: int, places: Sequence[int]
+    ) -> PopulationReplay:
+        """Run individuals of the next generation (see `compile_population_replay`)."""
         return self._population(checkpoint, run, places)
 
     @functools.cached_property
@@ -54,5 +56,5 @@ class Replays:
         return compile_replay(self.experiment, self._devices)
 
     @functools.cached_property
-    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], Crowd]:
-        return compile_crowd(self.experiment)
+    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], PopulationReplay]:
+        return compile_population_replay(self.experiment)

@@ -23,18 +23,23 @@ from evo_cpg.view.terrain import Terrain
 from evo_cpg.view.water import add_mirror, add_tint, add_waterlines
 
 
-def set_scene(stage: Stage, bodies: Sequence[Sequence[pv.Actor]]) -> Callable[[int], np.ndarray]:
+def set_scene(
+    stage: Stage, bodies: Sequence[Sequence[pv.Actor]], skins: bool = True
+) -> Callable[[int], np.ndarray]:
     """Build everything around the animal.
 
     Args:
         stage: the scene and its camera.
         bodies: actors of each body, as `evo_cpg.view.meshes.add_bodies` returns them.
+        skins: whether chains have a skin.
 
     Returns:
         A function that draws a frame by its number: bytes ``(height, width, 3)``, bottom row first.
     """
     plotter, away = stage.plotter, stage.away
     updates = _add_environment(stage)
+    if skins:
+        updates.append(add_skins(stage))
     plotter.camera.view_angle = stage.camera.view_angle
     plotter.camera.up = (0.0, 0.0, 1.0)
     # This makes the window without drawing. Without a window VTK resets the camera later.
@@ -77,12 +82,11 @@ def _add_environment(stage: Stage) -> list[Update]:
         updates.append(add_ghosts(stage))
     if scene.goal is not None:
         updates.append(add_goal_light(stage, scene.goal))
-    updates.append(add_skins(stage))
     updates.append(add_trail(stage))
     if look.particles:
         add_particles(stage)
-    if look.under_water:
-        add_shafts(stage)
+        if look.under_water:
+            add_shafts(stage)
     if scene.surface is not None and isinstance(stage.ground, Terrain):
         updates.append(add_tint(stage, stage.ground, scene.surface))
         updates.append(add_mirror(stage, scene.surface))

@@ -123,7 +123,7 @@ def preview(
     rendered = round(size[0] * scale), round(size[1] * scale)
     with canvas(rendered) as plotter:
         bodies = add_bodies(plotter, creature, scene.look.ambient)
-        show = set_scene(Stage(plotter, scene, camera, scale), bodies)
+        show = set_scene(Stage(plotter, scene, camera, scale), bodies, skins=False)
         plotter.camera.parallel_projection = True
         plotter.camera.parallel_scale = half_height
         legend = _add_joints(plotter, scene) | _add_sensors(plotter, scene)

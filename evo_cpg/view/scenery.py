@@ -107,7 +107,7 @@ def add_particles(stage: Stage) -> None:
         path = np.concatenate([path, scene.goal[None]])
     generator = np.random.default_rng(_PARTICLE_SEED)
     # From far away, the edges of a small cloud of specks would be seen.
-    around = max(3 * stage.radius, 0.6 * stage.away)
+    around = max(3 * stage.radius, 0.6 * stage.away) if stage.wide else 3 * stage.radius
     low, high = path.min(0) - around, path.max(0) + around
     high[2] = path[:, 2].max() + 0.4 * around
     if scene.surface is not None:

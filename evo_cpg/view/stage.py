@@ -21,7 +21,7 @@ from evo_cpg.view.terrain import Level, Terrain, heights
 _ELEVATIONS, _CLEARANCE, _HIDDEN = np.radians([16.0, 22.0, 28.0, 35.0, 45.0]), 0.3, 0.03
 # The mesh of the ground ends this many visibilities from the path, where it has faded to nothing.
 _HORIZON = 2.4
-# A camera far away sees at least this many of its distances.
+# A camera far away from a crowd sees at least this many of its distances.
 _IN_VIEW = 0.9
 # Things on the ground are lifted by this fraction of the animal's radius.
 _LIFT = 0.008
@@ -62,12 +62,14 @@ class Stage:
         scene: the animal and its world.
         camera: camera in every frame.
         oversampling: pixels rendered per pixel of the film, along a side.
+        wide: whether the camera stands far away from a crowd, so that the ground reaches farther.
     """
 
     plotter: pv.Plotter
     scene: Scene
     camera: CameraPath
     oversampling: float = 1.0
+    wide: bool = False
 
     @property
     def look(self) -> Look:
@@ -87,7 +89,8 @@ class Stage:
     @property
     def visible(self) -> float:
         """Distance at which the ground has faded to a third, m."""
-        return max(self.look.visibility * self.radius, _IN_VIEW * self.away)
+        near = self.look.visibility * self.radius
+        return max(near, _IN_VIEW * self.away) if self.wide else near
 
     @functools.cached_property
     def ground(self) -> Level | Terrain:

@@ -139,7 +139,7 @@ class StoryFrames:
         aspect = self.size[0] / self.size[1]
         with canvas(self.rendered) as plotter:
             camera = camera_of(take, scene, aspect)
-            stage = Stage(plotter, scene, camera, self._scale)
+            stage = Stage(plotter, scene, camera, self._scale, wide=take.overview is not None)
             point = pointer(camera, scene.goal, scene.look, self.rendered)
             show = set_scene(stage, add_bodies(plotter, take.panel.creature, scene.look.ambient))
 

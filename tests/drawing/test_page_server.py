@@ -200,6 +200,42 @@ def test_a_request_that_is_cut_off_writes_nothing(server, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_malformed_address_is_refused(server):
+    with socket.create_connection(server.server_address[:2], timeout=20) as link:
+        link.sendall(b"GET http://[ HTTP/1.1\r\n\r\n")
+        answer = http.client.HTTPResponse(link)
+        answer.begin()
+        assert answer.status == 400
+
+
+def test_a_fault_of_the_program_is_printed(server, monkeypatch, capsys):
+    monkeypatch.setattr(server.session, "poll", lambda: 1 / 0)
+    with pytest.raises(http.client.RemoteDisconnected):
+        ask(server, "/poll")
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_edits_do_not_wait_for_the_start_of_a_live_page(server, monkeypatch):
+    begun, go_on = threading.Event(), threading.Event()
+
+    class Run:
+        def watch(self) -> None:
+            begun.set()
+
+        def live_page(self) -> str:
+            assert go_on.wait(60)
+            return "http://127.0.0.1:1/"
+
+    monkeypatch.setattr(server.session, "_run", Run())
+    monkeypatch.setattr(server.session, "close", lambda: None)
+    assert "error" not in ask(server, "/watch", {})[1] and begun.is_set()
+    with ThreadPoolExecutor(1) as thread:
+        waiting = thread.submit(ask, server, "/live_page", {})
+        assert "error" not in ask(server, "/undo", {})[1] and not waiting.done()
+        go_on.set()
+        assert waiting.result()[1] == {"address": "http://127.0.0.1:1/"}
+
+
 @pytest.mark.parametrize("trusted", [False, True])
 def test_trust_reaches_the_threads_of_requests(tmp_path, monkeypatch, trusted):
     monkeypatch.delenv("EVO_CPG_TRUST")
@@ -237,6 +273,7 @@ def test_a_session_refuses_in_words(server):
     assert "at least 1, got 0" in error("/train", generations=0)
     assert "save first" in error("/train")
     assert "there is no run" in error("/watch")
+    assert "there is no run" in error("/live_page")
     ask(server, "/save", {})
     assert "at least one joint" in error("/train")
     ask(server, "/edit", {"command": "set_value", "given": {"key": ["seed"], "value": -1}})

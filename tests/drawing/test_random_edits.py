@@ -96,6 +96,11 @@ def opened(start: str, folder: Path) -> Document:
     return Document.open(folder / "start.yaml")
 
 
+def is_broken(answer: dict) -> bool:
+    """Return whether an animal is not drawn, or whether its values are refused."""
+    return not answer["scene"] or any(each["kind"] == "error" for each in answer["problems"])
+
+
 def require_plain(words: str) -> None:
     assert words and "\n" not in words and len(words) < 1000
     assert not FOREIGN.search(words), words
@@ -153,9 +158,7 @@ def test_random_edits_leave_an_animal_that_runs_or_is_refused(tmp_path, start, c
             require_plain(answer["undrawn"])
             assert any(each["kind"] == "error" for each in answer["problems"])
         # A broken or large animal is rarely edited further.
-        while document.can_undo and (
-            not answer["scene"] or len(answer["scene"]["bodies"]) > LARGEST
-        ):
+        while document.can_undo and (is_broken(answer) or len(answer["scene"]["bodies"]) > LARGEST):
             if edits.draw.random() < 0.1:
                 break
             answer = session.answer("undo", {})

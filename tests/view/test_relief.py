@@ -329,8 +329,9 @@ def test_the_camera_is_above_the_surface_of_a_diver(creature, ground):
     """The animal is a body length deep. The camera at its usual slant would be under water."""
     walk = synthetic.walk(2)
     rising = walk._replace(position=walk.position - [0.0, 0.0, 1.0])
-    rising.position[-1] += [0.0, 0.0, 1.0]
-    _, path = seen(creature, rising, ground, 0.0)
+    rising.position[-4:] += [0.0, 0.0, 1.0]
+    scene, path = seen(creature, rising, ground, 0.0)
+    assert scene.surface == 0.0
     assert path.position[:, 2].min() > 0.1
 
 

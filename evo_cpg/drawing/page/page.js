@@ -487,8 +487,12 @@
     if (answer.motion) play(answer.motion);
   });
   $("live").addEventListener("click", async () => {
-    const { address } = await request("watch");
-    if (address) notice(`The run has a page of its own, in another tab. Its address: ${address}`);
+    const started = await request("watch");
+    if (started.error) return;
+    notice("The page of the run starts...");
+    const { address, error } = await send("/live_page", "{}");
+    if (error) notice(error, true);
+    else notice(`The run has a page of its own, in another tab. Its address: ${address}`);
   });
   let watching = false;
   async function watch() {

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from evo_cpg.config.files import LARGEST
 from evo_cpg.drawing.page.document import page
@@ -39,7 +39,9 @@ class _Handler(PageHandler):
         """Answer a request of the session, or take a mesh file."""
         if not self.is_allowed():
             return
-        place = urlsplit(self.path)
+        place = self.place()
+        if place is None:
+            return
         upload = place.path == "/upload"
         body = self.body(LARGEST if upload else MOST_BYTES)
         if body is None:
@@ -56,5 +58,6 @@ class _Handler(PageHandler):
             self.refuse(HTTPStatus.BAD_REQUEST, "the request is not a JSON object")
             return
         session = self.server.session
-        check = place.path == "/check"
-        self.send_json(session.check() if check else session.answer(place.path[1:], given))
+        # Requests that change nothing do not wait for the others.
+        reading = {"/check": session.check, "/live_page": session.live_page}.get(place.path)
+        self.send_json(reading() if reading else session.answer(place.path[1:], given))

@@ -32,5 +32,4 @@ def page(name: str) -> Page:
     own = "evo_cpg.live.page"
     style = asset("page.css") + asset("live.css", own)
     scripts = [asset("three.min.js"), asset("viewer.js"), asset("wall.js", own)]
-    title = str(tag("title", name)).removeprefix("<title>").removesuffix("</title>")
-    return served_page(title, style, body, [*scripts, asset("live.js", own)])
+    return served_page(name, style, body, [*scripts, asset("live.js", own)])

@@ -50,15 +50,20 @@
     }
     document.body.dataset.answers = Number(document.body.dataset.answers || 0) + 1;
   }
-  async function poll() {
+  // Returns the answer of the server, or null if it has ended.
+  async function asked() {
     try {
       const answer = await fetch(`/state?${new URLSearchParams(known)}`, { headers: { "X-Token": token } });
-      take(await answer.json());
+      return answer.ok ? await answer.json() : null;
     } catch (error) {
-      if (!(error instanceof TypeError)) throw error;
-      status("lost", "evo-cpg watch has ended. The page keeps what it shows");
+      return null;
     }
+  }
+  async function poll() {
+    const answer = await asked();
     setTimeout(poll, INTERVAL);
+    if (!answer) status("lost", "evo-cpg watch has ended. The page keeps what it shows");
+    else take(answer);
   }
   poll();
 })();

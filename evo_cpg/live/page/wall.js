@@ -27,16 +27,15 @@ const Wall = (() => {
     }
     // Fills the next places.
     function add(found) {
-      for (const { place, fitness, motion } of found) {
+      for (const { place, value, fitness, motion } of found) {
         const item = list.children[tiles.length], words = document.createElement("span");
         words.textContent = motion ? fitness : "diverged";
         item.append(words);
         item.title = `individual ${place}`;
         if (motion) item.classList.add("there");
-        const value = motion ? Number(fitness.replace("\u2212", "-")) : NaN;
-        tiles.push({ item, value, motion: motion && Viewer.motionOf(motion, Viewer.decoder(motion.arrays)) });
+        tiles.push({ item, value: motion ? value : null, motion: motion && Viewer.motionOf(motion, Viewer.decoder(motion.arrays)) });
       }
-      const best = Math.max(...tiles.map(({ value }) => (Number.isNaN(value) ? -Infinity : value)));
+      const best = Math.max(...tiles.map(({ value }) => value ?? -Infinity));
       for (const { item, value } of tiles) item.classList.toggle("best", value === best);
       draw();
     }

@@ -18,7 +18,7 @@ import webbrowser
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from evo_cpg.files import OutputError
 from evo_cpg.view.page.shell import Page
@@ -65,7 +65,9 @@ class PageServer(socketserver.ThreadingMixIn, http.server.HTTPServer):
         return f"{self.origin}/?token={self.token}"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore connections that the browser drops."""
+        """Ignore connections that the browser drops. Print a fault of this program."""
+        if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
+            super().handle_error(request, client_address)
 
 
 class PageHandler(http.server.BaseHTTPRequestHandler):
@@ -90,7 +92,9 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Send the page, or an answer to it."""
-        place = urlsplit(self.path)
+        place = self.place()
+        if place is None:
+            return
         query = parse_qs(place.query)
         token = query.get("token", [""])[0] if place.path == "/" else None
         if not self.is_allowed(token):
@@ -106,6 +110,14 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Print nothing."""
+
+    def place(self) -> SplitResult | None:
+        """Return the parts of the requested address, or refuse one that has none."""
+        try:
+            return urlsplit(self.path)
+        except ValueError:
+            self.refuse(HTTPStatus.BAD_REQUEST, "the address is malformed")
+            return None
 
     def is_allowed(self, token: str | None = None) -> bool:
         """Return whether a request comes from the page, and refuse it if not.

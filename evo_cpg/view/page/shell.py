@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import html
 from collections.abc import Sequence
 from importlib import resources
 from typing import NamedTuple
@@ -23,16 +24,16 @@ def served_page(title: str, style: str, body: str, scripts: Sequence[str]) -> Pa
     """Return a page that may run its own scripts and call its own server, and nothing else.
 
     Args:
-        title: title of the page.
+        title: title of the page, as text.
         style: style sheets.
-        body: HTML of the body.
+        body: HTML of the body, which is not escaped.
         scripts: scripts in their order.
     """
     inline = "".join(f"<script>{script}</script>" for script in scripts)
     text = (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<link rel="icon" href="data:,"><title>{title}</title>'
+        f'<link rel="icon" href="data:,"><title>{html.escape(title)}</title>'
         f"<style>{style}</style></head><body>{body}{inline}</body></html>"
     )
     return Page(text, f"{policy(scripts)}; connect-src 'self'; frame-ancestors 'none'")

@@ -1,4 +1,8 @@
-"""Recorded trials of several individuals of a population, side by side."""
+"""Replays of several individuals of a population, side by side.
+
+They have the whole first trial, with fitness and joints, as a replay of a champion has. Films of
+whole populations need only places of bodies, see `evo_cpg.training.crowd_motion`.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -16,7 +20,7 @@ from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.experiment import ExperimentParts, placeholder_scales, trial_keys
 
 
-class Crowd(NamedTuple):
+class PopulationReplay(NamedTuple):
     """First trials of some individuals.
 
     Attributes:
@@ -28,9 +32,9 @@ class Crowd(NamedTuple):
     recordings: list[Recording]
 
 
-def compile_crowd(
+def compile_population_replay(
     experiment: ExperimentParts,
-) -> Callable[[Checkpoint, int, Sequence[int]], Crowd]:
+) -> Callable[[Checkpoint, int, Sequence[int]], PopulationReplay]:
     """Compile a function that runs the first trials of at most `LANES` individuals.
 
     All individuals of a vector cost as much as one, so a replay of a single one would waste the
@@ -68,7 +72,7 @@ def compile_crowd(
         .compile()
     )
 
-    def of(checkpoint: Checkpoint, run: int, places: Sequence[int]) -> Crowd:
+    def of(checkpoint: Checkpoint, run: int, places: Sequence[int]) -> PopulationReplay:
         # Copies of the last individual fill the vector.
         filled = np.pad(np.asarray(places), (0, LANES - len(places)), mode="edge")
         keys = trial_keys(experiment, checkpoint.generation, lanes + run, filled, lanes)
@@ -76,6 +80,6 @@ def compile_crowd(
         scales = {name: jnp.float32(each[run]) for name, each in checkpoint.scales.items()}
         fitness, frames = jax.device_get(program(np.asarray(genes, np.float32), keys, scales))
         motions = [as_recording(simulation, frames, names, i) for i in range(len(places))]
-        return Crowd(fitness[: len(places)], motions)
+        return PopulationReplay(fitness[: len(places)], motions)
 
     return of
