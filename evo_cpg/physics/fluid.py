@@ -238,7 +238,8 @@ def _patch_drag(
     skin_points = len(patch.tangential_area)
     tangential_rows = patch.tangential.reshape(2 * skin_points, 6)
     normal = product(patch.normal, flat)
-    first, second = product(tangential_rows, flat).reshape(2, skin_points, -1)
+    # A part whose skin points are all inside other parts has none, so no size can be -1.
+    first, second = product(tangential_rows, flat).reshape(2, skin_points, flat.shape[1])
     along = jnp.sqrt(first * first + second * second + _SPEED_FLOOR)
     normal_factor = pressure * law.form_drag * patch.normal_area
     tangential_factor = pressure * law.skin_drag * patch.tangential_area

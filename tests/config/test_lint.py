@@ -524,6 +524,8 @@ def test_every_rule_has_a_mistake():
         (CONFIG, ["task.light.bearing_deg=1", "simulation.start_heading_deg=3"]),
         (CONFIG, ["task.light.bearing_deg=0.9"]),
         (WALKER, ["world.ground.floor={type: plane, slope_deg: 2.5}"]),
+        # A full turn, converted from 6.2832 rad.
+        (WALKER, ["creature.bodies.1.joint.limits_deg=[-360.0004, 360.0004]"]),
         # A gap of a quarter of the body between two bodies.
         (CONFIG, ["creature.bodies.1.joint.at=[-0.125, 0, 0]"]),
         # An eye on a stalk, and an eye that looks up to a light above.

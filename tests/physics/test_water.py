@@ -1,5 +1,7 @@
 """Buoyancy and drag against closed forms, and the sign of the power of drag."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -180,3 +182,18 @@ def test_drag_of_a_turning_sphere_is_friction_alone():
     wrench, _ = drag(world.law(Drag), world.water.density, spin)
     expected = -0.5 * WATER * SKIN_DRAG * rate**2 * 3 * np.pi**2 / 4 * radius**5
     np.testing.assert_allclose(wrench[:, 0], [0, 0, expected, 0, 0, 0], rtol=1e-4, atol=1e-12)
+
+
+def test_a_body_without_skin_points_has_form_drag_alone():
+    """All skin points of a small part can lie inside other parts."""
+    world = in_water(single(Sphere(0.1), 1000.0), skin_drag=0.0)
+    law, velocity = world.law(Drag), jnp.ones((6, 1))
+    (patch,) = law.patches
+    smooth = patch._replace(
+        tangential=patch.tangential[:, :0],
+        tangential_area=patch.tangential_area[:0],
+        tangential_outer=patch.tangential_outer[:, :0],
+    )
+    found, _ = drag(dataclasses.replace(law, patches=(smooth,)), WATER, velocity)
+    expected, _ = drag(law, WATER, velocity)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)

@@ -108,7 +108,7 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
                     f"the joint turns by at most {widest:g} degrees. Plausible: 5 to 180. If it "
                     f"is in radians, write {np.rad2deg(widest):.3g}"
                 )
-            elif widest > TURN:
+            elif widest > TURN + ROUNDING:
                 problem = (
                     f"the joint turns by {widest:g} degrees. Plausible: up to {TURN:g}. If it was "
                     f"converted twice, write {np.deg2rad(widest):.3g}"
