@@ -28,8 +28,8 @@ _FILL, _FILL_HEIGHT, _FILL_TALL = 0.42, 0.5, 0.6
 _ROOM, _BELOW, _ABOVE = 0.95, 0.8, 0.92
 # Room around the light, as a factor of its place.
 _APART = 1.1
-# Least fraction of the width, below which the first frame need not show the light: of a film, and of
-# a close view.
+# Least fraction of the width, below which the first frame need not show the light: of a film, and
+# of a close view.
 _SMALLEST, _SMALLEST_CLOSE = 0.2, 0.35
 # Number of frames, or up to twice as many, in which the animal's extent is measured, and rounds of
 # improvement.

@@ -20,7 +20,7 @@ from evo_cpg.view.terrain import Level, Terrain, heights
 # ground, in radii of the animal. Fraction of all bodies and instants that may be hidden, because
 # stones that pass in front show their distance.
 _ELEVATIONS, _CLEARANCE, _HIDDEN = np.radians([16.0, 22.0, 28.0, 35.0, 45.0]), 0.3, 0.03
-# Elevation for a swimmer that bends sideways, rad, which is more sideways than upwards by this factor.
+# Elevation for a swimmer that bends sideways, rad: more sideways than upwards by this factor.
 _FROM_ABOVE, _SIDEWAYS = np.radians(38.0), 2.0
 # The mesh of the ground ends this many visibilities from the path, where it has faded to nothing.
 _HORIZON = 2.4

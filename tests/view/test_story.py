@@ -8,6 +8,7 @@ import pytest
 import synthetic
 from PIL import Image, ImageSequence
 
+from evo_cpg.cli.told import advanced
 from evo_cpg.creature.slender import slender_chains
 from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Plane
@@ -186,6 +187,17 @@ def test_a_blind_animal_has_eyes_at_its_front():
     left, right = drawn_eyes(WALKER)
     assert left.body == right.body == "trunk"
     assert left.axis[1] > 0 > right.axis[1] and left.position[0] > 0.2
+
+
+def test_a_caption_counts_the_animals_that_get_ahead():
+    crowd = beside(0.0, 1.0, 2.0)
+    crowd.position[-1, :, :, 0] = crowd.position[0, :, :, 0] + [[0.1], [0.6], [0.9]]
+    assert advanced(crowd, 0, "forward", 0.5) == "2 of 3 get ahead"
+    assert advanced(crowd, 0, "forward", 0.8) == "1 of 3 gets ahead"
+    assert advanced(crowd, 0, "forward", 1.0) == "none of 3 get ahead"
+    # The light is behind the animals.
+    lit = crowd._replace(goal=np.array([-9.0, 1.0, 0.5]))
+    assert advanced(lit, 0, "forward", 0.5) == "none of 3 get ahead"
 
 
 def test_the_leader_of_a_crowd_is_ahead():
