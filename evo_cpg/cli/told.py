@@ -22,7 +22,8 @@ from evo_cpg.view.story import DISSOLVE, EASE, FPS, LoopPart, Overview, Take, sp
 from evo_cpg.view.story_text import Words
 
 # Lengths in the film, s: of the whole story, of the title before the first motion, and of each
-# later generation. The first generation moves for as long as the others. The champion takes the rest.
+# later generation. The first generation moves for as long as the others. The champion takes the
+# rest.
 _WHOLE, _TITLE, _LATER = 15.0, 1.9, 2.9
 # A generation runs for as long as the champion takes for this many of its own lengths, in this much
 # film, s. Allowed speeds of the film.
