@@ -18,12 +18,13 @@ from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.camera import course, overview, project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.scene import Panel, animal_radius, panel_of
-from evo_cpg.view.story import DISSOLVE, FPS, LoopPart, Overview, Take, spans
+from evo_cpg.view.story import DISSOLVE, EASE, FPS, LoopPart, Overview, Take, spans
 from evo_cpg.view.story_text import Words
 
-# Lengths in the film, s: of the whole story, of the champion's take, of the title before the first
-# motion, and of each later generation. The first generation takes the rest.
-_WHOLE, _CHAMPION, _TITLE, _LATER = 15.0, 4.6, 1.9, 2.8
+# Lengths in the film, s: of the whole story, of the title before the first motion, and of each
+# later generation. The first generation moves for as long as the others. The champion takes the
+# rest.
+_WHOLE, _TITLE, _LATER = 15.0, 1.9, 2.9
 # A generation runs for as long as the champion takes for this many of its own lengths, in this much
 # film, s. Allowed speeds of the film.
 _LENGTHS, _RUN, _SLOWEST, _FASTEST = 6.0, 3.0, 1.0, 6.0
@@ -37,6 +38,8 @@ _SHOWN = 0.04
 # Least fraction of the picture's width that an animal has next to its light. Otherwise an arrow
 # points to the light.
 _SMALLEST = 0.06
+# Room ahead of the animals for this arrow, relative to the length of their way.
+_ROOM_AHEAD = 0.15
 # Distance of the camera at the start and at the end of all crowds, relative to the least.
 _FAR, _NEAR = 1.18, 1.06
 # Animals that walk without a light stand side by side. Number of lanes, and width in lengths.
@@ -118,11 +121,15 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         seen = panel._replace(recording=leader, crowd=others)
         start, end = (_FAR + (_NEAR - _FAR) * part / total for part in (done, done + seconds))
         camera = wide._replace(nearness=(start, end))
-        hold = _TITLE if number == 0 else 0.0
+        # All generations move for the same time, once they are fully seen.
+        hold = _TITLE if number == 0 else DISSOLVE
         takes.append(Take(seen, seconds, 0.0, speed, camera, hold))
         done += seconds
     takes.append(Take(panel, times[-1], _arrival(recording, times[-1]), _SLOW))
-    captions = [_caption(generation) for generation, _ in crowds]
+    captions = [
+        f"{_named(generation)}: {advanced(crowd, creature.root_index, task.heading, length)}"
+        for generation, crowd in crowds
+    ]
     captions.append(f"After {_generations(opened.champion.generation)}, in slow motion")
     animals = f"{experiment.strategy.population} random nervous systems."
     if np.isfinite(recording.goal).all():
@@ -157,8 +164,7 @@ def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int,
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
     chosen = generations_of(folder.newest, opened.champion.generation)
-    first, *later = _lengths(len(chosen))[:-1]
-    seconds = speed * (max(first - _TITLE, *later, 0.0) + DISSOLVE)
+    seconds = speed * (_LATER - EASE / 2)
     try:
         opened.require_configured()
         with working("breeding the first generations again"):
@@ -188,11 +194,9 @@ def _speed(recording: Recording, root: int, length: float) -> float:
 
 def _lengths(crowds: int) -> list[float]:
     """Return the lengths of all takes, s: crowds, then the champion."""
-    if not crowds:
-        return [_WHOLE]
-    later = [_LATER] * (crowds - 1)
-    first = min(_WHOLE - _CHAMPION - sum(later), 2.4 * _LATER)
-    return [first, *later, _WHOLE - first - sum(later)]
+    # The first crowd shares no frames with a take before it.
+    shown = [_TITLE + _LATER - DISSOLVE / 2, *[_LATER] * (crowds - 1)] if crowds else []
+    return [*shown, _WHOLE - sum(shown)]
 
 
 def _overview(
@@ -216,7 +220,11 @@ def _overview(
     goal = recording.goal
     bearing = course(recording.position[:, root], goal, length / 20)
     lit = np.concatenate([every, goal[None]]) if np.isfinite(goal).all() else every
-    for points in (lit, every):
+    # An arrow to the light needs room ahead of the animals.
+    ahead = np.array([np.cos(bearing), np.sin(bearing), 0.0])
+    along = every @ ahead
+    beyond = every[along.argmax()] + _ROOM_AHEAD * float(np.ptp(along)) * ahead
+    for points in (lit, np.concatenate([every, beyond[None]])):
         path = overview(points, bearing, np.radians(20), aspect, np.ones(1))
         seen = np.ptp(project(path, start[None], aspect)[0, :, 0]) / 2
         if seen >= _SMALLEST:
@@ -225,10 +233,16 @@ def _overview(
 
 
 def _in_lanes(crowd: CrowdMotion, root: int, heading: str, width: float) -> CrowdMotion:
-    """Return some animals of a crowd side by side in lanes, with the leader in front."""
-    leader = crowd.leader(root, heading)
-    others = np.delete(np.arange(crowd.count), leader)[: _LANES - 1]
-    chosen = crowd.of(np.concatenate([[leader], others]))
+    """Return some animals of a crowd side by side in lanes, with the leader in front.
+
+    The others are those at even ranks of progress, so that they show the whole crowd as it is. The
+    first animals of a population would not, because these are the elites.
+    """
+    ranked = np.argsort(-crowd.advance(root, heading))
+    lanes = min(_LANES, crowd.count)
+    chosen = ranked[np.linspace(0, crowd.count - 1, lanes).round().astype(int)]
+    # Neighbours differ, as in the population.
+    chosen = crowd.of(np.concatenate([chosen[:1], np.sort(chosen[1:])]))
     aside = np.zeros((chosen.count, 1, 3), np.float32)
     aside[:, 0, 1] = width * np.arange(chosen.count)
     return chosen._replace(position=chosen.position + aside)
@@ -267,7 +281,13 @@ def _generations(count: int) -> str:
     return f"{count} generation" + ("s" if count != 1 else "")
 
 
-def _caption(generation: int) -> str:
+def advanced(crowd: CrowdMotion, root: int, heading: str, length: float) -> str:
+    """Return in words how many animals of a crowd have come at least one length ahead."""
+    count = int((crowd.advance(root, heading) >= length).sum())
+    return f"{count or 'none'} of {crowd.count} get{'s' if count == 1 else ''} ahead"
+
+
+def _named(generation: int) -> str:
     return "The first generation" if generation == 0 else f"After {_generations(generation)}"
 
 

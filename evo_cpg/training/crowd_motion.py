@@ -53,20 +53,23 @@ class CrowdMotion(NamedTuple):
     rotation: Float[np.ndarray, "t n b 3 3"]
     goal: Float[np.ndarray, "3"]
 
-    def leader(self, root: int, heading: str) -> int:
-        """Return the animal that is ahead at the end.
+    def advance(self, root: int, heading: str) -> Float[np.ndarray, " n"]:
+        """Return how far each animal has come at the end, m: towards the light, if there is one.
 
         Args:
             root: number of the root body.
-            heading: ``forward`` if only displacement along x counts (see `Task.heading`). With a
-                light, the nearest animal leads.
+            heading: ``forward`` if only displacement along x counts (see `Task.heading`).
         """
-        end = self.position[-1, :, root]
+        start, end = self.position[0, :, root], self.position[-1, :, root]
         if np.isfinite(self.goal).all():
-            return int(np.linalg.norm(end - self.goal, axis=-1).argmin())
-        moved = (end - self.position[0, :, root])[:, :2]
-        ahead = moved[:, 0] if heading == "forward" else np.linalg.norm(moved, axis=-1)
-        return int(ahead.argmax())
+            away = np.linalg.norm(start.mean(0) - self.goal)
+            return away - np.linalg.norm(end - self.goal, axis=-1)
+        moved = (end - start)[:, :2]
+        return moved[:, 0] if heading == "forward" else np.linalg.norm(moved, axis=-1)
+
+    def leader(self, root: int, heading: str) -> int:
+        """Return the animal that has come farthest at the end, see `advance`."""
+        return int(self.advance(root, heading).argmax())
 
     @property
     def count(self) -> int:

@@ -28,8 +28,9 @@ _FILL, _FILL_HEIGHT, _FILL_TALL = 0.42, 0.5, 0.6
 _ROOM, _BELOW, _ABOVE = 0.95, 0.8, 0.92
 # Room around the light, as a factor of its place.
 _APART = 1.1
-# Least fraction of the width, below which the first frame need not show the light.
-_SMALLEST = 0.2
+# Least fraction of the width, below which the first frame need not show the light: of a film, and
+# of a close view.
+_SMALLEST, _SMALLEST_CLOSE = 0.2, 0.35
 # Number of frames, or up to twice as many, in which the animal's extent is measured, and rounds of
 # improvement.
 _MEASURED, _ROUNDS = 120, 5
@@ -111,6 +112,7 @@ def follow(
     aspect: float,
     elevation: float,
     turn: float | Float[np.ndarray, " frames"] | None = None,
+    close: bool = False,
 ) -> CameraPath:
     """Plan the camera's path over a recording.
 
@@ -123,6 +125,7 @@ def follow(
         turn: angle between the line of sight and the animal's course, rad, with a value per frame
             if it changes. None for a camera that shows the light, or the animal's side if there is
             no light.
+        close: whether the animal shall be large and go to the right, perhaps without the light.
     """
     position = bodies.position
     centre = smooth(position.mean(1), SMOOTHING * rate)
@@ -147,9 +150,12 @@ def follow(
     if turn is not None or not lit:
         return _uncropped(seen(_SIDE if turn is None else turn), points, aspect)
     # The first picture shows the light, too, unless the animal would be small in it.
-    turns = [sign * angle for angle in _BEARINGS for sign in (1, -1)]
+    turns = [sign * angle for angle in _BEARINGS for sign in ((1,) if close else (1, -1))]
+    smallest = _SMALLEST_CLOSE if close else _SMALLEST
     best = _clearest([seen(turned, goal) for turned in turns], goal, points, aspect)
-    if best is None or _extent(best, points, aspect)[0] < _SMALLEST:
+    if best is None or _extent(best, points, aspect)[0] < smallest:
+        # A large animal goes across the picture, towards the arrow at its edge.
+        turns = [_SIDEWAYS] if close else turns
         best = _clearest([seen(turned) for turned in turns], goal, points, aspect) or best
     return _uncropped(best or seen(_BEARINGS[-1]), points, aspect)
 

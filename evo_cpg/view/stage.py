@@ -10,6 +10,7 @@ import pyvista as pv
 from jaxtyping import Float
 
 from evo_cpg.view.camera import Bodies, CameraPath, aspect_of, follow, hidden
+from evo_cpg.view.clip import Clip
 from evo_cpg.view.look import Look, sun_direction
 from evo_cpg.view.obstacles import obstacle_top
 from evo_cpg.view.scene import Scene
@@ -19,6 +20,8 @@ from evo_cpg.view.terrain import Level, Terrain, heights
 # ground, in radii of the animal. Fraction of all bodies and instants that may be hidden, because
 # stones that pass in front show their distance.
 _ELEVATIONS, _CLEARANCE, _HIDDEN = np.radians([16.0, 22.0, 28.0, 35.0, 45.0]), 0.3, 0.03
+# Elevation for a swimmer that bends sideways, rad: more sideways than upwards by this factor.
+_FROM_ABOVE, _SIDEWAYS = np.radians(38.0), 2.0
 # The mesh of the ground ends this many visibilities from the path, where it has faded to nothing.
 _HORIZON = 2.4
 # A camera far away from a crowd sees at least this many of its distances.
@@ -134,24 +137,27 @@ class Stage:
         )
 
 
-def camera_path(scene: Scene, camera: str, aspect: float) -> CameraPath:
+def camera_path(scene: Scene, camera: str, aspect: float, close: bool = False) -> CameraPath:
     """Plan a camera that sees the animal in all frames, above things that would hide it.
 
     Args:
         scene: the animal and its world.
         camera: one of `evo_cpg.view.camera.CAMERAS`.
         aspect: width of the picture over its height.
+        close: whether the animal shall be large, go to the right and show how it bends, perhaps
+            without the light.
     """
     look, clip, ground, surface = scene.look, scene.clip, scene.ground, scene.surface
     first, turn = look.side_elevation if scene.goal is None else look.elevation, None
     if (given := aspect_of(camera, len(clip.time))) is not None:
         turn, first = given
+    if close and not scene.stands and bends_sideways(clip):
+        first = max(first, _FROM_ABOVE)
     goal = np.full(3, np.nan) if scene.goal is None else scene.goal
-
     bodies = Bodies(clip.position, clip.rotation, scene.half_extents)
 
     def at(elevation: float) -> CameraPath:
-        return follow(bodies, goal, clip.rate, aspect, elevation, turn)
+        return follow(bodies, goal, clip.rate, aspect, elevation, turn, close)
 
     path = at(first)
     if scene.level is not None:
@@ -171,3 +177,13 @@ def camera_path(scene: Scene, camera: str, aspect: float) -> CameraPath:
             break
         path = at(elevation)
     return path
+
+
+def bends_sideways(clip: Clip) -> bool:
+    """Return whether bodies move sideways much more than up and down, about their middle."""
+    middle = clip.position.mean(1)
+    about = clip.position - middle[:, None]
+    about = about - about.mean(0)
+    course = middle[-1] - middle[0]
+    across = np.array([-course[1], course[0]]) / max(float(np.hypot(*course[:2])), 1e-9)
+    return bool((about[..., :2] @ across).std() > _SIDEWAYS * about[..., 2].std())

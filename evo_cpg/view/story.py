@@ -34,10 +34,11 @@ FPS = 30
 DISSOLVE = 0.4
 """Time in which a take turns into the next one, s."""
 
+EASE = 0.5
+"""Time in which the motion of a take with a hold reaches its speed, s."""
+
 # Pixels rendered per pixel of the film, along a side.
 _OVERSAMPLING = 1.25
-# Ease at the start of a take, s.
-_EASE = 0.5
 # Qualities of a loop, from the best one.
 _QUALITIES = (75, 48, 36, 26, 18, 10)
 
@@ -171,7 +172,7 @@ def spans(seconds: Sequence[float]) -> list[tuple[int, int]]:
 def clip_of(take: Take, count: int) -> Clip:
     """Return a take's recording at its frames. The motion starts gently after the hold."""
     moving = np.maximum(np.arange(count) / FPS - take.hold, 0.0)
-    eased = np.where(moving < _EASE, moving**2 / (2 * _EASE), moving - _EASE / 2)
+    eased = np.where(moving < EASE, moving**2 / (2 * EASE), moving - EASE / 2)
     time = take.start + take.speed * (eased if take.hold else moving)
     recording = take.panel.recording
     return sample_at(recording, np.minimum(time, recording.time[-1]), FPS / take.speed)
@@ -180,7 +181,7 @@ def clip_of(take: Take, count: int) -> Clip:
 def camera_of(take: Take, scene: Scene, aspect: float) -> CameraPath:
     """Return the camera of a take in all of its frames."""
     if take.overview is None:
-        return camera_path(scene, "follow", aspect)
+        return camera_path(scene, "follow", aspect, close=True)
     points, bearing, (start, end) = take.overview
     nearness = np.linspace(start, end, len(scene.clip.time))
     elevation = scene.look.side_elevation if scene.goal is None else scene.look.elevation

@@ -8,12 +8,13 @@ import pytest
 import synthetic
 from PIL import Image, ImageSequence
 
+from evo_cpg.cli.told import advanced
 from evo_cpg.creature.slender import slender_chains
 from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.training.crowd_motion import CrowdMotion
 from evo_cpg.view.camera import overview, project
-from evo_cpg.view.clip import sample
+from evo_cpg.view.clip import Clip, sample
 from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.legible import font, lettering
 from evo_cpg.view.look import STYLES
@@ -21,6 +22,7 @@ from evo_cpg.view.meshes import drawn_eyes
 from evo_cpg.view.output import picture_of
 from evo_cpg.view.scene import Panel
 from evo_cpg.view.skin import Skin
+from evo_cpg.view.stage import bends_sideways
 from evo_cpg.view.story import (
     FPS,
     Loop,
@@ -186,6 +188,31 @@ def test_a_blind_animal_has_eyes_at_its_front():
     left, right = drawn_eyes(WALKER)
     assert left.body == right.body == "trunk"
     assert left.axis[1] > 0 > right.axis[1] and left.position[0] > 0.2
+
+
+def test_a_caption_counts_the_animals_that_get_ahead():
+    crowd = beside(0.0, 1.0, 2.0)
+    crowd.position[-1, :, :, 0] = crowd.position[0, :, :, 0] + [[0.1], [0.6], [0.9]]
+    assert advanced(crowd, 0, "forward", 0.5) == "2 of 3 get ahead"
+    assert advanced(crowd, 0, "forward", 0.8) == "1 of 3 gets ahead"
+    assert advanced(crowd, 0, "forward", 1.0) == "none of 3 get ahead"
+    # The light is behind the animals.
+    lit = crowd._replace(goal=np.array([-9.0, 1.0, 0.5]))
+    assert advanced(lit, 0, "forward", 0.5) == "none of 3 get ahead"
+
+
+def test_only_a_swimmer_that_bends_sideways_is_seen_from_above():
+    count, along = 60, np.linspace(0, 1, 8)
+    time = np.arange(count)[:, None] / FPS
+    position = np.zeros((count, 8, 3))
+    position[..., 0] = time - along
+    wave = 0.1 * np.sin(6 * (time + along))
+    turns = np.broadcast_to(np.eye(3), (count, 8, 3, 3))
+    for axis, sideways in ((1, True), (2, False)):
+        bent = position.copy()
+        bent[..., axis] = wave
+        clip = Clip(time[:, 0], bent, turns, np.zeros(count), np.zeros(count), FPS)
+        assert bends_sideways(clip) == sideways
 
 
 def test_the_leader_of_a_crowd_is_ahead():
