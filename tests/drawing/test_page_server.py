@@ -220,7 +220,7 @@ def test_edits_do_not_wait_for_the_start_of_a_live_page(server, monkeypatch):
 
     class Run:
         def watch(self) -> None:
-            begun.set()
+            started.set()
 
         def live_page(self) -> str:
             assert go_on.wait(60)
@@ -228,7 +228,7 @@ def test_edits_do_not_wait_for_the_start_of_a_live_page(server, monkeypatch):
 
     monkeypatch.setattr(server.session, "_run", Run())
     monkeypatch.setattr(server.session, "close", lambda: None)
-    assert "error" not in ask(server, "/watch", {})[1] and begun.is_set()
+    assert "error" not in ask(server, "/watch", {})[1] and started.is_set()
     with ThreadPoolExecutor(1) as thread:
         waiting = thread.submit(ask, server, "/live_page", {})
         assert "error" not in ask(server, "/undo", {})[1] and not waiting.done()
