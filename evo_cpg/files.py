@@ -56,7 +56,7 @@ def in_one_piece(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the file cannot be written, for instance because the disk is full.
     """
-    if path.is_symlink():
+    if os.path.islink(path):
         path = resolved(path)
     try:
         # A unique name keeps programs apart that write the same file.

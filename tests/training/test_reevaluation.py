@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from evo_cpg.api.sweep import Member
-from evo_cpg.cli.watch import Standing
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting
+from evo_cpg.live.standing import Standing
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.training.checkpoint import (
     Champion,
