@@ -119,6 +119,7 @@ def test_the_documented_sensor_measures_the_motor(here, monkeypatch):
     np.testing.assert_allclose(felt[1:], np.clip(torque[:-1] / 0.5, -1, 1), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_documented_rower_has_no_resting_oscillator(here, monkeypatch):
     """All oscillators swing: the couplings of the page are sufficient."""
     *_, config = configs("docs/own.md")

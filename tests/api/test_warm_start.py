@@ -66,6 +66,7 @@ def test_more_runs_all_begin_with_the_best_champion(earlier):
         np.testing.assert_array_equal(genes[:, 8 * run], earlier.genome)
 
 
+@pytest.mark.slow
 def test_the_start_is_the_first_population_even_after_a_kill(earlier, tmp_path):
     """The run may be killed before its first generation is done."""
     experiment, given = start(earlier, "population", "seed=3")

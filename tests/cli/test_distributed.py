@@ -430,6 +430,7 @@ def test_the_exit_code_comes_from_the_process_that_failed(codes, code):
     assert local._code(codes) == code
 
 
+@pytest.mark.slow
 def test_meta_records_one_process(finished_run):
     assert json.loads((finished_run / "meta.json").read_text())["processes"] == 1
 

@@ -113,6 +113,7 @@ def test_with_a_home_matplotlib_keeps_its_folder(monkeypatch, tmp_path):
     assert "MPLCONFIGDIR" not in os.environ
 
 
+@pytest.mark.slow
 def test_another_user_without_a_home_runs_commands(stranger):
     missing = ("HOME", "XDG_CACHE_HOME")
     code, out, err = run("validate", "starfish", prefix=stranger, without=missing)

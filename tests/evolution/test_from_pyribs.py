@@ -235,6 +235,7 @@ def test_emitters_keep_their_distribution_below_the_threshold():
     assert metrics["coverage"] > 0.7 and metrics["restarts"] == 0
 
 
+@pytest.mark.slow
 def test_thresholds_start_at_the_median_of_the_first_finite_fitness():
     def evaluate(rows):
         fitness, measures = worth(rows)

@@ -24,6 +24,7 @@ def ribbon(tmp_path_factory):
     return subject(tmp_path_factory.mktemp("ribbon"))
 
 
+@pytest.mark.slow
 def test_current_carries_a_still_body_along(ribbon):
     """Quadratic drag: w' = -k w^2 for the water's speed w past the body, so w = U/(1 + k U t)."""
     rows = ask(ribbon, {"u": [0.0], "current": [0.5], "tow": [0.0]}, seconds=0.1).rows

@@ -165,6 +165,7 @@ def test_points_that_are_not_watched_exert_no_force(x64, loops):
     assert seen[comes].all()
 
 
+@pytest.mark.slow
 def test_points_that_are_left_out_change_no_bit(loops, monkeypatch):
     """Sums over the watched points equal sums over all points, one by one."""
     creature = clapper(LIMBS["capsules"], "z")

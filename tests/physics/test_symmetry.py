@@ -93,6 +93,7 @@ def test_place_and_heading_do_not_matter(animal):
                 np.testing.assert_allclose(getattr(end, name), getattr(expected, name), atol=1e-10)
 
 
+@pytest.mark.slow
 def test_single_batched_and_vmapped_steps_agree(animal):
     """Step one by one, as a population, and under ``vmap`` with individuals on the last axis.
 

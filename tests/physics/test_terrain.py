@@ -111,6 +111,7 @@ def test_a_ball_bounces_off_a_wall():
     np.testing.assert_allclose(states.position[:, 2, 0], 0.1, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_bodies_rest_on_a_block_and_at_a_boulder():
     """The box rests on the block, and the ball in the corner of boulder and plane."""
     step_up = Block((0.0, 0.0, 0.0), (1.0, 1.0, 0.3))

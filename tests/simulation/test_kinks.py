@@ -117,6 +117,7 @@ def test_a_bounce_begins_with_a_jump():
     np.testing.assert_allclose(slopes, [1.0, 1 / (1 + STIFF)], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_slipping_begins_with_a_kink():
     """A ball sticks after a weak push (its rim keeps 1/211 of its speed), and slides after more."""
     start = np.array([0.0, 0, RADIUS, 0, 0, 0, 0, 0, 0])

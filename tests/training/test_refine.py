@@ -111,6 +111,7 @@ def test_lanes_start_with_the_free_numbers_of_their_parents(evolved):
     np.testing.assert_allclose(starts[0], starts[2], atol=1e-2)
 
 
+@pytest.mark.slow
 def test_the_folder_replaces_the_champion_of_the_run(evolved, refined, tmp_path):
     _, checkpoint = evolved
     _, after, _ = refined

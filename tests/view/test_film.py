@@ -223,6 +223,7 @@ def test_the_orbit_stays_above_a_boulder(creature, recording):
     assert np.linalg.norm(bare.position - place + [0, 0, 1.0], axis=1).min() < 1.6
 
 
+@pytest.mark.slow
 def test_halo_and_sky_face_the_viewer_all_around(creature, recording, tmp_path):
     """The light's halo and the sky are visible from the front and from behind."""
     settings = {"size": SMALL, "title": "", "fps": 2, "camera": "orbit"}
@@ -283,6 +284,7 @@ def test_short_films_use_fewer_processes(frames, cores, processes):
     assert frame_processes.drawing_processes(frames, cores) == processes
 
 
+@pytest.mark.slow
 def test_animals_stand_side_by_side(creature, recording, tmp_path):
     """Each is in its place, row by row. A shorter recording stops at its last frame."""
     short = beginning(recording, 61)
