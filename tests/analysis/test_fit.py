@@ -109,7 +109,8 @@ def coverage(model, truth, start, sigma, seed):
     return ((found.lower < truth) & (truth < found.upper)).sum(0), found
 
 
-@pytest.mark.parametrize(("many", "few"), [pytest.param(60, 8, marks=pytest.mark.slow), (6, 60)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("many", "few"), [(60, 8), (6, 60)])
 def test_intervals_hold_with_few_numbers_of_one_kind(many, few):
     """Fit a decaying oscillation with an estimated noise for each kind.
 

@@ -149,6 +149,7 @@ def test_train_equals_the_command(experiment, tmp_path):
     assert float(again.fitness[0]) == pytest.approx(trained.fitness, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_commands_refuse_a_run_with_a_fitness_from_python(tmp_path, capsys, monkeypatch):
     mine = evo.load(CONFIG, (*TINY, "evolution.generations=1"))
     mine = mine.with_fitness(lambda terms: terms["energy"])

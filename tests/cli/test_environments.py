@@ -150,6 +150,7 @@ def test_a_missing_permission_is_one_line(stranger, finished_run):
         assert err.endswith(f"evo-cpg: cannot write {place}/new (Permission denied)\n")
 
 
+@pytest.mark.slow
 def test_watch_without_permission_to_write_draws_no_picture(cli, finished_run, monkeypatch):
     def refuse(self, champion, now):
         raise OutputError("cannot write watch.png (Permission denied)")
@@ -395,6 +396,7 @@ def test_version_is_printed_without_a_device(monkeypatch):
     assert version().endswith("engine: none: JAX finds no device for JAX_PLATFORMS=tpu")
 
 
+@pytest.mark.slow
 def test_training_without_a_device_writes_nothing(tmp_path):
     folder = tmp_path / "run"
     code, out, err = run("train", CONFIG, *SMALL, "--out", folder, JAX_PLATFORMS="nonsense")

@@ -149,6 +149,7 @@ def test_refine_reports_a_fitness_without_gradient(fresh_cli, tmp_path):
     assert f"fitness is {recorded + 1:.4f} here, not {recorded:.4f} as recorded" in err
 
 
+@pytest.mark.slow
 def test_resume_names_changes_of_configuration_and_code(fresh_cli, tmp_path):
     config = race(tmp_path, {"type": "my_animal:GoForward", "options": {"bonus": 0.0}})
     sensors = "creature.sensors=[{type: 'my_animal:Variometer'}]"

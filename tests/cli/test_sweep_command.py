@@ -76,6 +76,7 @@ def test_a_setting_has_the_same_result_alone_and_in_a_sweep(swept, tmp_path):
         np.testing.assert_array_equal(together.champion.genes, alone.genome)
 
 
+@pytest.mark.slow
 def test_settings_with_the_same_trial_share_a_program(swept):
     members = sweeps.members_of(swept, sweeps.read_plan(swept))
     names = [[member.setting.name for member in group] for group in sweeps.groups(members)]

@@ -135,6 +135,7 @@ def test_two_commands_cannot_run_one_sweep(tmp_path):
         pass
 
 
+@pytest.mark.slow
 def test_a_host_without_slurm_is_an_error(tmp_path, compiled):
     path = os.environ["PATH"]
     os.environ["PATH"] = str(tmp_path)

@@ -146,6 +146,7 @@ def test_mujocos_animal_in_water_is_not_airborne():
     assert not np.any(steps.contact_force)
 
 
+@pytest.mark.slow
 def test_the_controller_uses_the_senses_of_mujocos_animal(swimmer):
     """A controller that corrects angles reduces an initial error. Recorded commands do not."""
     experiment, genes, steps = swimmer

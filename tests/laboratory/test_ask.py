@@ -140,6 +140,7 @@ def test_weight_of_the_feedback_is_a_knob_of_a_bent_cord(ribbon):
     assert abs(more - same) > 0.01
 
 
+@pytest.mark.slow
 def test_largest_drive_of_the_configuration_is_the_unit_of_the_drive(ribbon):
     """Outputs are proportional to the drive: u = 0.5 of 2 is u = 1 of 1."""
     once = ask(ribbon, {"u": [1.0], "feedback": [0.0]}, seconds=6.0).recordings[0]

@@ -256,10 +256,9 @@ def walked(world: World, steps: int, dtype=jnp.float64, engine: str = "jax"):
         return quick_jit(walking(world, steps, dtype))(jnp.asarray(0.3, dtype))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize(
-    "medium", [in_water, pytest.param(on_ground, marks=pytest.mark.slow)], ids=["water", "ground"]
-)
+@pytest.mark.parametrize("medium", [in_water, on_ground], ids=["water", "ground"])
 def test_planar_animals_move_like_free_ones_in_a_plane(medium):
     """A free animal of this symmetry stays in its plane. Both solve the same equations."""
     in_plane = planar_in_water() if medium is in_water else walked(medium(planar(True)), 40)

@@ -254,7 +254,8 @@ def swim(segments: int, h: float, seconds: float = 12.0) -> Swim:
     return Swim(speed, *(each[-1 - window : -1].mean(0) for each in powers))
 
 
-@pytest.mark.parametrize("segments", [10, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("segments", [10, 20])
 def test_free_swimming_with_recoil(segments):
     """The speed of elongated-body theory, for two envelopes and three amplitudes: 7 %."""
     friction = 0.5 * WATER * FRICTION * 2 * (HEIGHT + THICKNESS)

@@ -54,6 +54,7 @@ def together(simulation):
     return simulate(simulation, TRIAL)
 
 
+@pytest.mark.slow
 def test_a_lane_equals_a_simulation_with_its_situation_only(simulation, together):
     """They agree to the last bit, although one situation gives constants of the program."""
     outcome, frames = together

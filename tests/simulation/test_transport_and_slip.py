@@ -176,6 +176,7 @@ def test_cost_of_transport_and_slip_follow_from_the_recording(trial, individual)
         assert impulse - gravity == pytest.approx(momentum[axis], abs=0.2 * mass.sum())
 
 
+@pytest.mark.slow
 def test_rocking_costs_energy_and_slides_and_standing_does_not(trial):
     terms, _ = trial
     assert (terms["slip"][:2] > 0.08).all() and terms["slip"][2] < 0.02
