@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.completion import complete_config
+from evo_cpg.cli.options import Browser, Port
 
 
 def model(
@@ -20,12 +21,8 @@ def model(
             autocompletion=complete_config,
         ),
     ] = None,
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the page (default: a free one).")
-    ] = 0,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
-    ] = True,
+    port: Port = 0,
+    browser: Browser = True,
 ) -> None:
     """Draw a creature on a page in the browser."""
     from evo_cpg.cli.advice import advice

@@ -59,6 +59,12 @@ Overrides = Annotated[
     list[str] | None,
     typer.Argument(metavar="[KEY=VALUE]...", help="Settings to change, such as seed=3."),
 ]
+Port = Annotated[
+    int, typer.Option(min=0, max=65535, help="Port of the page (default: a free one).")
+]
+Browser = Annotated[
+    bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
 Number = Annotated[
     int | None,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from evo_cpg.api.display import working
 from evo_cpg.cli.options import Which
-from evo_cpg.cli.told import material_of, story_of
+from evo_cpg.cli.storyboard import material_of, story_of
 from evo_cpg.files import make_folder
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.run_folder import RunFolder

@@ -18,7 +18,7 @@ import typer
 
 from evo_cpg.cli.errors import UsageError, message_for, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.cli.options import Run
+from evo_cpg.cli.options import Browser, Port, Run
 from evo_cpg.cli.streams import is_read
 
 if TYPE_CHECKING:
@@ -54,12 +54,8 @@ def watch(
             "population. RUN may not exist yet.",
         ),
     ] = False,
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the page (default: a free one).")
-    ] = 0,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
-    ] = True,
+    port: Port = 0,
+    browser: Browser = True,
 ) -> None:
     """Follow a run while it evolves."""
     if page:

@@ -10,7 +10,7 @@ from PIL import Image, ImageSequence
 
 from evo_cpg.api.opened import open_run
 from evo_cpg.cli import story
-from evo_cpg.cli.told import generations_of
+from evo_cpg.cli.storyboard import generations_of
 from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
 from evo_cpg.training.run_folder import RunFolderError
 from tiny_run import CONFIG, PAIR

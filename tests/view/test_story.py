@@ -8,7 +8,7 @@ import pytest
 import synthetic
 from PIL import Image, ImageSequence
 
-from evo_cpg.cli.told import advanced
+from evo_cpg.cli.storyboard import advanced
 from evo_cpg.creature.slender import slender_chains
 from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Plane
