@@ -19,9 +19,9 @@ _GENETIC, _RANDOM = "genetic algorithm", "random search"
 # Version 1.0 made eight runs of each search, and maps of the walker with twice the evaluations.
 _FILES = {
     "swimmer": ("iwadate2010_swimmer", 8),
-    "walker": ("fukui2003_model1", 5),
-    "two_eyes": ("two_eyed_swimmer", 5),
-    "salamander": ("iwadate2010_salamander_land", 4),
+    "walker": ("fukui2003_model1", 4),
+    "two_eyes": ("two_eyed_swimmer", 4),
+    "salamander": ("iwadate2010_salamander_land", 3),
     "swimmer_map": ("iwadate2010_swimmer", 1),
     "walker_map": ("fukui2003_model1", 1),
 }
