@@ -512,7 +512,8 @@ def test_uncoupled_and_resting_oscillators_get_a_warning(cli, tmp_path):
     text = (REPOSITORY / "configs/starfish_land.yaml").read_text()
     path.write_text(re.sub(r"\n      - \{source: .arm\[145\].*", "", text))
     warned = f"evo-cpg: warning: {path}: "
-    couple = "Couple them with controller.cpg.couplings or rings"
+    ring = "[{oscillators: [arm1_1.z, arm4_1.z, arm5_1.z], lag_deg: 120}]"
+    couple = f"Couple them with controller.cpg.couplings or rings, such as rings: {ring}"
     code, _, err = cli("validate", path)
     assert code == 0
     alone = "arm1_1.z, arm4_1.z, arm5_1.z"
@@ -522,6 +523,11 @@ def test_uncoupled_and_resting_oscillators_get_a_warning(cli, tmp_path):
     assert err == f"{rest}{couple}. {pair} (constants: swapped) and {gain}\n"
     code, _, err = cli("validate", path, "controller.cpg.pair_weight=1.3")
     assert (code, err) == (0, f"{warned}coupled to no other oscillator: {alone}. {couple}\n")
+    # The example is a remedy.
+    code, _, err = cli(
+        "validate", path, "controller.cpg.pair_weight=1.3", f"controller.cpg.rings={ring}"
+    )
+    assert (code, err) == (0, "")
 
 
 def test_resting_oscillators_get_a_warning(cli):
