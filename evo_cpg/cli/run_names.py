@@ -14,7 +14,7 @@ def find_run(given: Path) -> Path:
     """Return a run folder, or explain what its name means instead.
 
     Raises:
-        UsageError: there is no such folder, or it is a file or another folder.
+        UsageError: there is no such folder, or it holds runs, or it is a file of a run.
     """
     if _is_run(given):
         return given
@@ -23,10 +23,9 @@ def find_run(given: Path) -> Path:
     owner = next((folder for folder in given.parents if _is_run(folder)), None)
     if owner is not None:
         raise UsageError(f"{given} is a part of a run. Give the run folder, {owner}")
-    from evo_cpg.live.standing import require_run
-    from evo_cpg.training.run_folder import RunFolder
-
-    require_run(RunFolder(given))
+    if runs := _runs_in(given):
+        raise UsageError(f"{given} is not a run folder. It holds runs, such as {runs[0]}")
+    # The command itself reports another folder, after errors in its options.
     return given
 
 

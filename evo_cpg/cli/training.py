@@ -274,7 +274,7 @@ def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
     with working("recording the champion's motion", expected=expected):
         recorder.record(champion)
     if recorder.checks:
-        what = "testing the champion at half the step (Ctrl-C skips this)"
+        what = "half-step test (Ctrl-C skips it)"
         try:
             with working(what, expected=recorder.expected_to_look()):
                 recorder.look(champion)

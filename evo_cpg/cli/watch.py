@@ -76,10 +76,11 @@ def watch(
     from rich.live import Live
 
     from evo_cpg.cli.watched import panel
-    from evo_cpg.live.standing import standing
+    from evo_cpg.live.standing import require_run, standing
     from evo_cpg.training.run_folder import RunFolder
 
     folder = RunFolder(find_run(run))
+    require_run(folder)
     lower_priority()
     draw = _Pictures(folder).draw if picture else lambda champion, standing: None
     console = Console()
