@@ -65,6 +65,7 @@ bench: $(DEV) ## run the benchmark suite
 docs: $(DEV) ## build the documentation into docs/_build/html
 	$(BIN)/python docs/tools/generate.py --check
 	$(BIN)/sphinx-build --quiet --fresh-env --fail-on-warning --keep-going -b html docs docs/_build/html
+	@echo docs/_build/html/index.html
 
 format: $(DEV) ## format the code, mend what ruff can, and write the generated pages
 	$(BIN)/ruff check --fix .

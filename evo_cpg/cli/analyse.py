@@ -35,6 +35,6 @@ def analyse(
     opened = open_champion(run, Which(number, trial))
     with working("replaying the champion") as work:
         written = write_page(opened, trial, number, output, work.doing, warn)
-    print(written.page)
-    print(written.numbers)
     show_numbers(written.measured.quantities)
+    print(written.numbers)
+    print(written.page)

@@ -255,7 +255,8 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
         tell(f"interrupted. Continue with `evo-cpg resume {folder.path}`")
         raise
     terms = ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items())
-    origin = f"generation {champion.generation}"
+    # The progress line counts generations that are done. Their numbers begin with 0.
+    origin = f"generation {champion.generation} (the first is 0)"
     if experiment.runs > 1:
         origin += f" of run {champion.run}"
     fitness = f"fitness {champion.fitness:.4f}"
@@ -273,7 +274,7 @@ def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
     with working("recording the champion's motion", expected=expected):
         recorder.record(champion)
     if recorder.checks:
-        what = "testing the champion at half the step (Ctrl-C skips this)"
+        what = "half-step test (Ctrl-C skips it)"
         try:
             with working(what, expected=recorder.expected_to_look()):
                 recorder.look(champion)
