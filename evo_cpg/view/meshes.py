@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.creature import Creature, LightSensor, neutral_pose
+from evo_cpg.creature.creature import Creature, LightSensor, length_of, neutral_pose
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.view.fins import fins
 from evo_cpg.view.shells import is_shell, shell_mesh
@@ -21,6 +21,10 @@ from evo_cpg.view.shells import is_shell, shell_mesh
 _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
 # Radius of an eye, relative to the body's smallest half size.
 _EYE = 0.44
+# Radius of an eye on a body without a shape, relative to the animal's length.
+_EYE_ALONE = 0.02
+# Points of an eye around and from pole to pole.
+_BALL = (20, 14)
 # Eyes of an animal without light sensors: direction of its front, distance behind the foremost
 # point, relative to the body's smallest half size, and direction of the left eye.
 _FRONT, _SET_BACK = np.array([1.0, 0.0, 0.35]), 0.55
@@ -88,7 +92,7 @@ def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv
     A sensor inside the body is drawn where its line of sight leaves the body.
     """
     shape = creature.bodies[creature.body_index(sensor.body)].shape
-    radius = _EYE * shape.half_extents.min()
+    radius = _EYE * shape.half_extents.min() or _EYE_ALONE * length_of(creature)
     axis = np.array(sensor.axis) / np.linalg.norm(sensor.axis)
     reach = np.linspace(0, 2 * shape.half_extents.max(), 200)
     sight = np.array(sensor.position) + reach[:, None] * axis
@@ -96,9 +100,14 @@ def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv
     centre = sight[outside.argmax()] if outside.any() else sight[0]
     centre = centre - 0.35 * radius * axis
     return (
-        pv.Sphere(radius=radius, center=centre),
-        pv.Sphere(radius=0.72 * radius, center=centre + 0.42 * radius * axis),
+        _ball(radius, centre),
+        _ball(0.72 * radius, centre + 0.42 * radius * axis),
     )
+
+
+def _ball(radius: float, centre: np.ndarray) -> pv.PolyData:
+    around, down = _BALL
+    return pv.Sphere(radius=radius, center=centre, theta_resolution=around, phi_resolution=down)
 
 
 def drawn_eyes(creature: Creature) -> list[LightSensor]:

@@ -1,6 +1,6 @@
 """The page of a run: one self-contained HTML file for screen and paper.
 
-The content security policy of the page names its two scripts by their digests, and allows no other
+The content security policy of the page names its scripts by their digests, and allows no other
 script and no request. Text from a configuration of unknown origin stays text.
 """
 
@@ -72,7 +72,7 @@ def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
 
 
 def _whole(title: str, scene: Mapping[str, Any], style: str, *body: Html | None) -> str:
-    scripts = [asset("three.min.js"), asset("viewer.js")]
+    scripts = [asset(name) for name in ("three.min.js", "animal.js", "viewer.js")]
     inner = tag(
         "body",
         *body,
