@@ -50,6 +50,7 @@ class Arrays:
         self._numbers: dict[bytes, int] = {}
 
     def add(self, values: Any, kind: str) -> int:
+        """Add an array of a kind, such as ``<f4``, and return its number."""
         data = np.ascontiguousarray(values, kind).tobytes()
         if data not in self._numbers:
             self._numbers[data] = len(self.written)
