@@ -26,7 +26,7 @@ _SWEEP = 0.9
 # the rear edge of a fan, relative to its length.
 _FAN, _NOTCH = 0.6, 0.4
 # Points along and across a fin.
-_ALONG, _ACROSS = 13, 11
+_ALONG, _ACROSS = 13, 15
 
 
 class Fin(NamedTuple):

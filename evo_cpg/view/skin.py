@@ -23,7 +23,7 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, neutral_pose
-from evo_cpg.creature.shapes import Box, Shape
+from evo_cpg.creature.shapes import Box, Ellipsoid, Shape
 from evo_cpg.creature.slender import LEAST_BODIES, SlenderChain, slender_chains
 from evo_cpg.view.fins import Fin, fins
 from evo_cpg.view.meshes import body_colors
@@ -32,8 +32,9 @@ from evo_cpg.view.stage import Shot, Stage, Update
 # Rings from one body to the next, and points around a ring.
 _RINGS, _POINTS = 5, 16
 # Exponent of the section (2 is an ellipse), and its size relative to the body: of boxes, which stay
-# visible, and of round bodies, which the skin covers.
-_BOX, _ROUND = (5.0, 0.93), (2.0, 1.03)
+# visible, of fins and round bodies, which the skin covers, and of round bodies at its ends, so that
+# the edge of the skin lies below their surface.
+_BOX, _FIN, _ROUND, _END = (5.0, 0.93), (2.0, 1.06), (2.0, 1.045), (2.0, 0.97)
 
 
 class Skin(NamedTuple):
@@ -80,15 +81,16 @@ def _skin(
     bodies = np.array(chain.bodies[part])
     tangents = np.asarray(chain.tangents, float)[part]
     place, turn = (np.asarray(each, float)[bodies] for each in pose)
+    count = len(bodies)
+    last = count - 1
     outlines = np.array(
         [
-            _outline(creature.bodies[body].shape, tangent, finned.get(body))
-            for body, tangent in zip(bodies, tangents, strict=True)
+            _outline(creature.bodies[body].shape, tangent, finned.get(body), i in (0, last))
+            for i, (body, tangent) in enumerate(zip(bodies, tangents, strict=True))
         ]
     )
-    count = len(bodies)
     # From the first centre to the last: the body before each ring, and the part of the way.
-    along = np.linspace(0, count - 1, (count - 1) * _RINGS + 1)
+    along = np.linspace(0, last, last * _RINGS + 1)
     i = np.minimum(along.astype(int), count - 2)
     t = (along - i)[:, None]
     ahead = -np.einsum("bij,bj->bi", turn, tangents)
@@ -102,6 +104,13 @@ def _skin(
         + (t**3 - t**2) * far * ahead[i + 1]
     )
     across = rings[i] * (1 - t[..., None]) + rings[i + 1] * t[..., None]
+    # A wide body reaches beyond the section of a narrow neighbour.
+    wide = np.linalg.norm(across, axis=-1)
+    for body, away in ((i, t[:, 0]), (i + 1, 1 - t[:, 0])):
+        part = _narrowed(creature, bodies, tangents, body, away * far[:, 0])
+        own = np.linalg.norm(rings[body], axis=-1) * part[:, None]
+        across *= np.maximum(own / wide, 1)[..., None]
+        wide = np.maximum(wide, own)
     points = (curve[:, None] + across).reshape(-1, 3)
     around = np.roll(across, -1, 1) - np.roll(across, 1, 1)
     normals = np.cross(around, np.gradient(curve, axis=0)[:, None])
@@ -117,6 +126,33 @@ def _skin(
         np.repeat(np.stack([bodies[i], bodies[i + 1]], -1), _POINTS, 0),
         np.repeat(np.concatenate([1 - after, after], -1), _POINTS, 0),
     )
+
+
+def _narrowed(
+    creature: Creature,
+    bodies: np.ndarray,
+    tangents: np.ndarray,
+    which: np.ndarray,
+    away: np.ndarray,
+) -> np.ndarray:
+    """Return the size of ellipsoids' sections away from their centres, relative to the middle.
+
+    Args:
+        creature: the animal.
+        bodies: indices of the bodies of a chain.
+        tangents: unit vectors along them.
+        which: number of the body in the chain, for each section.
+        away: distance of the section from the body's centre, m.
+    """
+    shapes = [creature.bodies[body].shape for body in bodies]
+    half = np.array(
+        [
+            float(tangent @ shape.support(tangent)) if isinstance(shape, Ellipsoid) else 0.0
+            for shape, tangent in zip(shapes, tangents, strict=True)
+        ]
+    )[which]
+    part = np.divide(away, half, out=np.ones_like(away), where=half > 0)
+    return np.sqrt(np.maximum(1 - part**2, 0))
 
 
 def _faces(rings: int) -> np.ndarray:
@@ -196,8 +232,15 @@ def add_skins(stage: Stage) -> Update:
     return update
 
 
-def _outline(shape: Shape, tangent: np.ndarray, fin: Fin | None) -> np.ndarray:
-    """Return points around a body's section across a unit vector ``(points, 3)``, m."""
+def _outline(shape: Shape, tangent: np.ndarray, fin: Fin | None, end: bool) -> np.ndarray:
+    """Return points around a body's section ``(points, 3)``, m.
+
+    Args:
+        shape: shape of the body.
+        tangent: unit vector across the section.
+        fin: the fin as which the body is drawn, or None.
+        end: whether the skin ends at the body.
+    """
     # The axes of the section are those of the frame that lie most across.
     first = int(np.argmin(np.abs(tangent)))
     side = np.eye(3)[first] - tangent * tangent[first]
@@ -205,12 +248,17 @@ def _outline(shape: Shape, tangent: np.ndarray, fin: Fin | None) -> np.ndarray:
     up = np.cross(tangent, side)
     halves = [0.5 * axis @ (shape.support(axis) - shape.support(-axis)) for axis in (side, up)]
     if fin is not None:
+        # A fin is thinner than its plate.
         _, wide, thick = fin.section(np.array((fin.start + fin.end) / 2))
         side = fin.axes[1]
         up = np.cross(tangent, side)
         halves = [float(wide) * fin.half[1], float(thick) * fin.half[2]]
-    boxy = isinstance(shape, Box) and fin is None
-    exponent, size = _BOX if boxy else _ROUND
+    if fin is not None:
+        exponent, size = _FIN
+    elif isinstance(shape, Box):
+        exponent, size = _BOX
+    else:
+        exponent, size = _END if end else _ROUND
     angle = 2 * np.pi * np.arange(_POINTS) / _POINTS
     wide, high = (np.sign(x) * np.abs(x) ** (2 / exponent) for x in (np.cos(angle), np.sin(angle)))
     return size * (np.outer(wide * halves[0], side) + np.outer(high * halves[1], up))
