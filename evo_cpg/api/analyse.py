@@ -27,6 +27,8 @@ from evo_cpg.training.run_folder import RunFolder
 if TYPE_CHECKING:
     from PIL import Image
 
+    from evo_cpg.view.scene import Panel
+
 # Size of the picture for print, pixels, and quality of its JPEG.
 _STILL, _QUALITY = (1280, 720), 88
 
@@ -149,6 +151,7 @@ def write_page(
     output: Path | None = None,
     doing: Callable[[str], object] = lambda what: None,
     warn: Callable[[str], object] = lambda words: None,
+    crowd: "Panel | None" = None,
 ) -> Written:
     """Write the page of a champion and the JSON file of its numbers.
 
@@ -159,6 +162,7 @@ def write_page(
         output: path of the page, or None for one in the run folder.
         doing: called with the name of each step after the replay.
         warn: called with a sentence if ``config.yaml`` has changed since the run.
+        crowd: a generation that the page also shows, or None.
 
     Raises:
         RunFolderError: the run began in Python with a part that only that program has.
@@ -171,7 +175,7 @@ def write_page(
     name = f"analysis{which}{f'_trial{trial}' if trial else ''}.html"
     path = output or opened.folder.path / name
     measured = measure(opened, trial)
-    write_text(path, page(opened, trial, measured, doing))
+    write_text(path, page(opened, trial, measured, doing, crowd))
     beside = numbers_path(path)
     champion = opened.champion
     about = {"run": champion.run, "generation": champion.generation, "trial": trial, "made": now()}
@@ -186,7 +190,11 @@ def numbers_path(page: Path) -> Path:
 
 
 def page(
-    opened: OpenedChampion, trial: int, measured: Measured, doing: Callable[[str], object]
+    opened: OpenedChampion,
+    trial: int,
+    measured: Measured,
+    doing: Callable[[str], object],
+    crowd: "Panel | None" = None,
 ) -> str:
     """Return the HTML text of a champion's page.
 
@@ -195,13 +203,14 @@ def page(
         trial: number of the champion's trial, from 0.
         measured: its recorded trial.
         doing: called with the name of each step.
+        crowd: a generation that the page also shows, or None.
     """
     from evo_cpg.analysis.gait_numbers import chain_places
     from evo_cpg.view.clip import sample
     from evo_cpg.view.film import picture
     from evo_cpg.view.frames import Film
     from evo_cpg.view.page.document import document
-    from evo_cpg.view.page.subject import RecordedMotion, Subject
+    from evo_cpg.view.page.subject import Crowd, RecordedMotion, Subject
     from evo_cpg.view.page.viewer_data import RATE, viewer_data
     from evo_cpg.view.scene import panel_of
 
@@ -220,6 +229,7 @@ def page(
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
         root_index=experiment.creature.root_index,
+        crowd=None if crowd is None else Crowd(crowd.title or "", viewer_data(crowd)),
     )
     audit = _audit(folder, champion)
     subject = Subject(

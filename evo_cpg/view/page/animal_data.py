@@ -26,7 +26,7 @@ def piece_data(piece: Piece, add: Add) -> dict[str, Any]:
     if mesh.point_data.active_normals is None:
         mesh = cast(pv.PolyData, mesh.compute_normals(split_vertices=False))
     normals = np.asarray(mesh.point_data.active_normals)
-    made = _surface(np.asarray(mesh.points), normals, mesh.regular_faces, add)
+    made = surface_data(np.asarray(mesh.points), normals, mesh.regular_faces, add)
     if "rgb" in mesh.point_data:
         return made | {"colors": add(mesh["rgb"], "u1")}
     return made | {"color": piece.color}
@@ -43,7 +43,7 @@ def skin_data(creature: Creature, add: Add) -> dict[str, Any]:
         weights[:, 1] = 255 - weights[:, 0]
         bodies = np.zeros_like(weights, np.uint16)
         bodies[:, :2] = skin.bodies
-        surface = _surface(skin.points, skin.normals, skin.faces, add)
+        surface = surface_data(skin.points, skin.normals, skin.faces, add)
         made.append(
             surface
             | {
@@ -57,7 +57,10 @@ def skin_data(creature: Creature, add: Add) -> dict[str, Any]:
     return {"skins": made, "rest": rest}
 
 
-def _surface(points: np.ndarray, normals: np.ndarray, faces: np.ndarray, add: Add) -> dict:
+def surface_data(
+    points: np.ndarray, normals: np.ndarray, faces: np.ndarray, add: Add
+) -> dict[str, Any]:
+    """Return a surface without colour: points and normals ``(n, 3)``, triangles ``(f, 3)``."""
     return {
         "points": add(points, "<f4"),
         "normals": add(np.asarray(normals) * 127, "i1"),

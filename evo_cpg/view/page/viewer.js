@@ -201,6 +201,8 @@ const Viewer = (() => {
     });
     const skins = Animal.skins(data.skins, bodies, data.rest, array);
     skins.forEach((skin) => scene.add(skin));
+    const crowd = data.crowd && Animal.crowd(data.crowd, array, 0.2 * radius);
+    crowd?.parts.forEach((part) => scene.add(part));
     const own = motionOf(data, array);
     const { position, focus } = own;
 
@@ -260,6 +262,7 @@ const Viewer = (() => {
         turn.fromArray(rotation, 4 * one).normalize();
         body.quaternion.copy(turn.slerp(next.fromArray(rotation, 4 * two).normalize(), fraction));
       });
+      crowd?.pose(now, bodies);
       here.fromArray(focus, 3 * i).lerp(there.fromArray(focus, 3 * j), fraction);
       sun.target.position.copy(here);
       sun.position.copy(here).add(fromSun);
@@ -283,11 +286,13 @@ const Viewer = (() => {
         thing.geometry?.dispose();
         thing.material?.map?.dispose();
         thing.material?.dispose();
+        if (thing.isInstancedMesh) thing.dispose();
       });
       skins[0]?.skeleton.dispose();
       sun.dispose();
     }
-    const away = (data.water ? 4.3 : 4.4) * radius;
+    // A crowd is seen from farther away.
+    const away = (data.water ? 4.3 : 4.4) * radius * (data.crowd ? 1.5 : 1);
     const views = {
       side: [data.bearing - Math.PI / 2 + 0.35, data.water ? 0.42 : 0.24],
       top: [data.bearing - Math.PI / 2, 1.5],
@@ -488,8 +493,16 @@ const Viewer = (() => {
   return { cameraOf, decoder, fitted, motionOf, player, rendererOf, worldOf };
 })();
 
-// The page of a run holds the scene of its champion.
+// The page of a run holds the scene of its champion, and perhaps that of a generation. A button
+// chooses one.
 const champion = document.getElementById("scene");
 if (champion) {
-  Viewer.player(document.getElementById("animal"))?.show(JSON.parse(champion.textContent));
+  const player = Viewer.player(document.getElementById("animal"));
+  const choices = [...document.querySelectorAll("[data-scene]")];
+  const choose = (name) => {
+    player?.show(JSON.parse(document.getElementById(name).textContent));
+    choices.forEach((each) => each.setAttribute("aria-pressed", each.dataset.scene === name));
+  };
+  choices.forEach((each) => each.addEventListener("click", () => choose(each.dataset.scene)));
+  choose("scene");
 }

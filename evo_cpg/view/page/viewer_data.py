@@ -18,6 +18,7 @@ from evo_cpg.view.clip import Clip, quaternions, sample
 from evo_cpg.view.meshes import Piece, head_index, pieces
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.page.animal_data import piece_data, skin_data
+from evo_cpg.view.page.crowd_data import crowd_data
 from evo_cpg.view.scene import Panel, Scene, scene_of
 
 # Frames per second. The viewer interpolates between them.
@@ -61,7 +62,8 @@ class Arrays:
 def viewer_data(panel: Panel) -> dict[str, Any]:
     """Return all moving and fixed things in the scene of an animal."""
     clip = sample(panel.recording, RATE)
-    scene, arrays = scene_of(panel, clip), Arrays()
+    # The crowd has instants of its own.
+    scene, arrays = scene_of(panel._replace(crowd=None), clip), Arrays()
     level, head = scene.level, head_index(scene.creature)
     return {
         "start": float(clip.time[0]),
@@ -80,6 +82,9 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
         "goal": None if scene.goal is None else [float(x) for x in scene.goal],
         "surface": None if scene.surface is None else float(scene.surface),
         "water": panel.world == "water" and scene.surface is None,
+        "crowd": None
+        if panel.crowd is None
+        else crowd_data(panel.creature, panel.crowd, scene.look, arrays.add),
         "look": {name: getattr(scene.look, name) for name in _LOOK},
         # Last, because the entries above add arrays.
         "arrays": arrays.written,
