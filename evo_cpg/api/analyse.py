@@ -27,6 +27,7 @@ from evo_cpg.training.run_folder import RunFolder
 if TYPE_CHECKING:
     from PIL import Image
 
+    from evo_cpg.view.page.subject import Crowd
     from evo_cpg.view.scene import Panel
 
 # Size of the picture for print, pixels, and quality of its JPEG.
@@ -210,7 +211,7 @@ def page(
     from evo_cpg.view.film import picture
     from evo_cpg.view.frames import Film
     from evo_cpg.view.page.document import document
-    from evo_cpg.view.page.subject import Crowd, RecordedMotion, Subject
+    from evo_cpg.view.page.subject import RecordedMotion, Subject
     from evo_cpg.view.page.viewer_data import RATE, viewer_data
     from evo_cpg.view.scene import panel_of
 
@@ -229,7 +230,7 @@ def page(
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
         root_index=experiment.creature.root_index,
-        crowd=None if crowd is None else Crowd(crowd.title or "", viewer_data(crowd)),
+        crowd=None if crowd is None else _together(crowd),
     )
     audit = _audit(folder, champion)
     subject = Subject(
@@ -255,6 +256,17 @@ def page(
         made=now(),
     )
     return document(subject, motion)
+
+
+def _together(panel: "Panel") -> "Crowd":
+    """Return a generation for the page, with words about animals for which there is no room."""
+    from evo_cpg.view.page.subject import Crowd
+    from evo_cpg.view.page.viewer_data import viewer_data
+
+    scene, title = viewer_data(panel), (panel.title or "").capitalize()
+    shown = scene["crowd"]["count"]
+    left_out = panel.crowd is not None and shown < panel.crowd.count
+    return Crowd(f"{title}, {shown + 1} of them shown" if left_out else title, scene)
 
 
 def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:

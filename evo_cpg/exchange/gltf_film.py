@@ -6,7 +6,7 @@ therefore holds the unchanged numbers of the trajectory, in our axes (z upwards)
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyvista as pv
@@ -221,9 +221,9 @@ def _add_light(
 
 
 def _add_mesh(glb: Glb, name: str, surface: pv.PolyData, material: int) -> int:
-    whole = surface.triangulate()
+    whole = cast(pv.PolyData, surface.triangulate())
     normals = np.asarray(whole.point_data.active_normals, float)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     corners = whole.regular_faces.astype(np.int64)
-    colors = np.asarray(whole["rgb"]) if "rgb" in whole.point_data else None
+    colors = np.asarray(whole.point_data["rgb"]) if "rgb" in whole.point_data else None
     return glb.mesh(name, np.asarray(whole.points), normals, corners, material, colors=colors)

@@ -5,13 +5,13 @@ within the plates. Physics knows only the plates.
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.creature import Creature, lowest_height, neutral_pose
-from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.creature import Creature, Joint, lowest_height, neutral_pose
+from evo_cpg.creature.shapes import Box, Shape
 
 # Largest thickness of a plate relative to its width, and least distance of the joint from the
 # plate's middle, relative to its half length.
@@ -91,7 +91,7 @@ class Fin(NamedTuple):
             for row, sign in ((0, -1), (-1, 1))
             if bulge[row].max() > 0
         ]
-        return pv.merge([*sides, *ends], merge_points=False)
+        return cast(pv.PolyData, pv.merge([*sides, *ends], merge_points=False))
 
     def _points(self, *places: np.ndarray) -> np.ndarray:
         """Return points ``(n, 3)`` of places along, across and through, relative to the plate."""
@@ -103,79 +103,89 @@ def fins(creature: Creature) -> dict[int, Fin]:
     """Return the fins of an animal by their bodies in ``creature.bodies``."""
     centres, rotations = neutral_pose(creature)
     wholes = {body.whole for body in creature.bodies}
-    lowest = lowest_height(creature, (centres, rotations))
-    plates: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    lowest = float(lowest_height(creature, (centres, rotations)))
+    plates: dict[int, _Plate] = {}
     for i, body in enumerate(creature.bodies):
         if body.joint is None or body.whole or body.name in wholes:
             continue
-        found = _plate(body.shape, np.asarray(body.joint.child_anchor, float))
-        if found is not None and not _is_foot(*found, centres[i], rotations[i], lowest):
+        found = _plate(creature, body.shape, body.joint)
+        if found is not None and not _is_foot(found, centres[i], rotations[i], lowest):
             plates[i] = found
     after: dict[int, list[int]] = {}
-    for i in plates:
-        after.setdefault(creature.body_index(creature.bodies[i].joint.parent), []).append(i)
+    for i, plate in plates.items():
+        after.setdefault(plate.parent, []).append(i)
+
+    def following(body: int) -> int | None:
+        """Return the plate at the far edge of a plate, if there is one."""
+        if body not in plates or len(after.get(body, ())) != 1:
+            return None
+        (end,), plate = after[body], plates[body]
+        there = plate.axes[0] @ plates[end].place >= _AT_EDGE * plate.half[0]
+        return end if there else None
+
     made: dict[int, Fin] = {}
-    for base in plates:
-        parent = creature.body_index(creature.bodies[base].joint.parent)
-        if _continues(creature, plates, after, parent):
+    for base, plate in plates.items():
+        if following(plate.parent) is not None:
             continue
         row = [base]
-        while _continues(creature, plates, after, row[-1]):
-            row.append(after[row[-1]][0])
-        ends = np.cumsum([0.0, *(2 * plates[i][1][0] for i in row)])
+        while (further := following(row[-1])) is not None:
+            row.append(further)
+        ends = np.cumsum([0.0, *(2 * plates[i].half[0] for i in row)])
         ends /= ends[-1]
         sweep, root = 0.0, None
         if len(row) == 1:
-            axes, half = plates[base]
-            across = rotations[base] @ axes[1]
+            across = rotations[base] @ plate.axes[1]
             sweep = -_SWEEP * float(across[0])
-            carrier = creature.bodies[parent].shape
-            own = rotations[parent].T @ across
+            carrier = creature.bodies[plate.parent].shape
+            own = rotations[plate.parent].T @ across
             wide = float(own @ (carrier.support(own) - carrier.support(-own))) / 2
-            if wide < _FAN * half[1]:
-                root = wide / float(half[1])
+            if wide < _FAN * plate.half[1]:
+                root = wide / float(plate.half[1])
         for i, start, end in zip(row, ends[:-1], ends[1:], strict=True):
-            made[i] = Fin(*plates[i], float(start), float(end), sweep, root)
+            made[i] = Fin(plates[i].axes, plates[i].half, float(start), float(end), sweep, root)
     return made
 
 
-def _plate(shape: object, joint: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return axes and half sizes of a plate that hangs at an edge, or None for another shape."""
+class _Plate(NamedTuple):
+    """A plate that hangs at an edge.
+
+    Attributes:
+        axes: directions in the plate's frame, as in `Fin`.
+        half: half length, width and thickness, m.
+        parent: body that carries it.
+        place: place of the joint in the parent's frame, m.
+    """
+
+    axes: np.ndarray
+    half: np.ndarray
+    parent: int
+    place: np.ndarray
+
+
+def _plate(creature: Creature, shape: Shape, joint: Joint) -> _Plate | None:
+    """Return a plate that hangs at an edge, or None for another shape."""
     if not isinstance(shape, Box):
         return None
-    half = np.asarray(shape.half_extents, float)
+    half, hung = np.asarray(shape.half_extents, float), np.asarray(joint.child_anchor, float)
     thin, *broad = np.argsort(half)
     if half[thin] > _THIN * half[broad[0]]:
         return None
-    long = max(broad, key=lambda axis: abs(joint[axis]) / half[axis])
-    if abs(joint[long]) < _AT_EDGE * half[long]:
+    long = max(broad, key=lambda axis: abs(hung[axis]) / half[axis])
+    if abs(hung[long]) < _AT_EDGE * half[long]:
         return None
     order = [long, *(axis for axis in broad if axis != long), thin]
     axes = np.eye(3)[order]
-    axes[0] *= -np.sign(joint[long])
+    axes[0] *= -np.sign(hung[long])
     # Right-handed, so that both sides face outwards.
     axes[2] = np.cross(axes[0], axes[1])
-    return axes, half[order]
+    place = np.asarray(joint.parent_anchor, float)
+    return _Plate(axes, half[order], creature.body_index(joint.parent), place)
 
 
-def _is_foot(
-    axes: np.ndarray, half: np.ndarray, centre: np.ndarray, turn: np.ndarray, lowest: float
-) -> bool:
-    return bool(abs(turn[2] @ axes[2]) > _LEVEL and centre[2] - half[2] <= lowest + 2 * half[2])
-
-
-def _continues(
-    creature: Creature,
-    plates: dict[int, tuple[np.ndarray, np.ndarray]],
-    after: dict[int, list[int]],
-    body: int,
-) -> bool:
-    """Return whether a plate has one further plate at its far edge."""
-    if body not in plates or len(after.get(body, ())) != 1:
-        return False
-    axes, half = plates[body]
-    place = np.asarray(creature.bodies[after[body][0]].joint.parent_anchor, float)
-    return bool(axes[0] @ place >= _AT_EDGE * half[0])
+def _is_foot(plate: _Plate, centre: np.ndarray, turn: np.ndarray, lowest: float) -> bool:
+    """Return whether a plate lies level at the lowest height of the animal, m."""
+    level = abs(turn[2] @ plate.axes[2]) > _LEVEL
+    return bool(level and centre[2] - plate.half[2] <= lowest + 2 * plate.half[2])
 
 
 def _sheet(points: np.ndarray, grid: np.ndarray) -> pv.PolyData:
@@ -185,4 +195,7 @@ def _sheet(points: np.ndarray, grid: np.ndarray) -> pv.PolyData:
         [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
     )
     sheet = pv.PolyData.from_regular_faces(points, faces)
-    return sheet.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
+    smooth = sheet.compute_normals(
+        cell_normals=False, split_vertices=False, consistent_normals=False
+    )
+    return cast(pv.PolyData, smooth)

@@ -1,5 +1,7 @@
 """The shell of a turtle, with scutes above and a flat, pale belly. It is only drawn."""
 
+from typing import cast
+
 import numpy as np
 import pyvista as pv
 
@@ -51,7 +53,7 @@ def shell_mesh(body: Body, color: np.ndarray) -> pv.PolyData:
         _faces(len(below) // _AROUND)[:, ::-1],
         np.broadcast_to(_BELLY_COLOR, below.shape),
     )
-    return pv.merge([top, belly], merge_points=False)
+    return cast(pv.PolyData, pv.merge([top, belly], merge_points=False))
 
 
 def _dome(out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +81,10 @@ def _faces(rings: int) -> np.ndarray:
 def _sheet(points: np.ndarray, faces: np.ndarray, rgb: np.ndarray) -> pv.PolyData:
     sheet = pv.PolyData.from_regular_faces(points, faces)
     sheet["rgb"] = np.round(255 * rgb).astype(np.uint8)
-    return sheet.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
+    smooth = sheet.compute_normals(
+        cell_normals=False, split_vertices=False, consistent_normals=False
+    )
+    return cast(pv.PolyData, smooth)
 
 
 def _scutes(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

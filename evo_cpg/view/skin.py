@@ -107,8 +107,8 @@ def _skin(
     # A wide body reaches beyond the section of a narrow neighbour.
     wide = np.linalg.norm(across, axis=-1)
     for body, away in ((i, t[:, 0]), (i + 1, 1 - t[:, 0])):
-        part = _narrowed(creature, bodies, tangents, body, away * far[:, 0])
-        own = np.linalg.norm(rings[body], axis=-1) * part[:, None]
+        narrow = _narrowed(creature, bodies, tangents, body, away * far[:, 0])
+        own = np.linalg.norm(rings[body], axis=-1) * narrow[:, None]
         across *= np.maximum(own / wide, 1)[..., None]
         wide = np.maximum(wide, own)
     points = (curve[:, None] + across).reshape(-1, 3)
