@@ -152,6 +152,15 @@ Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use (default: a
 CoresOfRun = Annotated[
     int | None, typer.Option("--cores", min=1, help="Cores to use (default: as in training).")
 ]
+Crowd = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="GENERATION",
+        help="Show all animals of this generation together: the leader in colours, the others as "
+        "ghosts.",
+    ),
+]
 Tensorboard = Annotated[
     bool,
     typer.Option("--tensorboard", help="Write RUN/tensorboard with the columns of metrics.csv."),
