@@ -4,8 +4,9 @@ from typing import cast
 
 import numpy as np
 import pyvista as pv
+from jaxtyping import Float
 
-from evo_cpg.view.camera import level_axes
+from evo_cpg.view.camera import level_axes, turned_about_vertical
 from evo_cpg.view.meshes import head_index
 from evo_cpg.view.offscreen import add_faded
 from evo_cpg.view.shadows import Spots
@@ -15,6 +16,9 @@ from evo_cpg.view.textures import spot_texture
 
 # Points along a side of the pool of light, and its height in radii of the animal.
 _POOL, _POOL_LIFT = 41, 0.02
+# Radius of a light, in radii of the animal. Width of the halo of a light of another lane in its
+# radius, and its opacity.
+_CORE, _LANE_HALO, _LANE_GLOW = 0.075, 9.0, 0.6
 # Number of specks in water, and their colour.
 _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 # Time in which the trail fades to a third, s, and its thickness in radii of the animal.
@@ -41,7 +45,7 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
     shine = spot_texture(look.halo, look.glow, sharpness=3.0)
     pool = Spots(plotter, shine, stage.ground, _POOL_LIFT * radius, 1, _POOL)
     pool.lay(goal[None, :2], 1.8 * radius * np.eye(2)[None])
-    core = 0.075 * radius
+    core = _CORE * radius
     sphere = pv.Sphere(radius=core, center=goal, theta_resolution=32, phi_resolution=24)
     plotter.add_mesh(sphere, color=look.light, lighting=False)
     halos = []
@@ -60,6 +64,39 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
     def face_viewer(shot: Shot) -> None:
         for actor in halos:
             actor.orientation = (0.0, 0.0, float(np.degrees(shot.turned)))
+
+    return face_viewer
+
+
+def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "n 3"]) -> Update:
+    """Draw the lights of the other lanes of a race: small spheres, each with a halo.
+
+    Args:
+        stage: scene and camera.
+        goals: places of the lights, m.
+    """
+    plotter, look, core = stage.plotter, stage.look, _CORE * stage.radius
+    spheres = [pv.Sphere(core, goal, theta_resolution=16, phi_resolution=12) for goal in goals]
+    cores = plotter.add_mesh(
+        spheres[0].append_polydata(*spheres[1:]), color=look.light, lighting=False
+    )
+    halos = [
+        pv.Plane(goal, -stage.sight, _LANE_HALO * core, _LANE_HALO * core, 1, 1) for goal in goals
+    ]
+    mesh = halos[0].append_polydata(*halos[1:])
+    own = np.asarray(mesh.points).reshape(len(goals), -1, 3) - goals[:, None]
+    texture = spot_texture(look.halo, _LANE_GLOW, sharpness=3.0)
+    shine = plotter.add_mesh(mesh, texture=texture, lighting=False)
+    shine.ForceTranslucentOn()
+    staging = stage.scene.staging
+    appear = None if staging is None else staging.appear
+
+    def face_viewer(shot: Shot) -> None:
+        if appear is not None:
+            for actor in (cores, shine):
+                actor.prop.opacity = float(np.interp(shot.number, appear, (0.0, 1.0)))
+        turned = (turned_about_vertical(axis, shot.turned) for axis in np.eye(3))
+        mesh.points = (goals[:, None] + own @ np.stack([*turned])).reshape(-1, 3)
 
     return face_viewer
 

@@ -103,13 +103,14 @@ class Stage:
 
     @functools.cached_property
     def away(self) -> float:
-        """Distance of the camera from its focus in the first frame, m."""
-        return float(np.linalg.norm(self.camera.focus[0] - self.camera.position[0]))
+        """Largest distance of the camera from its focus, m."""
+        return float(np.linalg.norm(self.camera.focus - self.camera.position, axis=-1).max())
 
     @functools.cached_property
     def sight(self) -> Float[np.ndarray, "3"]:
         """Direction of view in the first frame."""
-        return (self.camera.focus[0] - self.camera.position[0]) / self.away
+        sight = self.camera.focus[0] - self.camera.position[0]
+        return sight / np.linalg.norm(sight)
 
     @functools.cached_property
     def sun(self) -> Float[np.ndarray, "3"]:
