@@ -20,74 +20,103 @@ from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing
 from evo_cpg.view.story import FPS, Overview
 from evo_cpg.view.terrain import heights
 
-# Number of lanes in a wide and in a tall picture. Width of a lane, in lengths of the animal and in
-# its own width.
-_WIDE, _TALL, _LANE, _ROOMY = 7, 5, 0.75, 1.25
+# Number of lanes in a wide and in a tall picture. Least width of a lane, in lengths of the animal,
+# its width and its height. Place of the outer borders, in lanes.
+_WIDE, _TALL, _LANE, _ROOMY, _HIGH, _SIDE = 7, 5, 0.75, 1.25, 2.2, 0.7
+# Number of other animals where there are no lanes.
+_PILED = 4
 # A goal is in the view of the lanes if it is at most this many lengths away. Otherwise the view
-# shows this part of the champion's way in the race, and room for an arrow.
-_IN_VIEW, _PART = 7.0, 0.9
-# Borders of the view around the lanes, in lengths: behind the start, beyond the end, at the sides
+# shows the champion's way in the time of a crowd, or at least this many lengths.
+_IN_VIEW, _LEAST = 5.0, 1.5
+# Borders of the view around the lanes, in lengths: behind the start, beyond a goal, at the sides
 # and, for swimmers, below and above.
-_BEHIND, _BEYOND, _BESIDE, _UPRIGHT = 0.55, 0.2, 0.45, 0.3
+_BEHIND, _BEYOND, _BESIDE, _UPRIGHT = 0.25, 0.3, 0.45, 0.3
 # Elevation of the view of the lanes, rad: in water, and on land, where it shows a sky.
 _IN_WATER, _ON_LAND = np.radians(24.0), np.radians(12.0)
 # Least part of the picture's width for the animal next to its goal, in the view of the title. Room
-# ahead of the animal for an arrow, in lengths.
-_SMALLEST, _AHEAD = 0.16, 0.9
+# ahead of the animal for an arrow, and behind it or its goal, in lengths.
+_SMALLEST, _AHEAD, _BACK = 0.15, 0.6, 0.2
 # The finish stands on the last line that the champion passes this long before the end, s.
 _BEFORE_END = 0.7
 # The floor under swimmers lies this far below them, and at most so far below the start, in lengths.
-_FLOOR, _DEEPEST = 0.3, 1.2
-# Two places have the same height if the difference is below this part of the animal's length.
-_LEVEL = 0.01
+# Fraction of the bodies of a crowd that may be lower.
+_FLOOR, _DEEPEST, _STRAYS = 0.3, 1.2, 0.02
+# Lanes have the same height if the difference is below this part of their width.
+_LEVEL = 0.02
+
+
+class Course(NamedTuple):
+    """Way of the champion from the start to its goal.
+
+    Attributes:
+        start: place of the root at the start, m.
+        bearing: direction of the way from the x axis, rad.
+        ahead: the same as a level unit vector.
+        aside: level unit vector to its left.
+        corners: corners of the bodies at the start, m.
+        length: length of the animal, m.
+        lane: width of a lane, m. It is 0 on uneven ground, where nothing can be moved aside.
+        spacing: distance between the lines, m, or 0 without lines.
+        target: place of the light or of the finish, m, or None.
+        finish: distance of the finish from the start, m, and the instant at which the champion
+            passes it, s. None with a light, or without lines.
+    """
+
+    start: Float[np.ndarray, "3"]
+    bearing: float
+    ahead: Float[np.ndarray, "3"]
+    aside: Float[np.ndarray, "3"]
+    corners: Float[np.ndarray, "n 3"]
+    length: float
+    lane: float
+    spacing: float
+    target: Float[np.ndarray, "3"] | None
+    finish: tuple[float, float] | None
 
 
 class Tank(NamedTuple):
-    """Lanes side by side with their goal, and the views that show them.
+    """Lanes side by side, and the views that show them.
 
     Attributes:
-        lanes: number of lanes.
-        lane: width of a lane, m. It is 0 on uneven ground, where nothing can be moved aside.
-        aside: direction from the first lane to the others.
+        course: way of the first animal.
+        others: number of animals beside the first one.
         track: lines across the lanes, or None.
         floor: height of the floor under swimmers, m, or None.
         title: view of the first animal, and of its goal if it is near.
         wide: view of all lanes.
-        goal: place of the finish, m, and its name, or None.
-        finish: instant at which the champion passes the finish, s, or None.
     """
 
-    lanes: int
-    lane: float
-    aside: Float[np.ndarray, "3"]
+    course: Course
+    others: int
     track: Track | None
     floor: float | None
     title: Overview
     wide: Overview
-    goal: tuple[Float[np.ndarray, "3"], str] | None
-    finish: float | None
+
+    @property
+    def goal(self) -> tuple[Float[np.ndarray, "3"], str] | None:
+        """Place of the finish, m, and its name, or None."""
+        course = self.course
+        if course.target is None or course.finish is None:
+            return None
+        return course.target, "finish"
 
     def staging(self, others: int) -> Staging:
         """Return the arrangement of some animals beside the first one."""
-        lanes = self.lane * np.arange(1, others + 1)[:, None] * self.aside
+        course = self.course
+        lanes = course.lane * np.arange(1, others + 1)[:, None] * course.aside
         return Staging(lanes, self.track, self.floor)
 
 
-def tank_of(
-    panel: Panel, crowds: Sequence[CrowdMotion], length: float, seconds: float, forward: bool,
-    aspect: float,
-) -> Tank:  # fmt: skip
-    """Return the lanes for a champion and its earlier generations.
+def course_of(panel: Panel, length: float, forward: bool) -> Course:
+    """Return the way of a champion.
 
     Args:
         panel: the champion.
-        crowds: the generations.
         length: length of the animal, m.
-        seconds: length of the race, s.
         forward: whether only displacement along x counts.
-        aspect: width of the picture over its height.
     """
-    creature, recording, land = panel.creature, panel.recording, panel.ground is not None
+    creature, recording = panel.creature, panel.recording
     path, goal = recording.position[:, creature.root_index], recording.goal
     lit, start = bool(np.isfinite(goal).all()), path[0]
     bearing = course(path, goal, length / 20) if lit or not forward else 0.0
@@ -97,92 +126,116 @@ def tank_of(
     box = np.array([body.shape.half_extents for body in creature.bodies])
     corners = Bodies(clip.position[:1], clip.rotation[:1], box).corners()[0]
     across = (corners - start) @ aside
-    count = _WIDE if aspect >= 1 else _TALL
-    lane = max(_LANE * length, _ROOMY * float(np.ptp(across)))
-    way = (path - start) @ ahead
-    shown = max(_PART * float(way[recording.time <= recording.time[0] + seconds].max()), length)
-    spacing = mark_spacing(length)
-    if panel.ground is not None and not _flat(
-        panel.ground, start, ahead, aside, shown, lane * count
-    ):
+    lane = max(_LANE * length, _ROOMY * np.ptp(across), _HIGH * np.ptp(corners[:, 2]))
+    way, spacing = (path - start) @ ahead, mark_spacing(length)
+    if panel.ground is not None and not _flat(panel.ground, start, ahead, aside, way.max(), lane):
         lane, spacing = 0.0, 0.0
-    finish = None
+    target, finish = goal if lit else None, None
     if not lit and spacing:
         passed = way[recording.time <= recording.time[-1] - _BEFORE_END].max(initial=0.0)
-        finish = float(np.floor(passed / spacing) * spacing) or None
-    target = goal if lit else None if finish is None else start + finish * ahead
+        if passed >= spacing:
+            distance = float(np.floor(passed / spacing) * spacing)
+            finish = distance, float(recording.time[(way >= distance).argmax()])
+            target = start + distance * ahead
+    return Course(
+        start, bearing, ahead, aside, corners, length, float(lane), spacing, target, finish
+    )
+
+
+def tank_of(
+    panel: Panel, course: Course, crowds: Sequence[CrowdMotion], seconds: float, aspect: float
+) -> Tank:
+    """Return the lanes for a champion and its earlier generations.
+
+    Args:
+        panel: the champion.
+        course: its way.
+        crowds: the generations.
+        seconds: length of a crowd's motion, s.
+        aspect: width of the picture over its height.
+    """
+    start, ahead, corners = course.start, course.ahead, course.corners
+    length, lane, target, finish = course.length, course.lane, course.target, course.finish
+    recording, land = panel.recording, panel.ground is not None
+    count = _WIDE if aspect >= 1 else _TALL
+    path = recording.position[:, panel.creature.root_index]
+    early = recording.time <= recording.time[0] + seconds
+    shown = max(float(((path[early] - start) @ ahead).max()), _LEAST * length)
     away = np.inf if target is None else float((target - start) @ ahead)
     near = target is not None and away <= _IN_VIEW * length
-    end = away if near else shown
-    rise = (target[2] - start[2]) if near and lit else 0.0
-    border = _BESIDE * length + lane * (count - 1)
+    end = away + _BEYOND * length if near else shown + _AHEAD * length
+    along = (corners - start) @ ahead
     low, high = corners[:, 2].min(), corners[:, 2].max()
     if not land:
         low, high = low - _UPRIGHT * length, high + _UPRIGHT * length
-
-    def place(along: float, to_left: float, height: float) -> np.ndarray:
-        return start + along * ahead + to_left * aside + [0.0, 0.0, height - start[2]]
-
-    beyond = end + (_BEYOND if near else _AHEAD) * length
+    rise = target[2] - start[2] if target is not None and near and finish is None else 0.0
     points = [
-        place(along, to_left, height + up)
-        for along, up in ((-_BEHIND * length, 0.0), (beyond, rise))
-        for to_left in (-_BESIDE * length, border)
-        for height in (low, high)
+        [*(start + to_end * ahead + to_left * course.aside)[:2], height]
+        for to_end, up in ((along.min() - _BEHIND * length, 0.0), (end, rise))
+        for to_left in (-_BESIDE * length, _BESIDE * length + lane * (count - 1))
+        for height in (low + up, high + up)
     ]
-    elevation = _ON_LAND if land else _IN_WATER
-    wide = Overview(np.array(points), bearing, elevation)
+    wide = Overview(np.array(points), course.bearing, _ON_LAND if land else _IN_WATER)
     look = STYLES[panel.world]
-    first = [*corners, start + _AHEAD * length * ahead]
-    title = Overview(np.array(first), bearing, look.side_elevation, titled=True)
-    if near:
-        both = title._replace(points=np.concatenate([corners, target[None]]))
-        seen = overview(both.points, bearing, both.elevation, aspect, titled=True)
-        if np.ptp(project(seen, corners[None], aspect)[0, :, 0]) / 2 >= _SMALLEST:
-            title = both
+    tail = start + (along.min() - _BACK * length) * ahead
+    before = start + (along.max() + _AHEAD * length) * ahead
+    title = wide._replace(elevation=look.side_elevation, titled=True)
+    both = [*corners, tail, before if target is None else target + _BACK * length * ahead]
+    seen = overview(np.array(both), course.bearing, title.elevation, aspect, titled=True)
+    if np.ptp(project(seen, corners[None], aspect)[0, :, 0]) / 2 < _SMALLEST:
+        both = [*corners, tail, before]
+    title = title._replace(points=np.array(both))
     track = None
-    if spacing and not (lit and near):
-        lines = int(np.ceil((finish or beyond) / spacing))
-        track = Track(start, bearing, spacing, lines, 0.7 * lane, lane * (count - 0.3), finish)
+    # Near lights are the only goal. Otherwise lines show how far the animals come.
+    if course.spacing and not (near and finish is None):
+        lines = int(np.ceil((finish[0] if finish else end) / course.spacing))
+        sides = _SIDE * lane, lane * (count - 1 + _SIDE)
+        place = None if finish is None else finish[0]
+        track = Track(start, course.bearing, course.spacing, lines, *sides, place)
     floor = None
     if not land:
-        reach = animal_reach(creature)
-        depths = [recording.position[..., 2].min(), *([goal[2]] if lit else [])]
-        depths += [float(np.quantile(crowd.position[..., 2], 0.02)) for crowd in crowds]
-        floor = max(min(depths), start[2] - _DEEPEST * length) - reach - _FLOOR * length
-    named = None if finish is None or lit else (target, "finish")
-    crossed = None if finish is None else float(recording.time[(way >= finish).argmax()])
-    return Tank(count, lane, aside, track, floor, title, wide, named, crossed)
+        depths = [recording.position[..., 2].min()]
+        depths += [target[2]] if target is not None else []
+        depths += [float(np.quantile(crowd.position[..., 2], _STRAYS)) for crowd in crowds]
+        floor = max(min(depths), start[2] - _DEEPEST * length)
+        floor -= animal_reach(panel.creature) + _FLOOR * length
+    return Tank(course, count - 1 if lane else _PILED, track, floor, title, wide)
 
 
 def in_lanes(
     crowd: CrowdMotion, root: int, heading: str, count: int
 ) -> tuple[Recording, CrowdMotion]:
-    """Return the leader of a crowd, and the animals of the other lanes.
+    """Return the first animal of a crowd, and the animals of the other lanes.
 
     The others are those at even ranks of progress, so that they show the whole crowd as it is. The
     first animals of a population would not, because these are the elites.
+
+    Args:
+        crowd: the animals, the best first.
+        root: number of the root body.
+        heading: ``forward`` if only displacement along x counts.
+        count: number of other animals.
     """
-    ranked = np.argsort(-crowd.advance(root, heading))
-    chosen = ranked[np.linspace(0, crowd.count - 1, min(count, crowd.count)).round().astype(int)]
+    ranked = 1 + np.argsort(-crowd.advance(root, heading)[1:])
+    count = min(count, len(ranked))
+    chosen = ranked[((np.arange(count) + 0.5) / max(count, 1) * len(ranked)).astype(int)]
     # Neighbours differ, as in the population.
-    return crowd.recording(int(chosen[0]), root), crowd.of(np.sort(chosen[1:]))
+    return crowd.recording(0, root), crowd.of(np.sort(chosen))
 
 
 def _flat(
     ground: Ground,
-    start: np.ndarray,
-    ahead: np.ndarray,
-    aside: np.ndarray,
-    along: float,
-    wide: float,
+    start: Float[np.ndarray, "3"],
+    ahead: Float[np.ndarray, "3"],
+    aside: Float[np.ndarray, "3"],
+    far: float,
+    lane: float,
 ) -> bool:
-    """Return whether ground has no obstacles, and the same height in all lanes."""
+    """Return whether ground has no obstacles, and the same height in all lanes up to a distance."""
     if ground.obstacles:
         return False
     if ground.level is not None:
         return True
-    s, w = np.meshgrid(np.linspace(0, along, 12), np.linspace(0, wide, 6), indexing="ij")
-    place = start[:2] + s[..., None] * ahead[:2] + w[..., None] * aside[:2]
-    found = heights(ground.floor, place)
-    return bool(np.ptp(found, axis=1).max() <= _LEVEL * max(along, wide))
+    along, across = np.linspace(0.0, far, 12), lane * np.arange(_WIDE)
+    place = start + along[:, None, None] * ahead + across[:, None] * aside
+    return bool(np.ptp(heights(ground.floor, place[..., :2]), axis=1).max() <= _LEVEL * lane)

@@ -10,9 +10,10 @@ from evo_cpg.api.display import working
 from evo_cpg.api.opened import OpenedChampion
 from evo_cpg.cli.champions import champion_motion
 from evo_cpg.cli.errors import warn
-from evo_cpg.cli.lanes import in_lanes, tank_of
+from evo_cpg.cli.lanes import Course, course_of, in_lanes, tank_of
 from evo_cpg.cli.options import Which
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at
 from evo_cpg.training.lineage import champion_at
 from evo_cpg.training.run_folder import RunFolderError
@@ -24,18 +25,26 @@ from evo_cpg.view.story_text import Words
 # Lengths in the film, s: of the whole story, of the title before the first motion, of each crowd's
 # motion, and of the race. The champion takes the rest.
 _WHOLE, _TITLE, _CROWD, _RACE = 15.0, 1.7, 2.3, 3.2
-# Times in which the camera leaves the title, and in which it comes close to the winner of the race.
-_LEAVE, _CLOSE = 1.2, 1.1
+# Times in which the camera leaves the title, and before it follows the winner of the race.
+_LEAVE, _STAY = 1.2, 0.4
 # A generation runs for as long as the champion takes for this many of its own lengths, in this much
 # film, s. Allowed speeds of the film.
-_LENGTHS, _RUN, _SLOWEST, _FASTEST = 6.0, 3.0, 1.0, 6.0
+_LENGTHS, _RUN, _SLOWEST, _FASTEST = 4.0, 3.0, 1.0, 6.0
 # Speed of the film when the champion arrives, and time that is shown after it has arrived, s. The
 # champion has arrived when it is this much farther away than ever, as a fraction of the way.
 _SLOW, _AFTER, _ARRIVED = 0.5, 0.5, 0.03
+# Distance of a body from the light that counts as reaching it, in lengths of the animal.
+_REACHED = 0.15
+# Fraction of the bodies, over the champion's take, for a camera below the surface of the water.
+_SUBMERGED = 0.9
+# Highest speed of the film in the race.
+_FASTEST_RACE = 10.0
 # Distance of the camera at the start of a crowd, relative to that at its end.
 _FAR = 1.06
-# Lengths of the parts of the loop, s: of the title, and of the motion in each take.
-_OF_TITLE, _OF_FIRST, _OF_LAST, _OF_RACE, _OF_CHAMPION = 1.2, 1.7, 1.6, 2.4, 2.3
+# Lengths of the parts of the loop, s: of the title, and of the motion in each take. Words that
+# would be seen for less time are left out.
+_OF_TITLE, _OF_FIRST, _OF_LAST, _OF_RACE, _OF_CHAMPION = 1.2, 2.0, 1.7, 2.4, 2.6
+_READABLE = 0.8
 
 
 class Material(NamedTuple):
@@ -44,16 +53,22 @@ class Material(NamedTuple):
     Attributes:
         opened: run with its champion.
         panel: the champion in its world.
-        length: length of the animal, m.
+        course: way of the champion.
+        start: instant at which the champion's take begins, s.
         speed: speed of the film for the crowds.
-        crowds: numbers and animals of the shown generations, without the champion's.
+        race: speed of the film for the race.
+        random: whether the first generation is random.
+        crowds: numbers and animals of the shown generations, the best first.
         earlier: generations and motion of earlier champions, if there are no crowds.
     """
 
     opened: OpenedChampion
     panel: Panel
-    length: float
+    course: Course
+    start: float
     speed: float
+    race: float
+    random: bool
     crowds: list[tuple[int, CrowdMotion]]
     earlier: list[tuple[int, Recording]]
 
@@ -80,14 +95,21 @@ def material_of(run: Path, which: Which) -> Material:
         which: one of several runs in the folder, and trial.
     """
     opened, recording = champion_motion(run, which)
-    creature = opened.experiment.creature
+    creature, task = opened.experiment.creature, opened.experiment.simulation.task
     panel = panel_of(opened.experiment, recording, creature.name)._replace(numbers=False)
     length = 2 * animal_radius(creature, sample(recording, FPS))
+    course = course_of(panel, length, task.heading == "forward")
+    chosen = generations_of(opened.folder.newest, opened.champion.generation)
+    last = _WHOLE - sum(_lengths(len(chosen)))
+    start = _arrival(recording, last, course.finish)
     speed = _speed(recording, creature.root_index, length)
-    crowds, earlier = _crowds(opened, which.trial, speed), []
+    # The race ends where the champion's take begins.
+    race = min(max(start / (_RACE - EASE / 2), speed), _FASTEST_RACE)
+    crowds, earlier = _crowds(opened, which.trial, chosen, max(speed * _CROWD, race * _RACE)), []
     if not crowds:
-        earlier = _earlier(opened, which.trial)
-    return Material(opened, panel, length, speed, crowds, earlier)
+        earlier = _earlier(opened, which.trial, chosen)
+    random = opened.folder.load_start() is None
+    return Material(opened, panel, course, start, speed, race, random, crowds, earlier)
 
 
 def story_of(material: Material, title: str | None, aspect: float) -> Story:
@@ -98,59 +120,72 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         title: title, or None for one that fits the world.
         aspect: width of the picture over its height.
     """
-    opened, panel, length, speed, crowds, earlier = material
+    opened, panel, course, _, speed, _, _, crowds, earlier = material
     task, recording = opened.experiment.simulation.task, panel.recording
-    root, forward = panel.creature.root_index, task.heading == "forward"
+    root = panel.creature.root_index
     every = [crowd for _, crowd in crowds]
-    tank = tank_of(panel, every, length, speed * _RACE, forward, aspect)
+    tank = tank_of(panel, course, every, speed * _CROWD, aspect)
     takes: list[Take] = []
     captions: list[str] = []
 
-    def add(animal: Recording, others: CrowdMotion, names: tuple[str, ...], moves: float) -> None:
-        """Add a take of the lanes, in which the animals move for some time of the film, s."""
-        first = not takes
+    def add(animal: Recording, others: CrowdMotion, names: tuple[str, ...], race: bool) -> None:
+        """Add a take of the lanes."""
+        first, moves = not takes, _RACE if race else _CROWD
         hold = _TITLE if first else DISSOLVE
         end, appear = hold + moves, None
         views = [(0.0, tank.wide._replace(distance=_FAR)), (end, tank.wide)]
         if first:
             views = [(_TITLE - 0.2, tank.title), (_TITLE + _LEAVE, tank.wide)]
-            appear = round(_TITLE * FPS), round((_TITLE + _LEAVE / 2) * FPS)
-        if moves == _RACE:
-            views = [*views[:-1], (end - _CLOSE, tank.wide), (end, None)]
+            appear = round(_TITLE * FPS), round((_TITLE + 0.6 * _LEAVE) * FPS)
+        if race:
+            begin = hold + (_LEAVE if first else _STAY)
+            views = [*views[:-1], (begin, tank.wide), (end, None)]
         staging = tank.staging(others.count)._replace(names=names, appear=appear)
         seen = panel._replace(recording=animal, crowd=others, staging=staging)
         # The first take shares no frames with a take before it.
         seconds = hold + moves - DISSOLVE / 2 if first else moves
-        takes.append(Take(seen, seconds, 0.0, speed, views, hold, tank.goal))
+        pace = material.race if race else speed
+        takes.append(Take(seen, seconds, 0.0, pace, views, hold, tank.goal))
 
     racers = earlier
     for generation, crowd in crowds:
-        leader, others = in_lanes(crowd, root, task.heading, tank.lanes)
+        leader, others = in_lanes(crowd, root, task.heading, tank.others)
         racers = [*racers, (generation, leader)]
-        add(leader, others, ("best",), _CROWD)
-        captions.append(_named(generation))
+        add(leader, others, ("best",), race=False)
+        captions.append(_named(generation, material.random, len(captions) == 1))
     final = opened.champion.generation
     if racers:
         names = [str(generation) for generation in (final, *(number for number, _ in racers))]
-        add(recording, _together([motion for _, motion in racers]), tuple(names), _RACE)
+        add(recording, _together([motion for _, motion in racers]), tuple(names), race=True)
         *some, last = *names[1:], names[0]
         captions.append(f"A race: the best after {', '.join(some)} and {last} generations")
     seconds = _WHOLE - sum(take.seconds for take in takes)
     alone = panel._replace(staging=tank.staging(0))
-    start = _arrival(recording, seconds, tank.finish)
+    # Without crowds, this take is longer.
+    start = _arrival(recording, seconds, course.finish)
+    shown = (recording.time >= start) & (recording.time <= start + _SLOW * seconds)
+    below = recording.position[shown, ..., 2] < (panel.surface or 0.0)
+    if panel.surface is not None and below.mean() > _SUBMERGED:
+        alone = alone._replace(staging=tank.staging(0)._replace(under=True))
     takes.append(Take(alone, seconds, start, _SLOW, goal=tank.goal))
     captions.append(f"After {_generations(final)}, in slow motion")
+    ending = _ending(panel, course, start, seconds)
     heading = title or _title(panel.world, panel.ground is not None)
-    words = [Words(heading, "title", -1.0, _TITLE + 0.3)]
+    words = [Words(heading, "title", -1.0, _TITLE)]
     if aim := _task(opened, recording):
-        words.append(Words(aim, "subtitle", -1.0, _TITLE + 0.3))
-    begin = _TITLE + 0.3
+        words.append(Words(aim, "subtitle", -1.0, _TITLE))
+    begin = _TITLE + 0.2
     for caption, end in zip(captions, np.cumsum([take.seconds for take in takes]), strict=True):
         # One caption has gone when the next one appears. The last one stays.
-        last = caption == captions[-1]
-        words.append(Words(caption, "caption", begin, 99.0 if last else float(end)))
+        words.append(Words(caption, "caption", begin, float(end)))
         begin = float(end)
-    return Story(takes, words, _loop(takes, words, captions))
+    if ending is not None:
+        arrived = _WHOLE - seconds + ending[0]
+        words[-1] = words[-1]._replace(end=arrived)
+        words.append(Words(ending[1], "caption", arrived, 99.0))
+    else:
+        words[-1] = words[-1]._replace(end=99.0)
+    return Story(takes, words, _loop(takes, words))
 
 
 def generations_of(done: int, champion: int) -> list[int]:
@@ -166,11 +201,11 @@ def generations_of(done: int, champion: int) -> list[int]:
     return [0, *sorted(each for each in found if 0 < each < champion)]
 
 
-def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int, CrowdMotion]]:
+def _crowds(
+    opened: OpenedChampion, trial: int, chosen: list[int], seconds: float
+) -> list[tuple[int, CrowdMotion]]:
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
-    chosen = generations_of(folder.newest, opened.champion.generation)
-    seconds = speed * (_RACE - EASE / 2)
     try:
         opened.require_configured()
         with working("breeding the first generations again"):
@@ -178,29 +213,59 @@ def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int,
     except RunFolderError as error:
         warn(f"the story leaves out the first generations: {error}")
         return []
-    motion = compile_crowd_motion(experiment, seconds, 2 * FPS / speed, run, trial)
+    motion = compile_crowd_motion(experiment, seconds, 2 * FPS * _RACE / seconds, run, trial)
+    best = _best_until(opened, chosen)
+    crowds = []
     with working("replaying the first generations"):
-        crowds = [
-            motion(np.split(genes, experiment.runs, axis=1)[run], generation)
-            for genes, generation in zip(every, chosen, strict=True)
-        ]
-    return [(number, one) for number, one in zip(chosen, crowds, strict=True) if one.count]
+        for genes, generation in zip(every, chosen, strict=True):
+            own = np.split(genes, experiment.runs, axis=1)[run]
+            if generation in best:
+                own = _led_by(best[generation].genes, own)
+            crowd = motion(own, generation)
+            if generation not in best:
+                leader = crowd.leader(
+                    experiment.creature.root_index, experiment.simulation.task.heading
+                )
+                crowd = crowd.of(np.argsort(np.arange(crowd.count) != leader, kind="stable"))
+            crowds.append((generation, crowd))
+    return [(generation, crowd) for generation, crowd in crowds if crowd.count]
 
 
-def _earlier(opened: OpenedChampion, trial: int) -> list[tuple[int, Recording]]:
-    """Return the motion of earlier champions, or nothing if none is known or can be replayed."""
+def _led_by(best: np.ndarray, genes: np.ndarray) -> np.ndarray:
+    """Return a population ``(genes, n)`` with its best individual first.
+
+    A search without elites may have lost the best individual so far. Then it replaces the first.
+    """
+    same = np.flatnonzero((genes == best[:, None]).all(0))
+    led = genes.copy()
+    if len(same):
+        led[:, same[0]] = led[:, 0]
+    led[:, 0] = best
+    return led
+
+
+def _best_until(opened: OpenedChampion, generations: list[int]) -> dict[int, Champion]:
+    """Return the champions after some generations that came before the final one."""
     champion = opened.champion
     try:
-        opened.require_configured()
         lineage = [one for one in opened.folder.load_lineage() if one.run == champion.run]
     except RunFolderError:
-        return []
-    wanted = generations_of(opened.folder.newest, champion.generation)
-    found = {
-        one.generation: one
-        for one in (champion_at(lineage, generation) for generation in wanted)
+        return {}
+    found = {generation: champion_at(lineage, generation) for generation in generations}
+    return {
+        generation: one
+        for generation, one in found.items()
         if one is not None and one.generation < champion.generation
     }
+
+
+def _earlier(opened: OpenedChampion, trial: int, wanted: list[int]) -> list[tuple[int, Recording]]:
+    """Return the motion of earlier champions, or nothing if none is known or can be replayed."""
+    try:
+        opened.require_configured()
+    except RunFolderError:
+        return []
+    found = _best_until(opened, wanted)
     with working("replaying earlier champions"):
         replays = opened.replay([*found.values()], trial) if found else []
     return [(number, each.recording) for number, each in zip(found, replays, strict=True)]
@@ -221,59 +286,86 @@ def _speed(recording: Recording, root: int, length: float) -> float:
     """Return the speed of the film for crowds, from the speed of the champion."""
     path = recording.position[:, root]
     away = np.linalg.norm(path - path[0], axis=-1)
-    there = int((away >= 0.9 * away.max()).argmax())
-    pace = away[there] / max(recording.time[there], 1e-9)
+    there = int((away >= min(_LENGTHS * length, 0.9 * away.max())).argmax())
     # A short trial must not end before its take.
     fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_RACE + DISSOLVE))
-    return float(min(max(_LENGTHS * length / max(pace, 1e-9) / _RUN, _SLOWEST), fastest))
+    return float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
 
 
-def _arrival(recording: Recording, seconds: float, crossed: float | None) -> float:
+def _arrival(recording: Recording, seconds: float, finish: tuple[float, float] | None) -> float:
     """Return the instant at which the champion's take begins, s.
 
     Args:
         recording: motion of the champion.
         seconds: length of the take, s.
-        crossed: instant at which the champion passes the finish, s, or None without a finish.
+        finish: distance of the finish and the instant at which the champion passes it, or None.
     """
-    time, shown = recording.time, _SLOW * seconds
-    end = time[-1]
+    end = min(_arrived(recording, finish) + _AFTER, recording.time[-1])
+    return float(max(end - _SLOW * seconds, recording.time[0]))
+
+
+def _arrived(recording: Recording, finish: tuple[float, float] | None) -> float:
+    """Return the instant at which the champion is at its goal, or the end of the trial, s."""
     if np.isfinite(recording.goal).all():
         away = recording.distance
         near = away.min() + _ARRIVED * (away[0] - away.min())
-        end = time[(away <= near).argmax()] + _AFTER
-    elif crossed is not None:
-        end = crossed + _AFTER
-    return float(max(min(end, time[-1]) - shown, time[0]))
+        return float(recording.time[(away <= near).argmax()])
+    return recording.time[-1] if finish is None else finish[1]
 
 
-def _loop(takes: list[Take], words: list[Words], captions: list[str]) -> list[LoopPart]:
+def _lengths(crowds: int) -> list[float]:
+    """Return the lengths of the takes of crowds, and of the race, s."""
+    # The first take shares no frames with a take before it.
+    found = [*[_CROWD] * crowds, _RACE] if crowds else []
+    return [_TITLE - DISSOLVE / 2 + found[0], *found[1:]] if found else []
+
+
+def _ending(panel: Panel, course: Course, start: float, seconds: float) -> tuple[float, str] | None:
+    """Return the time in the champion's take at which it is at its goal, s, and a sentence."""
+    recording = panel.recording
+    at = (_arrived(recording, course.finish) - start) / _SLOW
+    text = "It passes the finish."
+    if course.finish is None:
+        if course.target is None:
+            return None
+        away = np.linalg.norm(recording.position - course.target, axis=-1).min()
+        text = "It reaches the light."
+        if away > _REACHED * course.length:
+            return None
+    return (max(at, DISSOLVE + 1.0), text) if at < seconds - 0.5 else None
+
+
+def _loop(takes: list[Take], words: list[Words]) -> list[LoopPart]:
     """Return the parts of the film that the loop shows: title, crowds, race, and champion."""
     every, shared = spans([take.seconds for take in takes]), round(DISSOLVE * FPS)
+    last = len(takes) - 1
 
-    def part(number: int, seconds: float, of_end: bool) -> LoopPart:
-        (first, end), caption = every[number], captions[number]
-        hold, length = round(takes[number].hold * FPS), round(seconds * FPS)
-        low, high = first + hold, end - (shared if number < len(takes) - 1 else 0)
-        first = max(low, high - length) if of_end else low
-        end = min(first + length, high)
-        told = Words(caption, "caption", DISSOLVE, (end - first - shared) / FPS)
-        return LoopPart(first, end, [told])
+    def part(number: int, seconds: float, title: float = 0.0) -> LoopPart:
+        first, end = every[number]
+        first += round((takes[number].hold - title) * FPS)
+        end -= shared if number < last else 0
+        count = round((title + seconds) * FPS)
+        if number >= last - 1 and number:
+            # The end of the race and the arrival count.
+            first = max(first, end - count)
+        end = min(first + count, end)
+        # No words are seen while one part dissolves into the next, except those of the title.
+        gone = (end - first - shared) / FPS
+        told = [
+            one._replace(start=max(start, begin), end=min(one.end - first / FPS, gone))
+            for one in words
+            for start in (one.start - first / FPS,)
+            for begin in (-1.0 if one.kind != "caption" else DISSOLVE,)
+        ]
+        return LoopPart(first, end, [one for one in told if one.end - one.start > _READABLE])
 
-    opening = part(0, _OF_FIRST, False)
-    title = round(_OF_TITLE * FPS)
-    begin = opening.first - title
-    told = [one._replace(end=_OF_TITLE + 0.3) for one in words if one.kind != "caption"]
-    if len(takes) > 1:
-        moved = opening.words[0]
-        told.append(moved._replace(start=_OF_TITLE + 0.3, end=moved.end + _OF_TITLE))
-    found = [LoopPart(begin, opening.end, told)]
-    if len(takes) > 3:
-        found.append(part(len(takes) - 3, _OF_LAST, False))
-    if len(takes) > 2:
-        found.append(part(len(takes) - 2, _OF_RACE, True))
-    if len(takes) > 1:
-        found.append(part(len(takes) - 1, _OF_CHAMPION, True))
+    found = [part(0, _OF_FIRST, _OF_TITLE if last else 0.0)]
+    if last > 2:
+        found.append(part(last - 2, _OF_LAST))
+    if last > 1:
+        found.append(part(last - 1, _OF_RACE))
+    if last > 0:
+        found.append(part(last, _OF_CHAMPION))
     return found
 
 
@@ -288,8 +380,10 @@ def _generations(count: int) -> str:
     return f"{count} generation" + ("s" if count != 1 else "")
 
 
-def _named(generation: int) -> str:
-    return f"After {_generations(generation)}" if generation else "The first generation"
+def _named(generation: int, random: bool, second: bool) -> str:
+    if generation:
+        return f"After {_generations(generation)}" + ": children of the best" * second
+    return "The first generation" + (" moves at random" if random else "")
 
 
 def _title(world: str, grounded: bool) -> str:

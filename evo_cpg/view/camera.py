@@ -61,6 +61,8 @@ _UNDER_TITLE, _UNTITLED = 0.5, 0.86
 # Largest distance of an overview, in lengths of what it shows, and number of halvings of the
 # interval in which its least distance lies. Number of shifts that bring the points into the middle.
 _FARTHEST, _HALVINGS, _SHIFTS = 12.0, 14, 24
+# Two distances are alike if they differ by less than this fraction.
+_ALIKE = 0.02
 # Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
@@ -196,8 +198,8 @@ def between(
 ) -> CameraPath:
     """Return a camera that moves from one camera to another one, gently to the eye.
 
-    The focus moves in a straight line, the distance grows or shrinks by equal factors in equal
-    parts, and the line of sight turns.
+    The distance grows or shrinks by equal factors in equal parts. The focus moves as the distance
+    changes, so that the picture is scaled about one of its points. The line of sight turns.
 
     Args:
         before: camera at weight 0, of one frame or as many as there are weights.
@@ -207,12 +209,14 @@ def between(
     part = weight[:, None]
     back = [path.position - path.focus for path in (before, after)]
     away = [np.linalg.norm(each, axis=-1, keepdims=True) for each in back]
-    focus = (1 - part) * before.focus + part * after.focus
+    far = away[0] ** (1 - part) * away[1] ** part
+    change = away[1] - away[0]
+    alike = np.abs(change) < _ALIKE * away[0]
+    moved = np.where(alike, part, (far - away[0]) / np.where(alike, 1.0, change))
+    focus = (1 - moved) * before.focus + moved * after.focus
     sight = (1 - part) * back[0] / away[0] + part * back[1] / away[1]
     sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
-    return CameraPath(
-        focus + away[0] ** (1 - part) * away[1] ** part * sight, focus, before.view_angle
-    )
+    return CameraPath(focus + far * sight, focus, before.view_angle)
 
 
 def _centred(

@@ -28,7 +28,7 @@ from evo_cpg.view.skin import add_skins
 from evo_cpg.view.stage import Stage, Update
 from evo_cpg.view.terrain import Terrain
 from evo_cpg.view.track import add_track
-from evo_cpg.view.water import add_mirror, add_tint, add_waterlines
+from evo_cpg.view.water import add_ceiling, add_mirror, add_tint, add_waterlines
 
 
 def set_scene(
@@ -103,7 +103,9 @@ def _add_environment(stage: Stage) -> list[Update]:
         add_particles(stage)
         if look.under_water:
             add_shafts(stage)
-    if scene.surface is not None and isinstance(stage.ground, Terrain):
+    if scene.surface is not None and look.under_water:
+        updates.append(add_ceiling(stage, scene.surface))
+    elif scene.surface is not None and isinstance(stage.ground, Terrain):
         updates.append(add_tint(stage, stage.ground, scene.surface))
         updates.append(add_mirror(stage, scene.surface))
         updates.append(add_waterlines(stage, scene.surface))

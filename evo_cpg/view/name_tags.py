@@ -1,6 +1,6 @@
 """Words that stand above animals, and at the lines of a race, in the same size everywhere."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float

@@ -90,6 +90,7 @@ class Staging(NamedTuple):
         floor: height of the floor under swimmers, m, or None for the usual one.
         names: words above the animal and each other one, or none.
         appear: first and last frame in which the other animals appear.
+        under: whether the camera is below the surface of the water.
     """
 
     lanes: Float[np.ndarray, "n 3"] = np.zeros((0, 3))
@@ -97,6 +98,7 @@ class Staging(NamedTuple):
     floor: float | None = None
     names: tuple[str, ...] = ()
     appear: tuple[float, float] | None = None
+    under: bool = False
 
 
 class Ghosts(NamedTuple):
@@ -245,6 +247,8 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
     radius = animal_radius(creature, clip)
     if surface is not None and surface_is_seen(creature, clip, panel.ground, surface):
         look = SHORE
+        if panel.staging is not None and panel.staging.under:
+            look = STYLES["water"]
     else:
         look, surface = STYLES[panel.world], None
     # Without a light, the recorded distance refers to the root.

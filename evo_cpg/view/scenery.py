@@ -76,13 +76,16 @@ def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "n 3"]) -> Update:
         goals: places of the lights, m.
     """
     plotter, look, core = stage.plotter, stage.look, _CORE * stage.radius
-    spheres = [pv.Sphere(core, goal, theta_resolution=16, phi_resolution=12) for goal in goals]
+    spheres = [
+        pv.Sphere(radius=core, center=goal, theta_resolution=16, phi_resolution=12)
+        for goal in goals
+    ]
     cores = plotter.add_mesh(
         spheres[0].append_polydata(*spheres[1:]), color=look.light, lighting=False
     )
-    halos = [
-        pv.Plane(goal, -stage.sight, _LANE_HALO * core, _LANE_HALO * core, 1, 1) for goal in goals
-    ]
+    square = {"i_size": _LANE_HALO * core, "j_size": _LANE_HALO * core}
+    square |= {"i_resolution": 1, "j_resolution": 1}
+    halos = [pv.Plane(center=goal, direction=-stage.sight, **square) for goal in goals]
     mesh = halos[0].append_polydata(*halos[1:])
     own = np.asarray(mesh.points).reshape(len(goals), -1, 3) - goals[:, None]
     texture = spot_texture(look.halo, _LANE_GLOW, sharpness=3.0)
@@ -179,6 +182,10 @@ def add_shafts(stage: Stage) -> None:
     high = generator.uniform(*_SHAFT_HIGH, _SHAFTS) * radius + focus[along, 2] - foot[:, 2]
     wide = generator.uniform(*_SHAFT_WIDE, _SHAFTS)[:, None] * radius * across
     top = foot + high[:, None] * ([0.0, 0.0, 1.0] + _SHAFT_SLANT * across)
+    if stage.scene.surface is not None:
+        # They end at the surface.
+        reach = np.maximum(stage.scene.surface - foot[:, 2], 0.0) / high
+        top = foot + np.minimum(reach, 1.0)[:, None] * (top - foot)
     middle = foot + 0.6 * (top - foot)
     rows = ([row - wide, row, row + wide] for row in (foot, middle, top))
     points = np.stack([point for row in rows for point in row], 1)

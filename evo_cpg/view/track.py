@@ -7,8 +7,8 @@ from evo_cpg.view.offscreen import add_faded
 from evo_cpg.view.scene import Track
 from evo_cpg.view.stage import Stage
 
-# Widths of a line and of the start line, and side of a square of the finish, in radii of the animal.
-# Rows of squares.
+# Widths of a line and of the start line, and side of a square of the finish, in radii of the
+# animal. Rows of squares.
 _LINE, _START, _SQUARE, _ROWS = 0.035, 0.08, 0.16, 2
 # Opacities of lines and squares.
 _OPACITY, _OPAQUE = 0.55, 0.9
