@@ -21,8 +21,8 @@ from evo_cpg.view.story import FPS, Overview
 from evo_cpg.view.terrain import heights
 
 # Number of lanes in a wide and in a tall picture. Least width of a lane, in lengths of the animal,
-# its width and its height. Place of the outer borders, in lanes.
-_WIDE, _TALL, _LANE, _ROOMY, _HIGH, _SIDE = 7, 5, 0.75, 1.25, 2.2, 0.7
+# its width and its height. Distance of the borders from the outer animals, in lengths.
+_WIDE, _TALL, _LANE, _ROOMY, _HIGH, _NEARER = 7, 5, 0.75, 1.25, 2.2, 0.3
 # Number of other animals where there are no lanes.
 _PILED = 4
 # A goal is in the view of the lanes if it is at most this many lengths away. Otherwise the view
@@ -36,6 +36,8 @@ _IN_WATER, _ON_LAND = np.radians(24.0), np.radians(12.0)
 # Least part of the picture's width for the animal next to its goal, in the view of the title. Room
 # ahead of the animal for an arrow, and behind it or its goal, in lengths.
 _SMALLEST, _AHEAD, _BACK = 0.15, 0.6, 0.2
+# Lengths behind the first animal of a race that its last view shows, before it, and around animals.
+_TRAILING, _BEFORE, _AROUND = 4.5, 1.4, 0.2
 # The finish stands on the last line that the champion passes this long before the end, s.
 _BEFORE_END = 0.7
 # The floor under swimmers lies this far below them, and at most so far below the start, in lengths.
@@ -84,6 +86,7 @@ class Tank(NamedTuple):
         floor: height of the floor under swimmers, m, or None.
         title: view of the first animal, and of its goal if it is near.
         wide: view of all lanes.
+        near: whether this view shows the goal.
     """
 
     course: Course
@@ -92,6 +95,7 @@ class Tank(NamedTuple):
     floor: float | None
     title: Overview
     wide: Overview
+    near: bool
 
     @property
     def goal(self) -> tuple[Float[np.ndarray, "3"], str] | None:
@@ -100,6 +104,21 @@ class Tank(NamedTuple):
         if course.target is None or course.finish is None:
             return None
         return course.target, "finish"
+
+    def behind(self, first: Recording, others: CrowdMotion, time: float) -> Overview:
+        """Return a view of the first animal and those close behind it, at a time (s)."""
+        course, staging = self.course, self.staging(others.count)
+        own = first.position[np.abs(first.time - time).argmin()]
+        rest = others.position[np.abs(others.time - time).argmin()] + staging.lanes[:, None]
+        bodies = np.concatenate([own, rest.reshape(-1, 3)])
+        along = (bodies - course.start) @ course.ahead
+        front = along[: len(own)].max()
+        seen = bodies[along >= front - _TRAILING * course.length]
+        room = course.length * np.array([_BEFORE * course.ahead, -_AROUND * course.aside])
+        upright = [0.0, 0.0, _AROUND * course.length]
+        ahead = own[along[: len(own)].argmax()] + room[0]
+        points = [*seen, *(seen + upright), ahead, ahead + room[1]]
+        return self.wide._replace(points=np.array(points), follows=not self.near)
 
     def staging(self, others: int) -> Staging:
         """Return the arrangement of some animals beside the first one."""
@@ -189,7 +208,8 @@ def tank_of(
     # Near lights are the only goal. Otherwise lines show how far the animals come.
     if course.spacing and not (near and finish is None):
         lines = int(np.ceil((finish[0] if finish else end) / course.spacing))
-        sides = _SIDE * lane, lane * (count - 1 + _SIDE)
+        # On the viewer's side, captions are below.
+        sides = _NEARER * length, lane * (count - 1) + _NEARER * length
         place = None if finish is None else finish[0]
         track = Track(start, course.bearing, course.spacing, lines, *sides, place)
     floor = None
@@ -199,7 +219,7 @@ def tank_of(
         depths += [float(np.quantile(crowd.position[..., 2], _STRAYS)) for crowd in crowds]
         floor = max(min(depths), start[2] - _DEEPEST * length)
         floor -= animal_reach(panel.creature) + _FLOOR * length
-    return Tank(course, count - 1 if lane else _PILED, track, floor, title, wide)
+    return Tank(course, count - 1 if lane else _PILED, track, floor, title, wide, near)
 
 
 def in_lanes(

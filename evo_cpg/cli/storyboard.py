@@ -19,14 +19,15 @@ from evo_cpg.training.lineage import champion_at
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.clip import sample
 from evo_cpg.view.scene import Panel, animal_radius, panel_of
-from evo_cpg.view.story import DISSOLVE, EASE, FPS, LoopPart, Take, spans
+from evo_cpg.view.story import DISSOLVE, EASE, FPS, LoopPart, Take, look_of, spans
 from evo_cpg.view.story_text import Words
 
 # Lengths in the film, s: of the whole story, of the title before the first motion, of each crowd's
 # motion, and of the race. The champion takes the rest.
 _WHOLE, _TITLE, _CROWD, _RACE = 15.0, 1.7, 2.3, 3.2
-# Times in which the camera leaves the title, and before it follows the winner of the race.
-_LEAVE, _STAY = 1.2, 0.4
+# Time in which the camera leaves the title, time before it turns to the winner of the race, and time
+# in which it does, s.
+_LEAVE, _STAY, _FOLLOW = 1.2, 0.2, 1.6
 # A generation runs for as long as the champion takes for this many of its own lengths, in this much
 # film, s. Allowed speeds of the film.
 _LENGTHS, _RUN, _SLOWEST, _FASTEST = 4.0, 3.0, 1.0, 6.0
@@ -139,7 +140,8 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
             appear = round(_TITLE * FPS), round((_TITLE + 0.6 * _LEAVE) * FPS)
         if race:
             begin = hold + (_LEAVE if first else _STAY)
-            views = [*views[:-1], (begin, tank.wide), (end, None)]
+            last = tank.behind(animal, others, material.race * (moves - EASE / 2))
+            views = [*views[:-1], (begin, tank.wide), (begin + _FOLLOW, last)]
         staging = tank.staging(others.count)._replace(names=names, appear=appear)
         seen = panel._replace(recording=animal, crowd=others, staging=staging)
         # The first take shares no frames with a take before it.
@@ -357,7 +359,8 @@ def _loop(takes: list[Take], words: list[Words]) -> list[LoopPart]:
             for start in (one.start - first / FPS,)
             for begin in (-1.0 if one.kind != "caption" else DISSOLVE,)
         ]
-        return LoopPart(first, end, [one for one in told if one.end - one.start > _READABLE])
+        told = [one for one in told if one.end - one.start > _READABLE]
+        return LoopPart(first, end, told, look_of(takes[number]))
 
     found = [part(0, _OF_FIRST, _OF_TITLE if last else 0.0)]
     if last > 2:

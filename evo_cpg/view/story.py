@@ -14,7 +14,7 @@ from typing import IO, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.view.camera import CameraPath, between, overview
+from evo_cpg.view.camera import SMOOTHING, CameraPath, between, overview, smooth
 from evo_cpg.view.clip import Clip, sample_at
 from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.frame_processes import Reel, drawing_processes, drawn_frames
@@ -53,6 +53,8 @@ class Overview(NamedTuple):
         elevation: height of the camera above the horizon, rad.
         distance: distance of the camera, relative to the least one that shows all points.
         titled: whether the upper part of the picture is left for a title.
+        follows: whether the view moves with the animal, so that it shows the points in the last
+            frame.
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -60,6 +62,7 @@ class Overview(NamedTuple):
     elevation: float
     distance: float = 1.0
     titled: bool = False
+    follows: bool = False
 
 
 class Take(NamedTuple):
@@ -209,8 +212,11 @@ def _path_of(view: Overview | None, scene: Scene, aspect: float) -> CameraPath:
     if view is None:
         return camera_path(scene, "follow", aspect, close=True)
     path = overview(view.points, view.bearing, view.elevation, aspect, view.titled)
-    back = view.distance * (path.position - path.focus)
-    return path._replace(position=path.focus + back)
+    focus, back = path.focus, view.distance * (path.position - path.focus)
+    if view.follows:
+        centre = smooth(scene.clip.position.mean(1), SMOOTHING * scene.clip.rate)
+        focus = focus + centre - centre[-1]
+    return path._replace(position=focus + back, focus=focus)
 
 
 def eased(part: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -262,7 +268,8 @@ def story_film(
     """
     check_size(size)
     make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
-    frames, look = make(), look_of(takes[-1])
+    frames, looks = make(), [look_of(take) for take in takes]
+    ends = np.cumsum([take.seconds for take in takes])
     with (
         drawn_frames(frames, make, drawing_processes(frames.count, processes)) as drawn,
         film_writer(path, frames.size, frames.rendered, FPS) as write,
@@ -273,6 +280,7 @@ def story_film(
             # A picture from another process cannot be changed.
             frame = bare if bare.flags.writeable else bare.copy()
             with lettering(frame) as draw:
+                look = looks[min(int((ends <= number / FPS).sum()), len(looks) - 1)]
                 for each in words:
                     written(draw, each, number / FPS, look, frames.rendered)
             write(frame)
@@ -288,11 +296,13 @@ class LoopPart(NamedTuple):
         first: first frame.
         end: frame after the last one. The part dissolves into the next one before it.
         words: texts of the part, with times of the film from its first frame.
+        look: look of the world.
     """
 
     first: int
     end: int
     words: Sequence[Words]
+    look: Look
 
 
 class Loop:
@@ -303,7 +313,6 @@ class Loop:
 
     Args:
         parts: the parts.
-        look: look of the world.
         size: width and height, pixels.
         file: empty scratch file for frames.
         every: frames of the film for each frame of the loop.
@@ -312,12 +321,11 @@ class Loop:
     def __init__(
         self,
         parts: Sequence[LoopPart],
-        look: Look,
         size: tuple[int, int],
         file: IO[bytes],
         every: int = 2,
     ):
-        self._parts, self._look, self._size = parts, look, size
+        self._parts, self._size = parts, size
         self._file, self._every = file, every
         self._shared = round(DISSOLVE * FPS / every)
         self._numbers: dict[int, int] = {}
@@ -365,7 +373,7 @@ class Loop:
         frame = np.ascontiguousarray(self._kept(self._shown(part)[number])[::-1])
         with lettering(frame) as draw:
             for words in part.words:
-                written(draw, words, number * self._every / FPS, self._look, self._size)
+                written(draw, words, number * self._every / FPS, part.look, self._size)
         return frame
 
     def _shown(self, part: LoopPart) -> range:

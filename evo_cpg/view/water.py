@@ -15,7 +15,7 @@ from evo_cpg.view.offscreen import add_faded
 from evo_cpg.view.shadows import Spots
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Level, Terrain
-from evo_cpg.view.textures import floor_texture, spot_texture, tile_texture
+from evo_cpg.view.textures import light_texture, spot_texture, tile_texture
 
 _SHALLOW, _DEEP = "#bfeae4", "#4cadd2"
 # Opacity of the lower sheet where the water is shallow and deep. Depth of two thirds of the change,
@@ -126,7 +126,7 @@ def add_ceiling(stage: Stage, surface: float) -> Update:
     disc, place, fade = fading_disc(_CEILING * stage.visible, 0.1)
     side = _TILE * stage.radius
     rgba = np.column_stack([np.full((len(place), 3), 255), 255 * fade]).astype(np.uint8)
-    texture = floor_texture(_CEILING_TINTS, _CEILING_TINTS[1], checkered=False)
+    texture = light_texture(_CEILING_TINTS)
     disc.active_texture_coordinates = place / side
     actor = add_faded(stage.plotter, disc, rgba, texture=texture)
 
