@@ -22,7 +22,7 @@ from evo_cpg.view.terrain import heights
 
 # Number of lanes in a wide and in a tall picture. Least width of a lane, in lengths of the animal,
 # its width and its height. Distance of the borders from the outer animals, in lengths.
-_WIDE, _TALL, _LANE, _ROOMY, _HIGH, _NEARER = 7, 5, 0.75, 1.25, 2.2, 0.3
+_WIDE, _TALL, _LANE, _ROOMY, _HIGH, _NEARER = 7, 5, 0.75, 1.25, 2.8, 0.2
 # Number of other animals where there are no lanes.
 _PILED = 4
 # A goal is in the view of the lanes if it is at most this many lengths away. Otherwise the view
@@ -39,7 +39,7 @@ _SMALLEST, _AHEAD, _BACK = 0.15, 0.6, 0.2
 # Lengths behind the first animal of a race that its last view shows, before it, and around animals.
 _TRAILING, _BEFORE, _AROUND = 4.5, 1.4, 0.2
 # The finish stands on the last line that the champion passes this long before the end, s.
-_BEFORE_END = 0.7
+_BEFORE_END = 0.75
 # The floor under swimmers lies this far below them, and at most so far below the start, in lengths.
 # Fraction of the bodies of a crowd that may be lower.
 _FLOOR, _DEEPEST, _STRAYS = 0.3, 1.2, 0.02

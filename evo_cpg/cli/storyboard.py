@@ -25,15 +25,15 @@ from evo_cpg.view.story_text import Words
 # Lengths in the film, s: of the whole story, of the title before the first motion, of each crowd's
 # motion, and of the race. The champion takes the rest.
 _WHOLE, _TITLE, _CROWD, _RACE = 15.0, 1.7, 2.3, 3.2
-# Time in which the camera leaves the title, time before it turns to the winner of the race, and time
-# in which it does, s.
+# Time in which the camera leaves the title, time before it turns to the winner of the race, and
+# time in which it does, s.
 _LEAVE, _STAY, _FOLLOW = 1.2, 0.2, 1.6
 # A generation runs for as long as the champion takes for this many of its own lengths, in this much
 # film, s. Allowed speeds of the film.
 _LENGTHS, _RUN, _SLOWEST, _FASTEST = 4.0, 3.0, 1.0, 6.0
 # Speed of the film when the champion arrives, and time that is shown after it has arrived, s. The
 # champion has arrived when it is this much farther away than ever, as a fraction of the way.
-_SLOW, _AFTER, _ARRIVED = 0.5, 0.5, 0.03
+_SLOW, _AFTER, _ARRIVED = 0.5, 0.75, 0.03
 # Distance of a body from the light that counts as reaching it, in lengths of the animal.
 _REACHED = 0.15
 # Fraction of the bodies, over the champion's take, for a camera below the surface of the water.
@@ -141,7 +141,7 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         if race:
             begin = hold + (_LEAVE if first else _STAY)
             last = tank.behind(animal, others, material.race * (moves - EASE / 2))
-            views = [*views[:-1], (begin, tank.wide), (begin + _FOLLOW, last)]
+            views = [*views[:-1], (begin, tank.wide), (end if tank.near else begin + _FOLLOW, last)]
         staging = tank.staging(others.count)._replace(names=names, appear=appear)
         seen = panel._replace(recording=animal, crowd=others, staging=staging)
         # The first take shares no frames with a take before it.

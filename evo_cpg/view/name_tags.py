@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
+from PIL import ImageDraw
 
 from evo_cpg.view.camera import CameraPath, project
 from evo_cpg.view.legible import font, lettering, write
@@ -77,7 +78,14 @@ def _above_animals(
     return np.stack([seen[..., 0].mean(-1), seen[..., 1].max(-1) + rise[:, None] + gap], -1)
 
 
-def _write(draw, name: str, place: np.ndarray, size: tuple[int, int], look: Look, part: float):
+def _write(
+    draw: ImageDraw.ImageDraw,
+    name: str,
+    place: Float[np.ndarray, "2"],
+    size: tuple[int, int],
+    look: Look,
+    opacity: float,
+) -> None:
     """Write a word on a plate, if it is in the part of the picture for words."""
     letters = _LETTERS * min(size)
     right, up = (place + 1) / 2 * size
@@ -87,5 +95,5 @@ def _write(draw, name: str, place: np.ndarray, size: tuple[int, int], look: Look
         where = float(right), float(size[1] - up)
         write(
             draw, name, where, letters, look.text,
-            opacity=part, anchor="ms", plate=look.distance if part > 0.5 else "",
+            opacity=opacity, anchor="ms", plate=look.distance,
         )  # fmt: skip

@@ -76,18 +76,15 @@ def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "n 3"]) -> Update:
         goals: places of the lights, m.
     """
     plotter, look, core = stage.plotter, stage.look, _CORE * stage.radius
-    spheres = [
-        pv.Sphere(radius=core, center=goal, theta_resolution=16, phi_resolution=12)
-        for goal in goals
-    ]
-    cores = plotter.add_mesh(
-        spheres[0].append_polydata(*spheres[1:]), color=look.light, lighting=False
-    )
-    square = {"i_size": _LANE_HALO * core, "j_size": _LANE_HALO * core}
-    square |= {"i_resolution": 1, "j_resolution": 1}
-    halos = [pv.Plane(center=goal, direction=-stage.sight, **square) for goal in goals]
-    mesh = halos[0].append_polydata(*halos[1:])
-    own = np.asarray(mesh.points).reshape(len(goals), -1, 3) - goals[:, None]
+    sphere = cast(pv.PolyData, pv.Sphere(radius=core, theta_resolution=16, phi_resolution=12))
+    own, faces = np.asarray(sphere.points), sphere.regular_faces
+    cores = plotter.add_mesh(_copies(own, faces, goals), color=look.light, lighting=False)
+    side = _LANE_HALO * core
+    square = cast(pv.PolyData, pv.Plane(direction=-stage.sight, i_size=side, j_size=side))
+    own, faces = np.asarray(square.points), square.regular_faces
+    mesh = _copies(own, faces, goals)
+    around = np.asarray(square.active_texture_coordinates)
+    mesh.active_texture_coordinates = np.tile(around, (len(goals), 1))
     texture = spot_texture(look.halo, _LANE_GLOW, sharpness=3.0)
     shine = plotter.add_mesh(mesh, texture=texture, lighting=False)
     shine.ForceTranslucentOn()
@@ -102,6 +99,15 @@ def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "n 3"]) -> Update:
         mesh.points = (goals[:, None] + own @ np.stack([*turned])).reshape(-1, 3)
 
     return face_viewer
+
+
+def _copies(
+    points: Float[np.ndarray, "n 3"], faces: np.ndarray, places: Float[np.ndarray, "m 3"]
+) -> pv.PolyData:
+    """Return one mesh of copies of a mesh about the origin."""
+    first = len(points) * np.arange(len(places))[:, None, None]
+    every = (places[:, None] + points).reshape(-1, 3)
+    return pv.PolyData.from_regular_faces(every, (faces + first).reshape(-1, faces.shape[1]))
 
 
 def add_trail(stage: Stage) -> Update:

@@ -41,7 +41,7 @@ EASE = 0.5
 # Pixels rendered per pixel of the film, along a side.
 _OVERSAMPLING = 1.25
 # Qualities of a loop, from the best one.
-_QUALITIES = (75, 48, 36, 26, 18, 10)
+_QUALITIES = (75, 60, 48, 36)
 
 
 class Overview(NamedTuple):
@@ -154,12 +154,19 @@ class StoryFrames:
             stage = Stage(plotter, scene, camera, self._scale, wide=wide)
             goal, name = (scene.goal, "light") if take.goal is None else take.goal
             point = pointer(camera, goal, scene.look, self.rendered, name)
+            ahead = np.ones(end - first, bool)
+            if take.goal is not None:
+                # No arrow points back to a finish.
+                centre = clip.position.mean(1)
+                start = take.panel.recording.position[0].mean(0)
+                ahead = (take.goal[0] - centre) @ (take.goal[0] - start) > 0
             tag = name_tags(camera, scene, self.rendered)
             show = set_scene(stage, add_bodies(plotter, take.panel.creature, scene.look.ambient))
 
             def draw(frame: int) -> np.ndarray:
                 seen = show(frame)
-                point(seen, frame)
+                if ahead[frame]:
+                    point(seen, frame)
                 tag(seen, frame)
                 return seen
 
