@@ -52,10 +52,11 @@ class Material(NamedTuple):
     """Animals of a story.
 
     Attributes:
-        opened: run with its champion.
         panel: the champion in its world.
+        generation: generation of the champion.
+        heading: direction that counts as progress without a light, see `Task.heading`.
+        aim: the animal's task in words, or empty for a task of the user's own.
         course: way of the champion.
-        start: instant at which the champion's take begins, s.
         speed: speed of the film for the crowds.
         race: speed of the film for the race.
         random: whether the first generation is random.
@@ -63,10 +64,11 @@ class Material(NamedTuple):
         earlier: generations and motion of earlier champions, if there are no crowds.
     """
 
-    opened: OpenedChampion
     panel: Panel
+    generation: int
+    heading: str
+    aim: str
     course: Course
-    start: float
     speed: float
     race: float
     random: bool
@@ -110,7 +112,8 @@ def material_of(run: Path, which: Which) -> Material:
     if not crowds:
         earlier = _earlier(opened, which.trial, chosen)
     random = opened.folder.load_start() is None
-    return Material(opened, panel, course, start, speed, race, random, crowds, earlier)
+    told = opened.champion.generation, task.heading, _aim(opened, recording)
+    return Material(panel, *told, course, speed, race, random, crowds, earlier)
 
 
 def story_of(material: Material, title: str | None, aspect: float) -> Story:
@@ -121,10 +124,11 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         title: title, or None for one that fits the world.
         aspect: width of the picture over its height.
     """
-    opened, panel, course, _, speed, _, _, crowds, earlier = material
-    task, recording = opened.experiment.simulation.task, panel.recording
-    root = panel.creature.root_index
-    every = [crowd for _, crowd in crowds]
+    panel, course, speed, final = (
+        material.panel, material.course, material.speed, material.generation,
+    )  # fmt: skip
+    recording, root = panel.recording, panel.creature.root_index
+    every = [crowd for _, crowd in material.crowds]
     tank = tank_of(panel, course, every, speed * _CROWD, aspect)
     takes: list[Take] = []
     captions: list[str] = []
@@ -149,13 +153,12 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         pace = material.race if race else speed
         takes.append(Take(seen, seconds, 0.0, pace, views, hold, tank.goal))
 
-    racers = earlier
-    for generation, crowd in crowds:
-        leader, others = in_lanes(crowd, root, task.heading, tank.others)
+    racers = material.earlier
+    for generation, crowd in material.crowds:
+        leader, others = in_lanes(crowd, root, material.heading, tank.others)
         racers = [*racers, (generation, leader)]
         add(leader, others, ("best",), race=False)
         captions.append(_named(generation, material.random, len(captions) == 1))
-    final = opened.champion.generation
     if racers:
         names = [str(generation) for generation in (final, *(number for number, _ in racers))]
         add(recording, _together([motion for _, motion in racers]), tuple(names), race=True)
@@ -174,8 +177,8 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
     ending = _ending(panel, course, start, seconds)
     heading = title or _title(panel.world, panel.ground is not None)
     words = [Words(heading, "title", -1.0, _TITLE)]
-    if aim := _task(opened, recording):
-        words.append(Words(aim, "subtitle", -1.0, _TITLE))
+    if material.aim:
+        words.append(Words(material.aim, "subtitle", -1.0, _TITLE))
     begin = _TITLE + 0.2
     for caption, end in zip(captions, np.cumsum([take.seconds for take in takes]), strict=True):
         # One caption has gone when the next one appears. The last one stays.
@@ -372,7 +375,7 @@ def _loop(takes: list[Take], words: list[Words]) -> list[LoopPart]:
     return found
 
 
-def _task(opened: OpenedChampion, recording: Recording) -> str:
+def _aim(opened: OpenedChampion, recording: Recording) -> str:
     """Return the animal's task in words, or nothing for a task of the user's own."""
     if np.isfinite(recording.goal).all():
         return "Its task: reach the light."
