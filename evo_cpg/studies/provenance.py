@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from evo_cpg.files import write_text
+from evo_cpg.studies import sources
 from evo_cpg.training.run_folder import read_checked
 
 FILE = "provenance.json"
@@ -52,6 +53,11 @@ def problems(folder: Path) -> list[str]:
         if path.suffix in (".md", ".png") and path.name not in known:
             found.append(f"{path} belongs to no part in {FILE}")
     return found
+
+
+def outdated(part: Mapping[str, Any]) -> list[str]:
+    """Return the modules that changed since a part was made. Parts of version 1.0 name none."""
+    return sources.changed(sources.unpacked(part.get("sources", {})))
 
 
 def caption(study: str, part: str, record: Mapping[str, Any]) -> str:

@@ -19,18 +19,22 @@ _BELLY_DOWN = 60  # largest tilt, from the mean cosine, degrees
 _BEARINGS = np.deg2rad(np.linspace(-75, 75, 20))
 _RANDOM = "evolution={type: random, generations: 50, population: 200}"
 
+# Number of runs of the slow settings, and generations at the shore. Version 1.0 made five runs, and
+# 60 generations.
+_FEW, _AT_SHORE = 3, 40
+
 RUNS = {
     "water": Runs("iwadate2010_salamander_water", (), 5),
     "water_random": Runs("iwadate2010_salamander_water", (_RANDOM,), 5),
     "land": Runs("iwadate2010_salamander_land", (), 5),
-    "land_random": Runs("iwadate2010_salamander_land", (_RANDOM,), 5),
-    "shore": Runs("salamander_amphibious", (), 5),
+    "land_random": Runs("iwadate2010_salamander_land", (_RANDOM,), _FEW),
+    "shore": Runs("salamander_amphibious", (f"evolution.generations={_AT_SHORE}",), _FEW),
     "shore_random": Runs(
         "salamander_amphibious",
-        ("evolution={type: random, generations: 60, population: 400}",),
-        5,
+        (f"evolution={{type: random, generations: {_AT_SHORE}, population: 400}}",),
+        _FEW,
     ),
-    "boulders": Runs("salamander_boulders", ("evolution.generations=25",), 5),
+    "boulders": Runs("salamander_boulders", ("evolution.generations=25",), _FEW),
     "eyes": Runs("two_eyed_swimmer", (), 5),
 }
 

@@ -16,11 +16,12 @@ _FOLDER = Path(__file__).parent / "searches"
 _GENETIC, _RANDOM = "genetic algorithm", "random search"
 
 # Files of search settings in `_FOLDER`, each with its configuration and number of runs.
+# Version 1.0 made eight runs of each search, and maps of the walker with twice the evaluations.
 _FILES = {
     "swimmer": ("iwadate2010_swimmer", 8),
-    "walker": ("fukui2003_model1", 8),
-    "two_eyes": ("two_eyed_swimmer", 8),
-    "salamander": ("iwadate2010_salamander_land", 8),
+    "walker": ("fukui2003_model1", 4),
+    "two_eyes": ("two_eyed_swimmer", 4),
+    "salamander": ("iwadate2010_salamander_land", 3),
     "swimmer_map": ("iwadate2010_swimmer", 1),
     "walker_map": ("fukui2003_model1", 1),
 }

@@ -37,7 +37,7 @@ from evo_cpg.files import make_folder, read_json, write_text
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.installation import version_of
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.studies import provenance
+from evo_cpg.studies import provenance, sources
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import ExperimentParts
@@ -123,13 +123,8 @@ class Workshop:
     def member(self, name: str) -> Member:
         """Build a run from its declaration, once, and return it."""
         if name not in self._members:
-            declared = self.study.runs[name]
-            source = shipped(declared.config).path
-            overrides = [*declared.overrides, f"runs={declared.count}"]
-            if self.quick:
-                overrides += _smaller(source, overrides, declared.count)
-            config = load_config(source, overrides)
-            config = config.model_copy(update={"name": name})
+            source = shipped(self.study.runs[name].config).path
+            config = configuration(self.study, name, self.quick)
             experiment = build_experiment(config, source)
             self._members[name] = Member(
                 self._run(name), config, experiment, Setting(name, {}), source
@@ -216,19 +211,27 @@ class Workshop:
             _require_same(member)
         here = program_commit()
 
-        def note_commit(member: Member) -> None:
-            known = member.folder.read_meta().get("commits", [])
-            if here not in known:
-                member.folder.update_meta(commits=[*known, here])
+        def note_program(member: Member) -> None:
+            meta = member.folder.read_meta()
+            commits = meta.get("commits", [])
+            known = meta.get("sources", {})
+            used = sources.packed(sources.older(sources.unpacked(known), sources.loaded()))
+            if here not in commits or used != known:
+                commits = [*commits, here] if here not in commits else commits
+                member.folder.update_meta(commits=commits, sources=used)
 
         if members:
-            evolve(members, self.devices, f"{self.study.name} {part}", note_commit)
+            evolve(members, self.devices, f"{self.study.name} {part}", note_program)
 
     def _write(self, part: str, declared: Part, tables: list[Table], seconds: float) -> list[Path]:
         runs = declared.runs
         engine = self.experiment(runs[0]).simulation.engine if runs else Engine()
         folders = {name: self._run(name) for name in runs}
-        commits = [each for run in folders.values() for each in run.read_meta().get("commits", [])]
+        metas = [run.read_meta() for run in folders.values()]
+        commits = [each for meta in metas for each in meta.get("commits", [])]
+        used: sources.Sources = {}
+        for meta in metas:
+            used = sources.older(used, sources.unpacked(meta.get("sources", {})))
         record: dict[str, Any] = {
             "study": self.study.name,
             "quick": self.quick,
@@ -237,6 +240,7 @@ class Workshop:
             "date": now(),
             "seconds": round(seconds, 1),
             "training_seconds": round(sum(map(self._seconds, runs)), 1),
+            "sources": sources.packed(sources.older(used, sources.loaded())),
             "runs": {
                 name: {
                     "config": self.study.runs[name].config,
@@ -262,6 +266,16 @@ class Workshop:
     def _seconds(self, name: str) -> float:
         """Return the duration of runs, s. Every row has the duration of all runs together."""
         return float(self.column(name, "seconds")[:, 0].sum())
+
+
+def configuration(study: Study, name: str, quick: bool = False) -> ExperimentConfig:
+    """Return the configuration of a study's run, scaled down if `quick`."""
+    declared = study.runs[name]
+    source = shipped(declared.config).path
+    overrides = [*declared.overrides, f"runs={declared.count}"]
+    if quick:
+        overrides += _smaller(source, overrides, declared.count)
+    return load_config(source, overrides).model_copy(update={"name": name})
 
 
 def markdown(table: Table) -> str:

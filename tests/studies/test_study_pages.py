@@ -3,12 +3,16 @@
 import json
 import re
 import shutil
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
 
+from evo_cpg.config.load import dump_config
+from evo_cpg.installation import version_of
 from evo_cpg.studies import provenance
 from evo_cpg.studies.catalogue import NAMES, study
+from evo_cpg.studies.workshop import configuration
 from evo_cpg.training.run_folder import RunFolderError
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -66,6 +70,32 @@ def test_every_file_of_a_study_has_a_provenance_and_a_caption(folder):
         line = provenance.caption(folder.name, name, told)
         text = (folder / f"{name}.md").read_text()
         assert text.count(line) == len(own_tables(text)) > 0, name
+
+
+@pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
+def test_results_of_this_version_are_made_by_this_code(folder):
+    """After a release, the first change of the physics starts a new version."""
+    stale = {
+        name: changed
+        for name, told in provenance.read(folder).items()
+        if told["versions"]["evo-cpg"] == version_of("evo-cpg")
+        and (changed := provenance.outdated(told))
+    }
+    assert not stale
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
+def test_runs_of_this_version_have_the_declared_configurations(folder):
+    declared = study(folder.name)
+    told = {
+        name: run["config_sha256"]
+        for part in provenance.read(folder).values()
+        if part["versions"]["evo-cpg"] == version_of("evo-cpg")
+        for name, run in part["runs"].items()
+    }
+    now = {name: dump_config(configuration(declared, name)) for name in told}
+    assert told == {name: sha256(text.encode()).hexdigest() for name, text in now.items()}
 
 
 def test_changed_quick_and_unknown_tables_are_found(tmp_path, monkeypatch):
