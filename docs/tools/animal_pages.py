@@ -9,6 +9,10 @@ configuration without changes. It writes three files into `docs/animals`:
 - `NAME.jpg`: a picture.
 - `NAME.scene.gz`: the motion and the shapes, for the viewer.
 
+    python docs/tools/animal_pages.py --redraw
+
+draws the shapes of all animals anew, after a change of their look. The motions stay.
+
 `generate.py` writes the text of the pages. As an extension of Sphinx, this file puts the animal
 into its page: a frame with `NAME.animal.html`, which is one file without a network.
 """
@@ -33,6 +37,11 @@ _STILL, _QUALITY = (960, 540), 80
 _FINE = 1 / 4000
 # Quaternions of 16 bits are rounded to multiples of this, 0.03 degrees.
 _TURN = 8
+# Entries of a scene, its terrain and its obstacles that are numbers of arrays.
+_ARRAYS = {
+    "position", "rotation", "focus", "speed", "distance", "x", "y", "z", "normals", "points",
+    "triangles",
+}  # fmt: skip
 # Numbers on a page, in this order.
 _SHOWN = (
     "speed", "speed_in_lengths", "stride_frequency", "strouhal", "duty_factor", "airborne",
@@ -58,8 +67,7 @@ def collect(run: Path) -> str:
         raise ValueError(f"{run}: not the champion of a shipped configuration as it is now")
     panel = panel_of(experiment, opened.recording, "")
     ANIMALS.mkdir(exist_ok=True)
-    scene = json.dumps(rounded(viewer_data(panel)), separators=(",", ":"), allow_nan=False)
-    (ANIMALS / f"{name}.scene.gz").write_bytes(gzip.compress(scene.encode(), 9, mtime=0))
+    _write_scene(name, rounded(viewer_data(panel)))
     picture([panel], Film(_STILL)).save(ANIMALS / f"{name}.jpg", "JPEG", quality=_QUALITY)
     simulation, kept = experiment.simulation, meta.get("half_step") or {}
     same = kept.get("genes_sha256") == genes_digest(champion.genes)
@@ -82,6 +90,31 @@ def collect(run: Path) -> str:
     text = json.dumps(facts, indent=1, allow_nan=False, ensure_ascii=False)
     (ANIMALS / f"{name}.json").write_text(text + "\n", encoding="utf-8")
     return name
+
+
+def redraw(name: str) -> None:
+    """Replace the shapes in an animal's scene with those that this version draws."""
+    from evo_cpg.config.build import build_creature
+    from evo_cpg.config.load import load_config
+    from evo_cpg.config.shipped import shipped
+    from evo_cpg.view.page.viewer_data import Arrays, animal_data
+
+    path = shipped(name).path
+    creature = build_creature(load_config(path), path)
+    file = ANIMALS / f"{name}.scene.gz"
+    scene, arrays = json.loads(gzip.decompress(file.read_bytes())), Arrays()
+    for found in (scene, scene["terrain"] or {}, *scene["obstacles"]):
+        for key in _ARRAYS & found.keys():
+            arrays.written.append(scene["arrays"][found[key]])
+            found[key] = len(arrays.written) - 1
+    scene |= animal_data(creature, arrays)
+    scene["arrays"] = arrays.written
+    _write_scene(name, scene)
+
+
+def _write_scene(name: str, scene: dict[str, Any]) -> None:
+    text = json.dumps(scene, separators=(",", ":"), allow_nan=False)
+    (ANIMALS / f"{name}.scene.gz").write_bytes(gzip.compress(text.encode(), 9, mtime=0))
 
 
 def config_digest(name: str) -> str:
@@ -290,5 +323,9 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 if __name__ == "__main__":
-    for folder in sys.argv[1:]:
-        print(collect(Path(folder)))
+    if sys.argv[1:] == ["--redraw"]:
+        for path in sorted(ANIMALS.glob("*.scene.gz")):
+            redraw(path.name.removesuffix(".scene.gz"))
+    else:
+        for folder in sys.argv[1:]:
+            print(collect(Path(folder)))

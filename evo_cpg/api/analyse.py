@@ -27,6 +27,9 @@ from evo_cpg.training.run_folder import RunFolder
 if TYPE_CHECKING:
     from PIL import Image
 
+    from evo_cpg.view.page.subject import Crowd
+    from evo_cpg.view.scene import Panel
+
 # Size of the picture for print, pixels, and quality of its JPEG.
 _STILL, _QUALITY = (1280, 720), 88
 
@@ -149,6 +152,7 @@ def write_page(
     output: Path | None = None,
     doing: Callable[[str], object] = lambda what: None,
     warn: Callable[[str], object] = lambda words: None,
+    crowd: "Panel | None" = None,
 ) -> Written:
     """Write the page of a champion and the JSON file of its numbers.
 
@@ -159,6 +163,7 @@ def write_page(
         output: path of the page, or None for one in the run folder.
         doing: called with the name of each step after the replay.
         warn: called with a sentence if ``config.yaml`` has changed since the run.
+        crowd: a generation that the page also shows, or None.
 
     Raises:
         RunFolderError: the run began in Python with a part that only that program has.
@@ -171,7 +176,7 @@ def write_page(
     name = f"analysis{which}{f'_trial{trial}' if trial else ''}.html"
     path = output or opened.folder.path / name
     measured = measure(opened, trial)
-    write_text(path, page(opened, trial, measured, doing))
+    write_text(path, page(opened, trial, measured, doing, crowd))
     beside = numbers_path(path)
     champion = opened.champion
     about = {"run": champion.run, "generation": champion.generation, "trial": trial, "made": now()}
@@ -186,7 +191,11 @@ def numbers_path(page: Path) -> Path:
 
 
 def page(
-    opened: OpenedChampion, trial: int, measured: Measured, doing: Callable[[str], object]
+    opened: OpenedChampion,
+    trial: int,
+    measured: Measured,
+    doing: Callable[[str], object],
+    crowd: "Panel | None" = None,
 ) -> str:
     """Return the HTML text of a champion's page.
 
@@ -195,6 +204,7 @@ def page(
         trial: number of the champion's trial, from 0.
         measured: its recorded trial.
         doing: called with the name of each step.
+        crowd: a generation that the page also shows, or None.
     """
     from evo_cpg.analysis.gait_numbers import chain_places
     from evo_cpg.view.clip import sample
@@ -220,6 +230,7 @@ def page(
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
         root_index=experiment.creature.root_index,
+        crowd=None if crowd is None else _together(crowd),
     )
     audit = _audit(folder, champion)
     subject = Subject(
@@ -245,6 +256,17 @@ def page(
         made=now(),
     )
     return document(subject, motion)
+
+
+def _together(panel: "Panel") -> "Crowd":
+    """Return a generation for the page, with words about animals for which there is no room."""
+    from evo_cpg.view.page.subject import Crowd
+    from evo_cpg.view.page.viewer_data import viewer_data
+
+    scene, title = viewer_data(panel), (panel.title or "").capitalize()
+    shown = scene["crowd"]["count"]
+    left_out = panel.crowd is not None and shown < panel.crowd.count
+    return Crowd(f"{title}, {shown + 1} of them shown" if left_out else title, scene)
 
 
 def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.errors import require_free, warn
-from evo_cpg.cli.options import Number, Overwrite, Run, Trial, Which
+from evo_cpg.cli.options import Crowd, Number, Overwrite, Run, Trial, Which
 from evo_cpg.cli.writing import writes_to_run
 
 
@@ -19,6 +19,7 @@ def analyse(
     ] = None,
     number: Number = None,
     trial: Trial = 0,
+    crowd: Crowd = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write a page about a run, and print the numbers of its gait."""
@@ -33,8 +34,14 @@ def analyse(
         for path in (output, numbers_path(output)):
             require_free(path, overwrite)
     opened = open_champion(run, Which(number, trial))
+    together = None
+    if crowd is not None:
+        from evo_cpg.cli.filmed import crowd_panel
+        from evo_cpg.view.frames import Film
+
+        together = crowd_panel(opened, crowd, trial, Film())
     with working("replaying the champion") as work:
-        written = write_page(opened, trial, number, output, work.doing, warn)
-    print(written.page)
-    print(written.numbers)
+        written = write_page(opened, trial, number, output, work.doing, warn, together)
     show_numbers(written.measured.quantities)
+    print(written.numbers)
+    print(written.page)

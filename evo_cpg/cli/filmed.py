@@ -48,15 +48,20 @@ def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
     return panel_of(experiment, recording, title, strip, terms_text(opened.champion.terms))
 
 
-def crowd_panel(run: Path, generation: int, which: Which, film: Film) -> Panel:
+def crowd_panel(opened: OpenedChampion, generation: int, trial: int, film: Film) -> Panel:
     """Return a panel with all animals of a generation: the leader, and the others as ghosts.
+
+    Args:
+        opened: the run.
+        generation: number of the generation, from 0.
+        trial: number of the trial.
+        film: frames per second, speed and length.
 
     Raises:
         UsageError: the run has no such generation.
         RunFolderError: the generation cannot be made anew.
     """
-    opened = open_champion(run, which)
-    experiment, number = opened.experiment, opened.champion.run
+    experiment, number, run = opened.experiment, opened.champion.run, opened.folder.path
     done = opened.folder.newest
     if generation > done:
         raise UsageError(f"--crowd: {run} has {done} generations. The next one is {done}")
@@ -66,7 +71,7 @@ def crowd_panel(run: Path, generation: int, which: Which, film: Film) -> Panel:
     with working(f"breeding generation {generation} again"):
         (genes,) = populations_at(experiment, opened.folder, [generation])
         rate = film.fps / film.speed
-        motion = compile_crowd_motion(experiment, seconds, rate, number, which.trial)
+        motion = compile_crowd_motion(experiment, seconds, rate, number, trial)
         crowd = motion(np.split(genes, experiment.runs, axis=1)[number], generation)
     if not crowd.count:
         raise RunFolderError(f"{run}: every animal of generation {generation} diverges")

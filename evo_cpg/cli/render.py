@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.options import BEST, Cores, Run, View, Which, pixels_of
+from evo_cpg.cli.options import BEST, Cores, Crowd, Run, View, Which, pixels_of, run_folders
 from evo_cpg.cli.writing import writes_to_run
 
 # Largest number of animals side by side.
@@ -55,22 +55,18 @@ def render(
         typer.Option(
             metavar="GENERATIONS",
             help="Show the champions of these generations side by side, such as 0,5,20,49, or "
-            "auto for four of them.",
+            "auto for four of them. The first generation is 0.",
         ),
     ] = None,
     beside: Annotated[
         list[Path] | None,
-        typer.Option(metavar="RUN", help="Also show the champion of this run. Repeatable."),
-    ] = None,
-    crowd: Annotated[
-        int | None,
         typer.Option(
-            min=0,
-            metavar="GENERATION",
-            help="Show all animals of this generation together: the leader in colours, the others "
-            "as ghosts.",
+            metavar="RUN",
+            help="Also show the champion of this run. Repeatable.",
+            callback=run_folders,
         ),
     ] = None,
+    crowd: Crowd = None,
     story: Annotated[
         bool,
         typer.Option(
@@ -131,6 +127,7 @@ def render(
     name += ("" if camera == "follow" else f"_{camera}") + "_signals" * signals
     name += ".mp4" if moments is None else "_sheet.png"
     from evo_cpg.api.display import working
+    from evo_cpg.cli.champions import open_champion
     from evo_cpg.cli.filmed import champion_panel, crowd_panel, lineage_panels
     from evo_cpg.files import make_folder
     from evo_cpg.training.devices import available_cores
@@ -143,7 +140,7 @@ def render(
     # Check the path before making the folder of films.
     film_path(output or run / name, film, signals)
     if crowd is not None:
-        panels = [crowd_panel(run, crowd, which, film)]
+        panels = [crowd_panel(open_champion(run, which), crowd, which.trial, film)]
     elif lineage is not None:
         panels = lineage_panels(run, generations, which, signals)
     else:

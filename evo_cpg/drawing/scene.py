@@ -1,10 +1,11 @@
-"""What a page draws of a document: bodies, joints, eyes and the world, as JSON.
+"""What a page draws of a document: bodies, skins, joints, lines of sight and the world, as JSON.
 
 A body is drawn in its own frame at its centre of mass, as in recordings. `frame` is the position of
 the configuration's frame from there. Both are the same place for all shapes but meshes.
 """
 
 import base64
+import functools
 import hashlib
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,8 @@ from evo_cpg.creature.loft import outline, section_axes
 from evo_cpg.drawing.document import Data
 from evo_cpg.drawing.lookup import Posed, posed
 from evo_cpg.view.clip import quaternions
-from evo_cpg.view.meshes import body_colors
-
-_BYTE = 127
+from evo_cpg.view.meshes import pieces
+from evo_cpg.view.page.animal_data import piece_data, skin_data
 
 
 def scene(data: Data, source: Path) -> dict[str, Any]:
@@ -35,9 +35,10 @@ def scene(data: Data, source: Path) -> dict[str, Any]:
     here = posed(data, source)
     creature = here.creature
     arrays: dict[str, str] = {}
+    add = functools.partial(_array, arrays)
     centres, rotations = map(np.asarray, neutral_pose(creature))
     turns = quaternions(rotations[None])[0]
-    colors = (255 * body_colors(creature)).round().astype(int)
+    drawn = pieces(creature)
     named = {each.name: i for i, each in enumerate(here.copies)}
     bodies = []
     for i, body in enumerate(creature.bodies):
@@ -50,9 +51,10 @@ def scene(data: Data, source: Path) -> dict[str, Any]:
             "place": centres[i].tolist(),
             "turn": turns[i].tolist(),
             "mass": float(body.mass),
-            "color": "#{:02x}{:02x}{:02x}".format(*colors[i]),
             "half": np.asarray(body.shape.half_extents, float).tolist(),
-            "mesh": _mesh(body.shape, arrays),
+            "mesh": piece_data(drawn[i][0], add) if body.shape.exists else None,
+            "color": drawn[i][0].color,
+            "eyes": [piece_data(piece, add) for piece in drawn[i][1:]],
             "joint": _joint(creature, i, centres, rotations),
         }
         if index is not None:
@@ -70,7 +72,8 @@ def scene(data: Data, source: Path) -> dict[str, Any]:
         bodies.append(found)
     return {
         "bodies": bodies,
-        "eyes": _eyes(here),
+        **skin_data(creature, add),
+        "sights": _sights(here),
         "pressure": list(creature.pressure_sensors),
         "length": float(length_of(creature)),
         "lowest": float(lowest_height(creature)),
@@ -99,17 +102,6 @@ def _sections(here: Posed, index: int, frame: np.ndarray) -> list[dict[str, Any]
         }
         for each, (across, up) in zip(sections, section_axes(sections), strict=True)
     ]
-
-
-def _mesh(shape: Any, arrays: dict[str, str]) -> dict[str, str] | None:
-    if not shape.exists:
-        return None
-    skin = shape.skin()
-    return {
-        "points": _array(arrays, skin.points, "<f4"),
-        "normals": _array(arrays, np.asarray(skin.normals) * _BYTE, "i1"),
-        "triangles": _array(arrays, skin.faces, "<u4"),
-    }
 
 
 def _array(arrays: dict[str, str], values: Any, kind: str) -> str:
@@ -148,8 +140,8 @@ def _joint(creature: Any, i: int, centres: Any, rotations: Any) -> dict[str, Any
     }
 
 
-def _eyes(here: Posed) -> list[dict[str, Any]]:
-    """Return the eyes of all bodies, in the frames at their centres of mass."""
+def _sights(here: Posed) -> list[dict[str, Any]]:
+    """Return the lines of sight of light sensors, in the frames at their bodies' centres."""
     return [
         {
             "body": eye.body,

@@ -8,7 +8,7 @@ matrices instead of the translations and rotations that an animation moves.
 import io
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,10 @@ from jaxtyping import Float, Int, UInt8
 from evo_cpg.system import lend_matplotlib_a_folder
 
 # Codes of the specification: kinds of numbers, and uses of a stretch of the buffer.
-_FLOAT, _UNSIGNED = 5126, 5125
+_FLOAT, _UNSIGNED, _SHORT = 5126, 5125, 5123
 _VERTICES, _INDICES = 34962, 34963
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 # Index of an added node, for references.
 Node = int
@@ -101,6 +101,9 @@ class Glb:
         triangles: Int[np.ndarray, "m 3"],
         material: int,
         places: Float[np.ndarray, "n 2"] | None = None,
+        colors: UInt8[np.ndarray, "n 3"] | None = None,
+        joints: Int[np.ndarray, "n k"] | None = None,
+        weights: Float[np.ndarray, "n k"] | None = None,
     ) -> int:
         """Add a mesh.
 
@@ -111,6 +114,9 @@ class Glb:
             triangles: numbers of the corners, counterclockwise seen from outside.
             material: material of the whole mesh.
             places: places of the corners in the material's texture, 1 for its width and height.
+            colors: colours of the corners as on a screen (sRGB), which multiply the material's.
+            joints: joints of a skin that the corners follow, up to four.
+            weights: weights of the joints.
         """
         attributes = {
             "POSITION": self._floats(points, _VERTICES, bounds=True),
@@ -118,6 +124,20 @@ class Glb:
         }
         if places is not None:
             attributes["TEXCOORD_0"] = self._floats(places, _VERTICES)
+        if colors is not None:
+            attributes["COLOR_0"] = self._floats(_linear(colors / 255), _VERTICES)
+        if joints is not None and weights is not None:
+            spare = ((0, 0), (0, 4 - joints.shape[1]))
+            # A joint without weight has to be number 0.
+            found = np.ascontiguousarray(np.pad(np.where(weights > 0, joints, 0), spare), "<u2")
+            accessor = {
+                "bufferView": self._view(found.tobytes(), _VERTICES),
+                "componentType": _SHORT,
+                "count": len(found),
+                "type": "VEC4",
+            }
+            attributes["JOINTS_0"] = self._add("accessors", accessor)
+            attributes["WEIGHTS_0"] = self._floats(np.pad(weights, spare), _VERTICES)
         indices = np.ascontiguousarray(triangles, "<u4").ravel()
         accessor = {
             "bufferView": self._view(indices.tobytes(), _INDICES),
@@ -138,7 +158,7 @@ class Glb:
         Args:
             name: name of the node.
             parent: parent node, which moves this one.
-            properties: properties of the specification: `mesh`, `camera`, `translation`,
+            properties: properties of the specification: `mesh`, `skin`, `camera`, `translation`,
                 `rotation`, `extensions`.
         """
         node = self._add("nodes", {"name": name, **properties})
@@ -148,6 +168,23 @@ class Glb:
             brood = nodes[parent].setdefault("children", [])
         brood.append(node)
         return node
+
+    def skin(self, name: str, joints: Sequence[Node], rest: Float[np.ndarray, "j 4 4"]) -> int:
+        """Add a skin, and return the value of its node's `skin`.
+
+        Args:
+            name: name of the skin.
+            joints: nodes that the mesh follows.
+            rest: transformations of the joints, in the scene, at which the mesh is as given.
+        """
+        # Columns one after another.
+        inverses = np.linalg.inv(rest).swapaxes(1, 2).reshape(-1, 16)
+        held = {
+            "name": name,
+            "joints": [*joints],
+            "inverseBindMatrices": self._floats(inverses, None),
+        }
+        return self._add("skins", held)
 
     def times(self, time: Float[np.ndarray, " t"]) -> int:
         """Add the instants of an animation, s, and return their accessor for `animate`."""
@@ -248,5 +285,8 @@ class Glb:
 
 def linear_color(color: Float[np.ndarray, "3"]) -> list[float]:
     """Convert red, green and blue of a screen (sRGB) to linear light, 0 to 1 (IEC 61966-2-1)."""
-    color = np.asarray(color, float)
-    return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4).tolist()
+    return _linear(np.asarray(color, float)).tolist()
+
+
+def _linear(color: np.ndarray) -> np.ndarray:
+    return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)

@@ -5,11 +5,14 @@ metres and seconds, but y points upwards. One node, ``world``, rotates all nodes
 therefore holds the unchanged numbers of the trajectory, in our axes (z upwards).
 """
 
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
 import numpy as np
 import pyvista as pv
 from scipy.spatial.transform import Rotation
 
-from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.exchange.glb import Glb, Node
 from evo_cpg.installation import version_of
 from evo_cpg.physics.terrain import Plane
@@ -19,6 +22,7 @@ from evo_cpg.view.look import Look, sun_direction
 from evo_cpg.view.meshes import pieces
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.scene import Panel, Scene, check_panel, scene_of
+from evo_cpg.view.skin import Skin, skins
 from evo_cpg.view.stage import camera_path
 from evo_cpg.view.terrain import Terrain
 from evo_cpg.view.textures import floor_texture
@@ -76,19 +80,70 @@ def _apart(creature: Creature, name: str) -> str:
 
 def _add_animal(glb: Glb, root: Node, creature: Creature, recording: Recording) -> None:
     times = glb.times(recording.time - recording.time[0])
+
+    def add(i: int, name: str, **given: Any) -> Node:
+        """Add a node that moves with a body. Viewers without animation show its first pose."""
+        place, turn = recording.position[:, i], quaternions(recording.rotation[:, i])
+        first = {"translation": place[0].tolist(), "rotation": turn[0].tolist()}
+        node = glb.node(name, root, **first, **given)
+        glb.animate(node, "translation", times, place)
+        glb.animate(node, "rotation", times, turn)
+        return node
+
     for i, (body, own) in enumerate(zip(creature.bodies, pieces(creature), strict=True)):
         meshes = []
         for mesh, color, eye in own:
             name = _apart(creature, f"{body.name}.{eye}") if eye else body.name
-            rgb = np.array(pv.Color(color).float_rgb)
+            # Colours of points multiply the material's.
+            rgb = np.ones(3) if "rgb" in mesh.point_data else np.array(pv.Color(color).float_rgb)
             material = glb.material(name, rgb, roughness=0.25 if eye else 0.7)
             meshes.append((name, _add_mesh(glb, name, mesh, material)))
         (_, surface), *eyes = meshes
-        node = glb.node(body.name, root, mesh=surface)
+        node = add(i, body.name, mesh=surface)
         for name, mesh in eyes:
             glb.node(name, node, mesh=mesh)
-        glb.animate(node, "translation", times, recording.position[:, i])
-        glb.animate(node, "rotation", times, quaternions(recording.rotation[:, i]))
+    covered = skins(creature)
+    if covered:
+        _add_skins(glb, creature, recording, covered, add)
+
+
+def _add_skins(
+    glb: Glb,
+    creature: Creature,
+    recording: Recording,
+    covered: Sequence[Skin],
+    add: Callable[[int, str], Node],
+) -> None:
+    """Add skins with bones of their own, so that the bodies stay ordinary nodes."""
+    centres, rotations = map(np.asarray, neutral_pose(creature))
+    # The neutral pose, moved to where the animal starts. Axes are glTF's.
+    start = creature.root_index
+    turn = recording.rotation[0, start] @ rotations[start].T
+    upright = Rotation.from_quat(Z_UP).as_matrix()
+    place = upright @ (recording.position[0, start] - turn @ centres[start])
+    turn = upright @ turn
+    used = np.unique(np.concatenate([skin.bodies.ravel() for skin in covered]))
+    bones = [add(i, _apart(creature, f"{creature.bodies[i].name}.bone")) for i in used]
+    rest = np.tile(np.eye(4), (len(used), 1, 1))
+    rest[:, :3, :3] = turn @ rotations[used]
+    rest[:, :3, 3] = centres[used] @ turn.T + place
+    name = _apart(creature, "skin")
+    material = glb.material(name, np.ones(3), roughness=0.7)
+    bound = glb.skin(name, bones, rest)
+    for number, skin in enumerate(covered, 1):
+        own = _apart(creature, f"skin{number}")
+        mesh = glb.mesh(
+            own,
+            skin.points @ turn.T + place,
+            skin.normals @ turn.T,
+            skin.faces,
+            material,
+            colors=skin.colors,
+            joints=np.searchsorted(used, skin.bodies),
+            weights=skin.weights,
+        )
+        # Bones move the skin, and no node above it.
+        glb.node(own, mesh=mesh, skin=bound)
 
 
 def _add_camera(glb: Glb, root: Node, name: str, scene: Scene) -> None:
@@ -166,8 +221,9 @@ def _add_light(
 
 
 def _add_mesh(glb: Glb, name: str, surface: pv.PolyData, material: int) -> int:
-    whole = surface.triangulate()
+    whole = cast(pv.PolyData, surface.triangulate())
     normals = np.asarray(whole.point_data.active_normals, float)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     corners = whole.regular_faces.astype(np.int64)
-    return glb.mesh(name, np.asarray(whole.points), normals, corners, material)
+    colors = np.asarray(whole.point_data["rgb"]) if "rgb" in whole.point_data else None
+    return glb.mesh(name, np.asarray(whole.points), normals, corners, material, colors=colors)

@@ -12,7 +12,7 @@ import pyvista as pv
 from evo_cpg.physics.terrain import Part
 from evo_cpg.view.ghosts import add_ghosts
 from evo_cpg.view.ground import add_ground, add_numbers
-from evo_cpg.view.meshes import shape_mesh
+from evo_cpg.view.meshes import surfaces
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh
 from evo_cpg.view.offscreen import pixels, placed
 from evo_cpg.view.scenery import (
@@ -86,8 +86,10 @@ def _add_environment(stage: Stage) -> list[Update]:
     if staging is not None and staging.track is not None:
         add_track(stage, staging.track)
     _add_stones(stage, scene.ground.obstacles)
-    meshes = [shape_mesh(body.shape) for body in scene.creature.bodies]
-    updates += [add_sun_shadows(stage, meshes), add_shadows(stage, scene.half_extents)]
+    updates += [
+        add_sun_shadows(stage, surfaces(scene.creature)),
+        add_shadows(stage, scene.half_extents),
+    ]
     if scene.stands:
         updates.append(add_contacts(stage))
     if scene.ghosts is not None:

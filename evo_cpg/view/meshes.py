@@ -1,25 +1,36 @@
-"""Meshes of the bodies in their own frames, and their colours.
+"""How an animal looks: surfaces and eyes of its bodies in their own frames, and their colours.
+
+Films, pages, glTF files, previews and the drawing page show the same surfaces. A skin over chains
+is in `evo_cpg.view.skin`.
 
 Colours run from a warm head over cream to a cool tail. Orange and blue, with the lightest tone
 between them, are clear with every common kind of colour blindness, and on sea and sand.
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.creature import Creature, LightSensor, neutral_pose
+from evo_cpg.creature.creature import Creature, LightSensor, length_of, neutral_pose
 from evo_cpg.creature.shapes import Shape
+from evo_cpg.view.fins import fins
+from evo_cpg.view.shells import is_shell, shell_mesh
 
 _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
 # Radius of an eye, relative to the body's smallest half size.
 _EYE = 0.44
-# Eyes of an animal without light sensors: direction of its front, place on the way to the foremost
-# point, and direction of the left eye.
-_FRONT, _SET_BACK = np.array([1.0, 0.0, 0.35]), 0.82
+# Radius of an eye on a body without a shape, relative to the animal's length.
+_EYE_ALONE = 0.02
+# Points of an eye around and from pole to pole.
+_BALL = (20, 14)
+# Eyes of an animal without light sensors: direction of its front, distance behind the foremost
+# point, relative to the body's smallest half size, and direction of the left eye.
+_FRONT, _SET_BACK = np.array([1.0, 0.0, 0.35]), 0.55
 _FORWARD, _SIDE, _UP = 0.55, 0.8, 0.3
+# The head of a blind animal has at least this fraction of the thickness of its thickest part.
+_HEAD = 0.5
 # Colours of an eye.
 _WHITE, _PUPIL = "#fdfdf8", "#10151c"
 # Brightness of bodies on the left (y > 0), which the camera sees on the far side if there is no
@@ -81,7 +92,7 @@ def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv
     A sensor inside the body is drawn where its line of sight leaves the body.
     """
     shape = creature.bodies[creature.body_index(sensor.body)].shape
-    radius = _EYE * shape.half_extents.min()
+    radius = _EYE * shape.half_extents.min() or _EYE_ALONE * length_of(creature)
     axis = np.array(sensor.axis) / np.linalg.norm(sensor.axis)
     reach = np.linspace(0, 2 * shape.half_extents.max(), 200)
     sight = np.array(sensor.position) + reach[:, None] * axis
@@ -89,9 +100,14 @@ def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv
     centre = sight[outside.argmax()] if outside.any() else sight[0]
     centre = centre - 0.35 * radius * axis
     return (
-        pv.Sphere(radius=radius, center=centre),
-        pv.Sphere(radius=0.72 * radius, center=centre + 0.42 * radius * axis),
+        _ball(radius, centre),
+        _ball(0.72 * radius, centre + 0.42 * radius * axis),
     )
+
+
+def _ball(radius: float, centre: np.ndarray) -> pv.PolyData:
+    around, down = _BALL
+    return pv.Sphere(radius=radius, center=centre, theta_resolution=around, phi_resolution=down)
 
 
 def drawn_eyes(creature: Creature) -> list[LightSensor]:
@@ -106,8 +122,11 @@ def drawn_eyes(creature: Creature) -> list[LightSensor]:
     def front(i: int) -> np.ndarray:
         return np.asarray(creature.bodies[i].shape.support(rotations[i].T @ _FRONT), float)
 
+    thick = {i: float(creature.bodies[i].shape.half_extents.min()) for i in solid}
+    solid = [i for i in solid if thick[i] >= _HEAD * max(thick.values())]
     head = max(solid, key=lambda i: (centres[i] + rotations[i] @ front(i)) @ _FRONT)
-    body, place = creature.bodies[head].name, _SET_BACK * front(head)
+    body, foremost = creature.bodies[head].name, front(head)
+    place = foremost * (1 - _SET_BACK * thick[head] / np.linalg.norm(foremost))
     axes = (rotations[head].T @ [_FORWARD, side, _UP] for side in (_SIDE, -_SIDE))
     return [LightSensor(body, tuple(place), tuple(axis), np.pi) for axis in axes]
 
@@ -116,7 +135,7 @@ class Piece(NamedTuple):
     """A surface that moves with a body, in the body's frame.
 
     Attributes:
-        mesh: the surface.
+        mesh: the surface. An array ``rgb`` holds the colours of its points, if they differ.
         color: colour of the surface, as six hexadecimal digits after ``#``.
         name: name of a part of an eye, such as ``pupil1``, or empty for the body's own surface.
     """
@@ -126,13 +145,23 @@ class Piece(NamedTuple):
     name: str = ""
 
 
+def surfaces(creature: Creature) -> list[pv.PolyData]:
+    """Return the drawn surface of every body in its own frame, m: its shape, a fin or a shell."""
+    finned, colors = fins(creature), body_colors(creature)
+    return [
+        finned[i].mesh()
+        if i in finned
+        else shell_mesh(body, colors[i])
+        if is_shell(body)
+        else shape_mesh(body.shape)
+        for i, body in enumerate(creature.bodies)
+    ]
+
+
 def pieces(creature: Creature) -> list[list[Piece]]:
     """Return the pieces of every body: its own surface, then white and pupil of its eyes."""
     colors = [pv.Color(color).hex_rgb for color in body_colors(creature)]
-    found = [
-        [Piece(shape_mesh(body.shape), color)]
-        for body, color in zip(creature.bodies, colors, strict=True)
-    ]
+    found = [[Piece(mesh, color)] for mesh, color in zip(surfaces(creature), colors, strict=True)]
     for number, sensor in enumerate(creature.light_sensors or drawn_eyes(creature), 1):
         white, pupil = eye_meshes(creature, sensor)
         found[creature.body_index(sensor.body)] += [
@@ -156,7 +185,13 @@ def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[
     skin = {"ambient": ambient, "diffuse": 0.8, "specular": 0.25, "specular_power": 18}
     finish = {False: skin, True: {"ambient": 0.4, "specular": 0.8}}
     draw = functools.partial(plotter.add_mesh, smooth_shading=True, culling="back")
+
+    def paint(piece: Piece) -> dict[str, Any]:
+        if "rgb" in piece.mesh.point_data:
+            return {"scalars": "rgb", "rgb": True, "show_scalar_bar": False}
+        return {"color": piece.color}
+
     return [
-        [draw(piece.mesh, color=piece.color, **finish[bool(piece.name)]) for piece in own]
+        [draw(piece.mesh, **paint(piece), **finish[bool(piece.name)]) for piece in own]
         for own in pieces(creature)
     ]

@@ -26,6 +26,7 @@ from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import check_size, output_path, oversampling, picture_of, save_picture
 from evo_cpg.view.scene import Panel, Scene, grid_spacing, scene_of
+from evo_cpg.view.skin import drape
 from evo_cpg.view.stage import Stage
 
 # Pale looks of dry land, a shore and the bottom of the sea, so that names and axes stand out.
@@ -108,6 +109,7 @@ def preview(
     """
     path = preview_path(path, size)
     scene = _at_rest(creature, ground, pose, surface)
+    rest = scene.clip.position[0], scene.clip.rotation[0]
     hull = np.concatenate(
         [
             np.asarray(shape_mesh(body.shape).points) @ turn.T + centre
@@ -126,10 +128,13 @@ def preview(
         show = set_scene(Stage(plotter, scene, camera, scale), bodies, skins=False)
         plotter.camera.parallel_projection = True
         plotter.camera.parallel_scale = half_height
+        draped = drape(plotter, creature, scene.look.ambient)
+        for skin, _ in draped:
+            skin.move(*rest)
         legend = _add_joints(plotter, scene) | _add_sensors(plotter, scene)
         opaque = show(0)
-        for body, *_ in bodies:
-            body.visibility = False
+        for actor in [body for body, *_ in bodies] + [actor for _, actor in draped]:
+            actor.visibility = False
         picture = (_OPACITY * opaque + (1 - _OPACITY) * show(0)).astype(np.uint8)
     notes = [f"{far} obstacle{'s' if far > 1 else ''} farther away"] if far else []
     if surface is not None:

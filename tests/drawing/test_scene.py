@@ -59,7 +59,7 @@ def test_all_kinds_of_joints_and_shapes_are_drawn():
     np.testing.assert_allclose([slide["lower"], slide["upper"]], [-0.1, 0.2])
     np.testing.assert_allclose(turn["along"], [0, 0, -1])
     np.testing.assert_allclose(turn["at"], [-0.01, 0.05, 0], atol=1e-12)
-    (eye,) = made["eyes"]
+    (eye,) = made["sights"]
     assert eye["along"] == [1, 0, 0] and np.isclose(eye["half_angle"], np.pi / 4)
 
 

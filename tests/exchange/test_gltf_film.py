@@ -20,6 +20,7 @@ from evo_cpg.physics.terrain import Block, Boulder, Plane, Shore
 from evo_cpg.simulation.recording import Recording, RecordingError
 from evo_cpg.view.clip import quaternions
 from evo_cpg.view.scene import Panel
+from evo_cpg.view.skin import Draped, skins
 from view import synthetic
 
 # Folder of `npm install gltf-validator`. Node also searches the folders above the tests.
@@ -65,11 +66,11 @@ def decode(data):
     assert kind == b"JSON"
     document = json.loads(data[20 : 20 + size])
     binary = data[20 + size + 8 :]
-    widths = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+    widths = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
     arrays = []
     for accessor in document["accessors"]:
         view = document["bufferViews"][accessor["bufferView"]]
-        dtype = {5126: "<f4", 5125: "<u4"}[accessor["componentType"]]
+        dtype = {5126: "<f4", 5125: "<u4", 5123: "<u2"}[accessor["componentType"]]
         width = widths[accessor["type"]]
         count = accessor["count"] * width
         array = np.frombuffer(binary, dtype, count, view["byteOffset"]).reshape(-1, width)
@@ -104,7 +105,8 @@ def movements(document, arrays):
 def test_the_bodies_move_as_in_the_recording(scene):
     creature, recording, data = scene
     found = movements(*decode(data))
-    instants = {key: time for key, (time, _) in found.items() if key[0] != "camera"}
+    names = {body.name for body in creature.bodies}
+    instants = {key: time for key, (time, _) in found.items() if key[0] in names}
     assert len(instants) == 2 * len(creature.bodies)
     for time in instants.values():
         np.testing.assert_allclose(time, recording.time, atol=1e-5)
@@ -175,6 +177,38 @@ def test_trimesh_reads_the_animal_and_its_world(scene, tmp_path):
     if lit:
         light = document["nodes"][names.index("light")]
         np.testing.assert_allclose(light["translation"], recording.goal, atol=1e-5)
+
+
+def test_the_skin_follows_its_bones_as_in_films():
+    """The formula of the specification (glTF 2.0, section 3.7.3.3) at some instants."""
+    creature, recording = synthetic.swimmer(), synthetic.swim(2.0)
+    document, arrays = decode(gltf_film(Panel(creature, recording)))
+    nodes, moved = document["nodes"], movements(document, arrays)
+    (node,) = (node for node in nodes if "skin" in node)
+    attributes = document["meshes"][node["mesh"]]["primitives"][0]["attributes"]
+    points, joints, weights = (
+        arrays[attributes[name]].astype(float) for name in ("POSITION", "JOINTS_0", "WEIGHTS_0")
+    )
+    held = document["skins"][node["skin"]]
+    inverses = arrays[held["inverseBindMatrices"]].reshape(-1, 4, 4).swapaxes(1, 2).astype(float)
+    places = np.concatenate([points, np.ones((len(points), 1))], 1)
+    (skin,) = skins(creature)
+    draped = Draped(creature, skin)
+    upright = np.eye(4)
+    upright[:3, :3] = matrix(np.array(Z_UP))
+    for k in (0, len(recording.time) // 2, -1):
+        bones = np.tile(np.eye(4), (len(held["joints"]), 1, 1))
+        for bone, joint in zip(bones, held["joints"], strict=True):
+            bone[:3, 3] = moved[nodes[joint]["name"], "translation"][1][k]
+            bone[:3, :3] = matrix(moved[nodes[joint]["name"], "rotation"][1][k].astype(float))
+        each = (upright @ bones @ inverses)[joints.astype(int)]
+        shown = np.einsum("nk,nkij,nj->ni", weights, each, places)[:, :3]
+        draped.move(recording.position[k], recording.rotation[k])
+        np.testing.assert_allclose(shown @ upright[:3, :3], draped.mesh.points, atol=2e-5)
+    # Programs without animation show the animal where it starts.
+    for i, body in enumerate(creature.bodies):
+        (own,) = (node for node in nodes if node["name"] == body.name)
+        np.testing.assert_allclose(own["translation"], recording.position[0, i])
 
 
 def test_places_of_stones_and_water():

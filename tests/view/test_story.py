@@ -10,7 +10,6 @@ from PIL import Image, ImageSequence
 
 from evo_cpg.cli.lanes import course_of, in_lanes, tank_of
 from evo_cpg.cli.storyboard import Material, story_of
-from evo_cpg.creature.slender import slender_chains
 from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.training.crowd_motion import CrowdMotion
@@ -19,10 +18,8 @@ from evo_cpg.view.clip import Clip, sample
 from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.legible import font, lettering
 from evo_cpg.view.look import STYLES
-from evo_cpg.view.meshes import drawn_eyes
 from evo_cpg.view.output import picture_of
 from evo_cpg.view.scene import Panel
-from evo_cpg.view.skin import Skin
 from evo_cpg.view.stage import bends_sideways
 from evo_cpg.view.story import (
     FPS,
@@ -155,39 +152,6 @@ def test_the_end_of_a_loop_dissolves_into_its_start(tmp_path):
         # The encoder joins frames that look the same.
         assert (picture.size, picture.info["loop"]) == ((16, 16), 0)
         assert len([*ImageSequence.Iterator(picture)]) > 5
-
-
-def test_the_skin_of_a_straight_chain_is_its_outline():
-    creature = synthetic.swimmer()
-    (chain,) = slender_chains(creature)
-    skin, recording = Skin(creature, chain), synthetic.swim(0.2)
-    position = np.zeros_like(recording.position[0])
-    position[:, 0] = -0.22 * np.arange(len(position))
-    skin.move(position, np.broadcast_to(np.eye(3), (len(position), 3, 3)))
-    points = np.asarray(skin.mesh.points)
-    np.testing.assert_allclose(points[:, 0].min(), position[-1, 0], atol=1e-6)
-    np.testing.assert_allclose(np.abs(points[:, 1:]).max(0), 0.93 * 0.05, rtol=1e-5)
-    # The normals point outwards, and so do the triangles.
-    normals = np.asarray(skin.mesh.point_data["Normals"])
-    assert ((normals[:, 1:] * points[:, 1:]).sum(1) > 0).all()
-    corners = points[skin.mesh.regular_faces]
-    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert ((facing * corners.mean(1))[:, 1:].sum(1) > 0).all()
-
-
-def test_the_skin_passes_through_bent_bodies():
-    creature, recording = synthetic.swimmer(), synthetic.swim(2.0)
-    (chain,) = slender_chains(creature)
-    skin = Skin(creature, chain)
-    skin.move(recording.position[100], recording.rotation[100])
-    rings = np.asarray(skin.mesh.points).reshape(-1, 20, 3).mean(1)
-    np.testing.assert_allclose(rings[::6], recording.position[100][list(chain.bodies)], atol=1e-6)
-
-
-def test_a_blind_animal_has_eyes_at_its_front():
-    left, right = drawn_eyes(WALKER)
-    assert left.body == right.body == "trunk"
-    assert left.axis[1] > 0 > right.axis[1] and left.position[0] > 0.2
 
 
 def test_a_moving_camera_scales_the_picture_about_a_point():

@@ -12,4 +12,5 @@ def page() -> Page:
         asset(name, "evo_cpg.drawing.page")
         for name in ("page.html", "page.css", "view.js", "forms.js", "page.js")
     )
-    return served_page("evo-cpg model", style, body, [asset("three.min.js"), *own])
+    shared = [asset(name) for name in ("three.min.js", "animal.js")]
+    return served_page("evo-cpg model", style, body, [*shared, *own])

@@ -1,5 +1,5 @@
 // The 3-D view: draws the animal, picks places on its surface, and moves parts with a gizmo.
-// Needs THREE. Every body is a group at its centre of mass, in metres, with z up.
+// Needs THREE and Animal. Every body is a group at its centre of mass, in metres, with z up.
 "use strict";
 const View = (() => {
   const canvas = document.getElementById("canvas");
@@ -47,23 +47,14 @@ const View = (() => {
   let grabbed = null, armed = false;
   // Number of the chosen section of a loft, and the drawn rings and dots of all its sections.
   let section = null, rings = [];
+  // Skins over chains. They are hidden while a body is chosen, so that the body is seen.
+  let skins = [];
 
   // ---- geometry
-  const kinds = { f4: Float32Array, i1: Int8Array, i2: Int16Array, u4: Uint32Array };
-  function decoded(text, kind) {
-    const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-    return new kinds[kind](bytes.buffer);
-  }
+  const array = (key, kind) => Animal.decoded(arrays.get(key), kind);
   function geometry(mesh) {
-    const key = mesh.points + mesh.normals + mesh.triangles;
-    if (!shapes.has(key)) {
-      const made = new THREE.BufferGeometry();
-      const [points, normals, faces] = [mesh.points, mesh.normals, mesh.triangles].map((name) => arrays.get(name));
-      made.setAttribute("position", new THREE.BufferAttribute(decoded(points, "f4"), 3));
-      made.setAttribute("normal", new THREE.BufferAttribute(decoded(normals, "i1"), 3, true));
-      made.setIndex(new THREE.BufferAttribute(decoded(faces, "u4"), 1));
-      shapes.set(key, made);
-    }
+    const key = mesh.points + mesh.normals + mesh.triangles + mesh.colors;
+    if (!shapes.has(key)) shapes.set(key, Animal.geometry(mesh, array));
     return shapes.get(key);
   }
   // The same shape with about a sixth of its triangles, for motions on slow machines: vertices with
@@ -85,7 +76,7 @@ const View = (() => {
       if (a !== b && b !== c && c !== a) faces.push(a, b, c);
     }
     const found = new THREE.BufferGeometry();
-    for (const name of ["position", "normal"]) found.setAttribute(name, made.attributes[name]);
+    for (const [name, each] of Object.entries(made.attributes)) found.setAttribute(name, each);
     found.setIndex(faces);
     made.userData.coarse = found;
     return found;
@@ -113,24 +104,17 @@ const View = (() => {
       const group = new THREE.Group();
       group.position.copy(vector(body.place));
       group.quaternion.set(...body.turn);
-      const skin = new THREE.MeshStandardMaterial({ color: body.color, roughness: 0.55 });
-      const mesh = new THREE.Mesh(body.mesh ? geometry(body.mesh) : new THREE.BufferGeometry(), skin);
+      const material = Animal.material(body.mesh || { color: "#ffffff" });
+      const mesh = new THREE.Mesh(body.mesh ? geometry(body.mesh) : new THREE.BufferGeometry(), material);
       mesh.userData = { shared: true, name: body.name };
       mesh.castShadow = mesh.receiveShadow = true;
       group.add(mesh);
+      body.eyes.forEach((eye) => group.add(Animal.solid(eye, array)));
       animal.add(group);
       bodies.set(body.name, { ...body, group, mesh, shape: mesh.geometry });
     }
-    for (const eye of drawn.eyes) {
-      const body = bodies.get(eye.body);
-      const radius = 0.4 * Math.min(...body.half) || 0.02 * drawn.length;
-      const along = vector(eye.along), place = vector(eye.place);
-      const white = new THREE.Mesh(new THREE.SphereGeometry(radius, 20, 14), new THREE.MeshStandardMaterial({ color: "#fdfdf8" }));
-      const pupil = new THREE.Mesh(new THREE.SphereGeometry(0.7 * radius, 20, 14), new THREE.MeshStandardMaterial({ color: "#10151c" }));
-      white.position.copy(place).addScaledVector(along, -0.35 * radius);
-      pupil.position.copy(white.position).addScaledVector(along, 0.42 * radius);
-      body.group.add(white, pupil);
-    }
+    skins = Animal.skins(drawn.skins, [...bodies.values()].map((body) => body.group), drawn.rest, array);
+    skins.forEach((skin) => animal.add(skin));
     if (!size || drawn.length > 2 * size || drawn.length < 0.5 * size) {
       size = drawn.length;
       look("corner");
@@ -197,6 +181,7 @@ const View = (() => {
       const alike = chosen && chosen.entry && body.entry === chosen.entry;
       body.mesh.material.emissive.set(body === chosen ? "#7a3410" : alike ? "#3a1a08" : "#000000");
     }
+    skins.forEach((skin) => (skin.visible = !chosen || Boolean(motion)));
     clear(marks);
     gizmo.detach();
     if (chosen && !motion) {
@@ -264,7 +249,7 @@ const View = (() => {
     marks.children.forEach((each) => (each.renderOrder = 5));
   }
   function drawViews(body) {
-    for (const eye of drawn.eyes) {
+    for (const eye of drawn.sights) {
       if (eye.body !== body.name) continue;
       const reach = 0.3 * drawn.length, along = vector(eye.along), from = vector(eye.place);
       const sideways = (Math.abs(along.z) < 0.9 ? new THREE.Vector3(0, 0, 1) : new THREE.Vector3(1, 0, 0)).cross(along).normalize();
@@ -472,7 +457,7 @@ const View = (() => {
 
   // ---- motion
   function play(given) {
-    const place = decoded(given.place, "f4"), turn = decoded(given.turn, "i2");
+    const place = Animal.decoded(given.place, "f4"), turn = Animal.decoded(given.turn, "i2");
     motion = { ...given, from: motion ? motion.from : [camera.position.clone(), orbit.target.clone()], places: place, turns: turn, time: 0, going: true, last: null, duration: (given.count - 1) / given.rate };
     // A burst of other work may have slowed the last motion.
     level = bySoftware ? 1 : 0;

@@ -31,5 +31,6 @@ def page(name: str) -> Page:
     )  # fmt: skip
     own = "evo_cpg.live.page"
     style = asset("page.css") + asset("live.css", own)
-    scripts = [asset("three.min.js"), asset("viewer.js"), asset("wall.js", own)]
-    return served_page(name, style, body, [*scripts, asset("live.js", own)])
+    scripts = [asset(script) for script in ("three.min.js", "animal.js", "viewer.js")]
+    scripts += [asset(script, own) for script in ("wall.js", "live.js")]
+    return served_page(name, style, body, scripts)

@@ -1,6 +1,6 @@
 """The page of a run: one self-contained HTML file for screen and paper.
 
-The content security policy of the page names its two scripts by their digests, and allows no other
+The content security policy of the page names its scripts by their digests, and allows no other
 script and no request. Text from a configuration of unknown origin stays text.
 """
 
@@ -13,7 +13,7 @@ from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.view.page import movement, origin
 from evo_cpg.view.page.html import Html, join, tag
 from evo_cpg.view.page.shell import asset, policy
-from evo_cpg.view.page.subject import RecordedMotion, Subject
+from evo_cpg.view.page.subject import Crowd, RecordedMotion, Subject
 from evo_cpg.view.page.words import number, with_unit
 
 _ALONE = """
@@ -40,12 +40,13 @@ def document(subject: Subject, motion: RecordedMotion) -> str:
     shown = [(key, title, inner) for key, title, inner in sections if inner]
     return _whole(
         f"{subject.name}: its champion",
-        motion.scene,
+        _scenes(motion.scene, motion.crowd),
         asset("page.css"),
         tag("h1", f"{subject.name}: its champion"),
         tag("p", subject.sentence, class_="lead"),
         _changed(subject),
         tag("nav", *(tag("a", title, href=f"#{key}") for key, title, _ in shown)),
+        _choice(motion.crowd),
         player(_still(motion.still)),
         _cards(subject, motion.numbers),
         *(
@@ -60,6 +61,24 @@ def document(subject: Subject, motion: RecordedMotion) -> str:
     )
 
 
+def _scenes(champion: Mapping[str, Any], crowd: Crowd | None) -> Html:
+    """Return the data of the viewer."""
+    scenes = {"scene": champion} | ({} if crowd is None else {"crowd": crowd.scene})
+    return join(*(_json_script(name, scene) for name, scene in scenes.items()))
+
+
+def _choice(crowd: Crowd | None) -> Html | None:
+    """Return buttons that choose the animals in the viewer, or None if there is one scene."""
+    if crowd is None:
+        return None
+    named = [("scene", "Champion"), ("crowd", crowd.title)]
+    return tag(
+        "p",
+        *(tag("button", words, type="button", data_scene=scene) for scene, words in named),
+        class_="choice",
+    )
+
+
 def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
     """Return a page that has nothing but the animal, and fills its window or frame.
 
@@ -68,15 +87,16 @@ def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
         scene: data of the viewer.
         picture: what browsers without WebGL show, JPEG.
     """
-    return _whole(title, scene, asset("page.css") + _ALONE, player(_still(picture)))
+    style = asset("page.css") + _ALONE
+    return _whole(title, _scenes(scene, None), style, player(_still(picture)))
 
 
-def _whole(title: str, scene: Mapping[str, Any], style: str, *body: Html | None) -> str:
-    scripts = [asset("three.min.js"), asset("viewer.js")]
+def _whole(title: str, scenes: Html, style: str, *body: Html | None) -> str:
+    scripts = [asset(name) for name in ("three.min.js", "animal.js", "viewer.js")]
     inner = tag(
         "body",
         *body,
-        _json_script("scene", scene),
+        scenes,
         *(Html(f"<script>{script}</script>") for script in scripts),
     )
     head = tag(

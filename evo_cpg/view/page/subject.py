@@ -48,6 +48,18 @@ class PaperDifferences(NamedTuple):
     notes: tuple[Note, ...]
 
 
+class Crowd(NamedTuple):
+    """All animals of a generation.
+
+    Attributes:
+        title: generation and number of animals.
+        scene: data of the viewer.
+    """
+
+    title: str
+    scene: Mapping[str, Any]
+
+
 class Subject(NamedTuple):
     """Subject of a page.
 
@@ -110,6 +122,7 @@ class RecordedMotion(NamedTuple):
         history: columns of metrics.csv.
         chain_places: places of the joints along the body, m behind the first.
         root_index: index of the root in ``creature.bodies``.
+        crowd: a generation that the page also shows, or None.
     """
 
     recording: Recording
@@ -120,3 +133,4 @@ class RecordedMotion(NamedTuple):
     history: Mapping[str, np.ndarray]
     chain_places: np.ndarray
     root_index: int
+    crowd: Crowd | None = None

@@ -7,10 +7,11 @@
 //       --legal-comments=inline --outfile=three.min.js
 export {
   BackSide, BufferAttribute, BufferGeometry, CanvasTexture, Color, DirectionalLight, DoubleSide,
-  Fog, GridHelper, Group, HemisphereLight, Line, LineBasicMaterial, LineSegments, Matrix4, Mesh,
-  MeshBasicMaterial, MeshStandardMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Points,
-  PointsMaterial, Quaternion, Raycaster, RepeatWrapping, Scene, SphereGeometry, Sprite,
-  SpriteMaterial, SRGBColorSpace, Vector2, Vector3, WebGLRenderer,
+  Fog, GridHelper, Group, HemisphereLight, InstancedMesh, Line, LineBasicMaterial, LineSegments,
+  Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, PCFShadowMap, PerspectiveCamera,
+  PlaneGeometry, Points, PointsMaterial, Quaternion, Raycaster, RepeatWrapping, Scene, Skeleton,
+  SkinnedMesh, SphereGeometry, Sprite, SpriteMaterial, SRGBColorSpace, Vector2, Vector3,
+  WebGLRenderer,
 } from "three";
 export { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 export { TransformControls } from "three/examples/jsm/controls/TransformControls.js";

@@ -1,16 +1,13 @@
-// Shows animals in 3D. `Viewer.player` plays one of them, with a free camera. Needs THREE.
+// Shows animals in 3D. `Viewer.player` plays one of them, with a free camera. Needs THREE and
+// Animal.
 "use strict";
 const Viewer = (() => {
   // Returns a function that decodes arrays of a scene at their first use.
-  const kinds = { f4: Float32Array, i2: Int16Array, i1: Int8Array, u4: Uint32Array };
   function decoder(texts) {
     const decoded = new Map();
     return (number, kind) => {
       const key = number + kind;
-      if (!decoded.has(key)) {
-        const bytes = Uint8Array.from(atob(texts[number]), (letter) => letter.charCodeAt(0));
-        decoded.set(key, new kinds[kind](bytes.buffer));
-      }
+      if (!decoded.has(key)) decoded.set(key, Animal.decoded(texts[number], kind));
       return decoded.get(key);
     };
   }
@@ -60,20 +57,6 @@ const Viewer = (() => {
     const fromSun = new THREE.Vector3(
       0.55 * Math.cos(beside), 0.55 * Math.sin(beside), data.water ? 1.6 : 1.0,
     ).normalize().multiplyScalar(6 * radius);
-
-    function geometry(mesh) {
-      const made = new THREE.BufferGeometry();
-      made.setAttribute("position", new THREE.BufferAttribute(array(mesh.points, "f4"), 3));
-      made.setAttribute("normal", new THREE.BufferAttribute(array(mesh.normals, "i1"), 3, true));
-      made.setIndex(new THREE.BufferAttribute(array(mesh.triangles, "u4"), 1));
-      return made;
-    }
-    function solid(mesh) {
-      const material = new THREE.MeshStandardMaterial({ color: mesh.color, roughness: 0.55 });
-      const made = new THREE.Mesh(geometry(mesh), material);
-      made.castShadow = made.receiveShadow = true;
-      return made;
-    }
 
     // Pattern of the floor: cells of alternating brightness, and lines between them.
     function pattern() {
@@ -148,7 +131,7 @@ const Viewer = (() => {
       scene.add(floor);
     }
     for (const stone of data.obstacles) {
-      const made = solid(stone);
+      const made = Animal.solid(stone, array);
       made.position.fromArray(stone.place);
       made.quaternion.fromArray(stone.turn);
       scene.add(made);
@@ -212,10 +195,14 @@ const Viewer = (() => {
     // ---- the animal
     const bodies = data.bodies.map((body) => {
       const group = new THREE.Group();
-      body.parts.forEach((part) => group.add(solid(part)));
+      body.parts.forEach((part) => group.add(Animal.solid(part, array)));
       scene.add(group);
       return group;
     });
+    const skins = Animal.skins(data.skins, bodies, data.rest, array);
+    skins.forEach((skin) => scene.add(skin));
+    const crowd = data.crowd && Animal.crowd(data.crowd, array, 0.2 * radius);
+    crowd?.parts.forEach((part) => scene.add(part));
     const own = motionOf(data, array);
     const { position, focus } = own;
 
@@ -275,6 +262,7 @@ const Viewer = (() => {
         turn.fromArray(rotation, 4 * one).normalize();
         body.quaternion.copy(turn.slerp(next.fromArray(rotation, 4 * two).normalize(), fraction));
       });
+      crowd?.pose(now, bodies);
       here.fromArray(focus, 3 * i).lerp(there.fromArray(focus, 3 * j), fraction);
       sun.target.position.copy(here);
       sun.position.copy(here).add(fromSun);
@@ -298,10 +286,13 @@ const Viewer = (() => {
         thing.geometry?.dispose();
         thing.material?.map?.dispose();
         thing.material?.dispose();
+        if (thing.isInstancedMesh) thing.dispose();
       });
+      skins[0]?.skeleton.dispose();
       sun.dispose();
     }
-    const away = (data.water ? 4.3 : 4.4) * radius;
+    // A crowd is seen from farther away.
+    const away = (data.water ? 4.3 : 4.4) * radius * (data.crowd ? 1.5 : 1);
     const views = {
       side: [data.bearing - Math.PI / 2 + 0.35, data.water ? 0.42 : 0.24],
       top: [data.bearing - Math.PI / 2, 1.5],
@@ -502,8 +493,16 @@ const Viewer = (() => {
   return { cameraOf, decoder, fitted, motionOf, player, rendererOf, worldOf };
 })();
 
-// The page of a run holds the scene of its champion.
+// The page of a run holds the scene of its champion, and perhaps that of a generation. A button
+// chooses one.
 const champion = document.getElementById("scene");
 if (champion) {
-  Viewer.player(document.getElementById("animal"))?.show(JSON.parse(champion.textContent));
+  const player = Viewer.player(document.getElementById("animal"));
+  const choices = [...document.querySelectorAll("[data-scene]")];
+  const choose = (name) => {
+    player?.show(JSON.parse(document.getElementById(name).textContent));
+    choices.forEach((each) => each.setAttribute("aria-pressed", each.dataset.scene === name));
+  };
+  choices.forEach((each) => each.addEventListener("click", () => choose(each.dataset.scene)));
+  choose("scene");
 }

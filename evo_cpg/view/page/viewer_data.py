@@ -15,8 +15,10 @@ from evo_cpg.physics.terrain import Part
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import smooth
 from evo_cpg.view.clip import Clip, quaternions, sample
-from evo_cpg.view.meshes import head_index, pieces
+from evo_cpg.view.meshes import Piece, head_index, pieces
 from evo_cpg.view.obstacles import obstacle_mesh
+from evo_cpg.view.page.animal_data import piece_data, skin_data
+from evo_cpg.view.page.crowd_data import crowd_data
 from evo_cpg.view.scene import Panel, Scene, scene_of
 
 # Frames per second. The viewer interpolates between them.
@@ -37,14 +39,19 @@ _LOOK = (
 )  # fmt: skip
 
 
-class _Arrays:
-    """Base64 texts of arrays. Equal arrays share a text and its number."""
+class Arrays:
+    """Base64 texts of arrays. Equal arrays share a text and its number.
+
+    Attributes:
+        written: the texts.
+    """
 
     def __init__(self) -> None:
         self.written: list[str] = []
         self._numbers: dict[bytes, int] = {}
 
     def add(self, values: Any, kind: str) -> int:
+        """Add an array of a kind, such as ``<f4``, and return its number."""
         data = np.ascontiguousarray(values, kind).tobytes()
         if data not in self._numbers:
             self._numbers[data] = len(self.written)
@@ -55,11 +62,12 @@ class _Arrays:
 def viewer_data(panel: Panel) -> dict[str, Any]:
     """Return all moving and fixed things in the scene of an animal."""
     clip = sample(panel.recording, RATE)
-    scene, arrays = scene_of(panel, clip), _Arrays()
+    # The crowd has instants of its own.
+    scene, arrays = scene_of(panel._replace(crowd=None), clip), Arrays()
     level, head = scene.level, head_index(scene.creature)
     return {
         "start": float(clip.time[0]),
-        "bodies": _bodies(scene.creature, arrays),
+        **animal_data(scene.creature, arrays),
         **_motion(clip, arrays),
         "head": head,
         "speed": arrays.add(clip.speed, "<f4"),
@@ -74,10 +82,22 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
         "goal": None if scene.goal is None else [float(x) for x in scene.goal],
         "surface": None if scene.surface is None else float(scene.surface),
         "water": panel.world == "water" and scene.surface is None,
+        "crowd": None
+        if panel.crowd is None
+        else crowd_data(panel.creature, panel.crowd, scene.look, arrays.add),
         "look": {name: getattr(scene.look, name) for name in _LOOK},
         # Last, because the entries above add arrays.
         "arrays": arrays.written,
     }
+
+
+def animal_data(creature: Creature, arrays: Arrays) -> dict[str, Any]:
+    """Return the surfaces of an animal."""
+    bodies = [
+        {"name": body.name, "parts": [piece_data(piece, arrays.add) for piece in own]}
+        for body, own in zip(creature.bodies, pieces(creature), strict=True)
+    ]
+    return {"bodies": bodies, **skin_data(creature, arrays.add)}
 
 
 def motion_data(recording: Recording, rate: float, seconds: float) -> dict[str, Any]:
@@ -88,12 +108,12 @@ def motion_data(recording: Recording, rate: float, seconds: float) -> dict[str, 
         rate: frames per second.
         seconds: length from the start, s.
     """
-    arrays = _Arrays()
+    arrays = Arrays()
     made = _motion(sample(recording, rate, seconds=seconds), arrays)
     return made | {"arrays": arrays.written}
 
 
-def _motion(clip: Clip, arrays: _Arrays) -> dict[str, Any]:
+def _motion(clip: Clip, arrays: Arrays) -> dict[str, Any]:
     return {
         "rate": clip.rate,
         "count": len(clip.time),
@@ -103,41 +123,17 @@ def _motion(clip: Clip, arrays: _Arrays) -> dict[str, Any]:
     }
 
 
-def _terrain(scene: Scene, arrays: _Arrays) -> dict[str, int]:
+def _terrain(scene: Scene, arrays: Arrays) -> dict[str, int]:
     terrain = scene.terrain(_FAR * scene.radius)
     made = {name: arrays.add(values, "<f4") for name, values in terrain._asdict().items()}
     return made | {"normals": arrays.add(terrain.normals() * 127, "i1")}
 
 
-def _obstacle(obstacle: Part, arrays: _Arrays) -> dict[str, Any]:
+def _obstacle(obstacle: Part, arrays: Arrays) -> dict[str, Any]:
     mesh, place, turn = obstacle_mesh(obstacle)
     coarse = mesh.triangulate()
     if coarse.n_points > _FINE:
         coarse = coarse.decimate(1 - _FINE / coarse.n_points)
     turned = quaternions(turn[None])[0].tolist()
-    made = _mesh(cast(pv.PolyData, coarse), _STONE, arrays)
+    made = piece_data(Piece(cast(pv.PolyData, coarse), _STONE), arrays.add)
     return made | {"place": place.tolist(), "turn": turned}
-
-
-def _bodies(creature: Creature, arrays: _Arrays) -> list[dict[str, Any]]:
-    found = []
-    for body, own in zip(creature.bodies, pieces(creature), strict=True):
-        parts = []
-        for mesh, color, eye in own:
-            coarse = cast(pv.PolyData, mesh.decimate(0.7)) if eye else mesh
-            parts.append(_mesh(coarse, color, arrays))
-        found.append({"name": body.name, "parts": parts})
-    return found
-
-
-def _mesh(mesh: pv.PolyData, color: str, arrays: _Arrays) -> dict[str, Any]:
-    normals = mesh.point_data.active_normals
-    if normals is None:
-        mesh = cast(pv.PolyData, mesh.compute_normals(split_vertices=False))
-        normals = mesh.point_data.active_normals
-    return {
-        "points": arrays.add(mesh.points, "<f4"),
-        "normals": arrays.add(np.asarray(normals) * 127, "i1"),
-        "triangles": arrays.add(mesh.regular_faces, "<u4"),
-        "color": color,
-    }

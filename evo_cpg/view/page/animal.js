@@ -1,0 +1,112 @@
+// Surfaces of animals, for the viewer and the drawing page. Needs THREE. A function `array` returns
+// an array by its name in a mesh and its kind.
+"use strict";
+const Animal = (() => {
+  const KINDS = {
+    f4: Float32Array, i2: Int16Array, i1: Int8Array, u4: Uint32Array, u2: Uint16Array,
+    u1: Uint8Array,
+  };
+  function decoded(text, kind) {
+    const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    return new KINDS[kind](bytes.buffer);
+  }
+  function geometry(mesh, array) {
+    const made = new THREE.BufferGeometry(), points = array(mesh.points, "f4");
+    const add = (name, ...given) => made.setAttribute(name, new THREE.BufferAttribute(...given));
+    add("position", points, 3);
+    add("normal", array(mesh.normals, "i1"), 3, true);
+    const wide = points.length > 3 * 65536;
+    made.setIndex(new THREE.BufferAttribute(array(mesh.triangles, wide ? "u4" : "u2"), 1));
+    if (mesh.colors !== undefined) {
+      const bytes = array(mesh.colors, "u1"), colors = new Float32Array(bytes.length);
+      const color = new THREE.Color();
+      for (let i = 0; i < bytes.length; i += 3) {
+        const [r, g, b] = [0, 1, 2].map((k) => bytes[i + k] / 255);
+        color.setRGB(r, g, b, THREE.SRGBColorSpace).toArray(colors, i);
+      }
+      add("color", colors, 3);
+    }
+    return made;
+  }
+  function material(mesh) {
+    const colors = mesh.colors !== undefined;
+    const color = colors ? "#ffffff" : mesh.color;
+    return new THREE.MeshStandardMaterial({ color, vertexColors: colors, roughness: 0.55 });
+  }
+  // Returns a mesh that casts a shadow.
+  function solid(mesh, array) {
+    const made = new THREE.Mesh(geometry(mesh, array), material(mesh));
+    made.castShadow = made.receiveShadow = true;
+    return made;
+  }
+  // Returns the skins over groups of bodies. `rest` holds place and turn of every body in the pose
+  // in which the skins are given.
+  function skins(given, groups, rest, array) {
+    if (!given.length) return [];
+    const one = new THREE.Vector3(1, 1, 1);
+    const places = array(rest.place, "f4"), turns = array(rest.turn, "f4");
+    const inverses = groups.map((_, i) => {
+      const place = new THREE.Vector3().fromArray(places, 3 * i);
+      const turn = new THREE.Quaternion().fromArray(turns, 4 * i);
+      return new THREE.Matrix4().compose(place, turn, one).invert();
+    });
+    const skeleton = new THREE.Skeleton(groups, inverses);
+    return given.map((skin) => {
+      const made = new THREE.SkinnedMesh(geometry(skin, array), material(skin));
+      const { attributes } = made.geometry;
+      attributes.skinIndex = new THREE.BufferAttribute(array(skin.bodies, "u2"), 4);
+      attributes.skinWeight = new THREE.BufferAttribute(array(skin.weights, "u1"), 4, true);
+      made.bind(skeleton, new THREE.Matrix4());
+      made.castShadow = made.receiveShadow = true;
+      // Its bounds are those of the given pose.
+      made.frustumCulled = false;
+      return made;
+    });
+  }
+  // Returns the ghosts of a crowd, and a function that moves them to an instant, s. A ghost that is
+  // still as near to the leader as `near` is not seen.
+  function crowd(given, array, near) {
+    const { count, frames, rate, low, step } = given, many = given.bodies.length;
+    const places = array(given.position, "u2"), turns = array(given.rotation, "i1");
+    // Ghosts are paler if there are many.
+    const opacity = 0.12 + (0.38 * Math.max(0, 100 - count)) / 99;
+    const parts = given.bodies.map((body) => {
+      if (!body) return null;
+      const material = new THREE.MeshStandardMaterial({
+        color: given.color, roughness: 1, transparent: true, opacity, depthWrite: false,
+      });
+      const made = new THREE.InstancedMesh(geometry(body, array), material, count);
+      made.frustumCulled = false;
+      return made;
+    });
+    const place = new THREE.Vector3(), turn = new THREE.Quaternion(), next = new THREE.Quaternion();
+    const whole = new THREE.Vector3(1, 1, 1), none = new THREE.Vector3(), size = new THREE.Vector3();
+    const matrix = new THREE.Matrix4();
+    function pose(now, leader) {
+      const frame = Math.min(now * rate, frames - 1);
+      const i = Math.min(Math.floor(frame), Math.max(frames - 2, 0)), f = frame - i;
+      const later = frames > 1 ? count * many : 0;
+      const between = (one, k) => low[k] + step[k] * (places[one + k] * (1 - f) + places[one + k + 3 * later] * f);
+      for (let n = 0; n < count; n++) {
+        let apart = 0;
+        for (let b = 0; b < many; b++) {
+          const at = 3 * ((i * count + n) * many + b);
+          const dx = between(at, 0) - leader[b].position.x, dy = between(at, 1) - leader[b].position.y;
+          apart += Math.hypot(dx, dy, between(at, 2) - leader[b].position.z) / many;
+        }
+        size.copy(apart < near ? none : whole);
+        for (let b = 0; b < many; b++) {
+          if (!parts[b]) continue;
+          const one = (i * count + n) * many + b;
+          place.set(between(3 * one, 0), between(3 * one, 1), between(3 * one, 2));
+          turn.fromArray(turns, 4 * one).normalize();
+          turn.slerp(next.fromArray(turns, 4 * (one + later)).normalize(), f);
+          parts[b].setMatrixAt(n, matrix.compose(place, turn, size));
+        }
+      }
+      for (const part of parts) if (part) part.instanceMatrix.needsUpdate = true;
+    }
+    return { parts: parts.filter(Boolean), pose };
+  }
+  return { crowd, decoded, geometry, material, skins, solid };
+})();
