@@ -195,15 +195,6 @@ def tank_of(
         for height in (low + up, high + up)
     ]
     wide = Overview(np.array(points), course.bearing, _ON_LAND if land else _IN_WATER)
-    look = STYLES[panel.world]
-    tail = start + (along.min() - _BACK * length) * ahead
-    before = start + (along.max() + _AHEAD * length) * ahead
-    title = wide._replace(elevation=look.side_elevation, titled=True)
-    both = [*corners, tail, before if target is None else target + _BACK * length * ahead]
-    seen = overview(np.array(both), course.bearing, title.elevation, aspect, titled=True)
-    if np.ptp(project(seen, corners[None], aspect)[0, :, 0]) / 2 < _SMALLEST:
-        both = [*corners, tail, before]
-    title = title._replace(points=np.array(both))
     track = None
     # Near lights are the only goal. Otherwise lines show how far the animals come.
     if course.spacing and not (near and finish is None):
@@ -212,14 +203,33 @@ def tank_of(
         sides = _NEARER * length, lane * (count - 1) + _NEARER * length
         place = None if finish is None else finish[0]
         track = Track(start, course.bearing, course.spacing, lines, *sides, place)
-    floor = None
-    if not land:
-        depths = [recording.position[..., 2].min()]
-        depths += [target[2]] if target is not None else []
-        depths += [float(np.quantile(crowd.position[..., 2], _STRAYS)) for crowd in crowds]
-        floor = max(min(depths), start[2] - _DEEPEST * length)
-        floor -= animal_reach(panel.creature) + _FLOOR * length
+    title = _title_view(course, STYLES[panel.world].side_elevation, aspect)
+    floor = None if land else _floor(panel, course, crowds)
     return Tank(course, count - 1 if lane else _PILED, track, floor, title, wide, near)
+
+
+def _title_view(course: Course, elevation: float, aspect: float) -> Overview:
+    """Return a view of the animal at its start, and of its goal if the animal stays large."""
+    corners, ahead = course.corners, course.ahead
+    along = (corners - course.start) @ ahead
+    tail = course.start + (along.min() - _BACK * course.length) * ahead
+    near = course.start + (along.max() + _AHEAD * course.length) * ahead
+    alone = Overview(np.array([*corners, tail, near]), course.bearing, elevation, titled=True)
+    if course.target is None:
+        return alone
+    both = np.array([*corners, tail, course.target + _BACK * course.length * ahead])
+    seen = overview(both, course.bearing, elevation, aspect, titled=True)
+    large = np.ptp(project(seen, corners[None], aspect)[0, :, 0]) / 2 >= _SMALLEST
+    return alone._replace(points=both) if large else alone
+
+
+def _floor(panel: Panel, course: Course, crowds: Sequence[CrowdMotion]) -> float:
+    """Return the height of a floor below the champion, its goal and most of the crowds, m."""
+    depths = [panel.recording.position[..., 2].min()]
+    depths += [course.target[2]] if course.target is not None else []
+    depths += [np.quantile(crowd.position[..., 2], _STRAYS) for crowd in crowds]
+    lowest = max(min(depths), course.start[2] - _DEEPEST * course.length)
+    return float(lowest - animal_reach(panel.creature) - _FLOOR * course.length)
 
 
 def in_lanes(
