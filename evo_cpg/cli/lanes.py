@@ -20,9 +20,10 @@ from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing
 from evo_cpg.view.story import FPS, Overview
 from evo_cpg.view.terrain import heights
 
-# Number of lanes in a wide and in a tall picture. Least width of a lane, in lengths of the animal,
-# its width and its height. Distance of the borders from the outer animals, in lengths.
-_WIDE, _TALL, _LANE, _ROOMY, _HIGH, _NEARER = 7, 5, 0.75, 1.25, 2.8, 0.2
+# Number of lanes in a wide and in a tall picture. Least width of a lane, in lengths of the animal
+# (seen from the side and from behind), its width and its height. Distance of the borders from the
+# outer animals, in lengths.
+_WIDE, _TALL, _LANE, _NARROW, _ROOMY, _HIGH, _NEARER = 7, 4, 0.75, 0.5, 1.25, 2.8, 0.2
 # Number of other animals where there are no lanes.
 _PILED = 4
 # A goal is in the view of the lanes if it is at most this many lengths away. Otherwise the view
@@ -58,6 +59,7 @@ class Course(NamedTuple):
         corners: corners of the bodies at the start, m.
         length: length of the animal, m.
         lane: width of a lane, m. It is 0 on uneven ground, where nothing can be moved aside.
+        narrow: width of a lane that is seen from behind, m.
         spacing: distance between the lines, m, or 0 without lines.
         target: place of the light or of the finish, m, or None.
         finish: distance of the finish from the start, m, and the instant at which the champion
@@ -71,6 +73,7 @@ class Course(NamedTuple):
     corners: Float[np.ndarray, "n 3"]
     length: float
     lane: float
+    narrow: float
     spacing: float
     target: Float[np.ndarray, "3"] | None
     finish: tuple[float, float] | None
@@ -81,6 +84,7 @@ class Tank(NamedTuple):
 
     Attributes:
         course: way of the first animal.
+        lane: width of a lane, m.
         others: number of animals beside the first one.
         track: lines across the lanes, or None.
         floor: height of the floor under swimmers, m, or None.
@@ -90,6 +94,7 @@ class Tank(NamedTuple):
     """
 
     course: Course
+    lane: float
     others: int
     track: Track | None
     floor: float | None
@@ -122,8 +127,7 @@ class Tank(NamedTuple):
 
     def staging(self, others: int) -> Staging:
         """Return the arrangement of some animals beside the first one."""
-        course = self.course
-        lanes = course.lane * np.arange(1, others + 1)[:, None] * course.aside
+        lanes = self.lane * np.arange(1, others + 1)[:, None] * self.course.aside
         return Staging(lanes, self.track, self.floor)
 
 
@@ -146,9 +150,10 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
     corners = Bodies(clip.position[:1], clip.rotation[:1], box).corners()[0]
     across = (corners - start) @ aside
     lane = max(_LANE * length, _ROOMY * np.ptp(across), _HIGH * np.ptp(corners[:, 2]))
+    narrow = max(_NARROW * length, _ROOMY * np.ptp(across))
     way, spacing = (path - start) @ ahead, mark_spacing(length)
     if panel.ground is not None and not _flat(panel.ground, start, ahead, aside, way.max(), lane):
-        lane, spacing = 0.0, 0.0
+        lane, narrow, spacing = 0.0, 0.0, 0.0
     target, finish = goal if lit else None, None
     if not lit and spacing:
         passed = way[recording.time <= recording.time[-1] - _BEFORE_END].max(initial=0.0)
@@ -157,7 +162,17 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
             finish = distance, float(recording.time[(way >= distance).argmax()])
             target = start + distance * ahead
     return Course(
-        start, bearing, ahead, aside, corners, length, float(lane), spacing, target, finish
+        start,
+        bearing,
+        ahead,
+        aside,
+        corners,
+        length,
+        float(lane),
+        float(narrow),
+        spacing,
+        target,
+        finish,
     )
 
 
@@ -174,9 +189,9 @@ def tank_of(
         aspect: width of the picture over its height.
     """
     start, ahead, corners = course.start, course.ahead, course.corners
-    length, lane, target, finish = course.length, course.lane, course.target, course.finish
+    length, target, finish = course.length, course.target, course.finish
     recording, land = panel.recording, panel.ground is not None
-    count = _WIDE if aspect >= 1 else _TALL
+    count, lane = (_WIDE, course.lane) if aspect >= 1 else (_TALL, course.narrow)
     path = recording.position[:, panel.creature.root_index]
     early = recording.time <= recording.time[0] + seconds
     shown = max(float(((path[early] - start) @ ahead).max()), _LEAST * length)
@@ -205,7 +220,7 @@ def tank_of(
         track = Track(start, course.bearing, course.spacing, lines, *sides, place)
     title = _title_view(course, STYLES[panel.world].side_elevation, aspect)
     floor = None if land else _floor(panel, course, crowds)
-    return Tank(course, count - 1 if lane else _PILED, track, floor, title, wide, near)
+    return Tank(course, lane, count - 1 if lane else _PILED, track, floor, title, wide, near)
 
 
 def _title_view(course: Course, elevation: float, aspect: float) -> Overview:
