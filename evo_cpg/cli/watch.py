@@ -20,7 +20,6 @@ from evo_cpg.cli.completion import complete_folder
 from evo_cpg.cli.errors import UsageError, message_for, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
 from evo_cpg.cli.options import Browser, Port
-from evo_cpg.cli.run_names import find_run
 from evo_cpg.cli.streams import is_read
 
 if TYPE_CHECKING:
@@ -75,6 +74,7 @@ def watch(
     from rich.console import Console
     from rich.live import Live
 
+    from evo_cpg.cli.run_names import find_run
     from evo_cpg.cli.watched import panel
     from evo_cpg.live.standing import require_run, standing
     from evo_cpg.training.run_folder import RunFolder
