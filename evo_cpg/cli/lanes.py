@@ -20,9 +20,10 @@ from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing
 from evo_cpg.view.story import FPS, Overview
 from evo_cpg.view.terrain import heights
 
-# Number of lanes in a wide and in a tall picture. Least width of a lane, in lengths of the animal,
-# its width and its height. Distance of the borders from the outer animals, in lengths.
-_WIDE, _TALL, _LANE, _ROOMY, _HIGH, _NEARER = 7, 5, 0.75, 1.25, 2.8, 0.2
+# Number of lanes in a wide and in a tall picture. Least width of a lane, in lengths of the animal
+# (seen from the side and from behind), its width and its height. Distance of the borders from the
+# outer animals, in lengths.
+_WIDE, _TALL, _LANE, _NARROW, _ROOMY, _HIGH, _NEARER = 7, 4, 0.75, 0.5, 1.25, 2.8, 0.2
 # Number of other animals where there are no lanes.
 _PILED = 4
 # A goal is in the view of the lanes if it is at most this many lengths away. Otherwise the view
@@ -58,6 +59,7 @@ class Course(NamedTuple):
         corners: corners of the bodies at the start, m.
         length: length of the animal, m.
         lane: width of a lane, m. It is 0 on uneven ground, where nothing can be moved aside.
+        narrow: width of a lane that is seen from behind, m.
         spacing: distance between the lines, m, or 0 without lines.
         target: place of the light or of the finish, m, or None.
         finish: distance of the finish from the start, m, and the instant at which the champion
@@ -71,6 +73,7 @@ class Course(NamedTuple):
     corners: Float[np.ndarray, "n 3"]
     length: float
     lane: float
+    narrow: float
     spacing: float
     target: Float[np.ndarray, "3"] | None
     finish: tuple[float, float] | None
@@ -81,6 +84,7 @@ class Tank(NamedTuple):
 
     Attributes:
         course: way of the first animal.
+        lane: width of a lane, m.
         others: number of animals beside the first one.
         track: lines across the lanes, or None.
         floor: height of the floor under swimmers, m, or None.
@@ -90,6 +94,7 @@ class Tank(NamedTuple):
     """
 
     course: Course
+    lane: float
     others: int
     track: Track | None
     floor: float | None
@@ -122,8 +127,7 @@ class Tank(NamedTuple):
 
     def staging(self, others: int) -> Staging:
         """Return the arrangement of some animals beside the first one."""
-        course = self.course
-        lanes = course.lane * np.arange(1, others + 1)[:, None] * course.aside
+        lanes = self.lane * np.arange(1, others + 1)[:, None] * self.course.aside
         return Staging(lanes, self.track, self.floor)
 
 
@@ -146,9 +150,10 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
     corners = Bodies(clip.position[:1], clip.rotation[:1], box).corners()[0]
     across = (corners - start) @ aside
     lane = max(_LANE * length, _ROOMY * np.ptp(across), _HIGH * np.ptp(corners[:, 2]))
+    narrow = max(_NARROW * length, _ROOMY * np.ptp(across))
     way, spacing = (path - start) @ ahead, mark_spacing(length)
     if panel.ground is not None and not _flat(panel.ground, start, ahead, aside, way.max(), lane):
-        lane, spacing = 0.0, 0.0
+        lane, narrow, spacing = 0.0, 0.0, 0.0
     target, finish = goal if lit else None, None
     if not lit and spacing:
         passed = way[recording.time <= recording.time[-1] - _BEFORE_END].max(initial=0.0)
@@ -157,7 +162,17 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
             finish = distance, float(recording.time[(way >= distance).argmax()])
             target = start + distance * ahead
     return Course(
-        start, bearing, ahead, aside, corners, length, float(lane), spacing, target, finish
+        start,
+        bearing,
+        ahead,
+        aside,
+        corners,
+        length,
+        float(lane),
+        float(narrow),
+        spacing,
+        target,
+        finish,
     )
 
 
@@ -174,9 +189,9 @@ def tank_of(
         aspect: width of the picture over its height.
     """
     start, ahead, corners = course.start, course.ahead, course.corners
-    length, lane, target, finish = course.length, course.lane, course.target, course.finish
+    length, target, finish = course.length, course.target, course.finish
     recording, land = panel.recording, panel.ground is not None
-    count = _WIDE if aspect >= 1 else _TALL
+    count, lane = (_WIDE, course.lane) if aspect >= 1 else (_TALL, course.narrow)
     path = recording.position[:, panel.creature.root_index]
     early = recording.time <= recording.time[0] + seconds
     shown = max(float(((path[early] - start) @ ahead).max()), _LEAST * length)
@@ -195,15 +210,6 @@ def tank_of(
         for height in (low + up, high + up)
     ]
     wide = Overview(np.array(points), course.bearing, _ON_LAND if land else _IN_WATER)
-    look = STYLES[panel.world]
-    tail = start + (along.min() - _BACK * length) * ahead
-    before = start + (along.max() + _AHEAD * length) * ahead
-    title = wide._replace(elevation=look.side_elevation, titled=True)
-    both = [*corners, tail, before if target is None else target + _BACK * length * ahead]
-    seen = overview(np.array(both), course.bearing, title.elevation, aspect, titled=True)
-    if np.ptp(project(seen, corners[None], aspect)[0, :, 0]) / 2 < _SMALLEST:
-        both = [*corners, tail, before]
-    title = title._replace(points=np.array(both))
     track = None
     # Near lights are the only goal. Otherwise lines show how far the animals come.
     if course.spacing and not (near and finish is None):
@@ -212,14 +218,33 @@ def tank_of(
         sides = _NEARER * length, lane * (count - 1) + _NEARER * length
         place = None if finish is None else finish[0]
         track = Track(start, course.bearing, course.spacing, lines, *sides, place)
-    floor = None
-    if not land:
-        depths = [recording.position[..., 2].min()]
-        depths += [target[2]] if target is not None else []
-        depths += [float(np.quantile(crowd.position[..., 2], _STRAYS)) for crowd in crowds]
-        floor = max(min(depths), start[2] - _DEEPEST * length)
-        floor -= animal_reach(panel.creature) + _FLOOR * length
-    return Tank(course, count - 1 if lane else _PILED, track, floor, title, wide, near)
+    title = _title_view(course, STYLES[panel.world].side_elevation, aspect)
+    floor = None if land else _floor(panel, course, crowds)
+    return Tank(course, lane, count - 1 if lane else _PILED, track, floor, title, wide, near)
+
+
+def _title_view(course: Course, elevation: float, aspect: float) -> Overview:
+    """Return a view of the animal at its start, and of its goal if the animal stays large."""
+    corners, ahead = course.corners, course.ahead
+    along = (corners - course.start) @ ahead
+    tail = course.start + (along.min() - _BACK * course.length) * ahead
+    near = course.start + (along.max() + _AHEAD * course.length) * ahead
+    alone = Overview(np.array([*corners, tail, near]), course.bearing, elevation, titled=True)
+    if course.target is None:
+        return alone
+    both = np.array([*corners, tail, course.target + _BACK * course.length * ahead])
+    seen = overview(both, course.bearing, elevation, aspect, titled=True)
+    large = np.ptp(project(seen, corners[None], aspect)[0, :, 0]) / 2 >= _SMALLEST
+    return alone._replace(points=both) if large else alone
+
+
+def _floor(panel: Panel, course: Course, crowds: Sequence[CrowdMotion]) -> float:
+    """Return the height of a floor below the champion, its goal and most of the crowds, m."""
+    depths = [panel.recording.position[..., 2].min()]
+    depths += [course.target[2]] if course.target is not None else []
+    depths += [np.quantile(crowd.position[..., 2], _STRAYS) for crowd in crowds]
+    lowest = max(min(depths), course.start[2] - _DEEPEST * course.length)
+    return float(lowest - animal_reach(panel.creature) - _FLOOR * course.length)
 
 
 def in_lanes(

@@ -25,6 +25,8 @@ from evo_cpg.view.story_text import Words
 # Lengths in the film, s: of the whole story, of the title before the first motion, of each crowd's
 # motion, and of the race. The champion takes the rest.
 _WHOLE, _TITLE, _CROWD, _RACE = 15.0, 1.7, 2.3, 3.2
+# Time without words after the title, s.
+_PAUSE = 0.2
 # Time in which the camera leaves the title, time before it turns to the winner of the race, and
 # time in which it does, s.
 _LEAVE, _STAY, _FOLLOW = 1.2, 0.2, 1.6
@@ -147,16 +149,18 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
             last = tank.behind(animal, others, material.race * (moves - EASE / 2))
             views = [*views[:-1], (begin, tank.wide), (end if tank.near else begin + _FOLLOW, last)]
         staging = tank.staging(others.count)._replace(names=names, appear=appear)
-        seen = panel._replace(recording=animal, crowd=others, staging=staging)
+        crowd = others if others.count else None
+        seen = panel._replace(recording=animal, crowd=crowd, staging=staging)
         # The first take shares no frames with a take before it.
         seconds = hold + moves - DISSOLVE / 2 if first else moves
         pace = material.race if race else speed
         takes.append(Take(seen, seconds, 0.0, pace, views, hold, tank.goal))
 
     racers = material.earlier
-    for generation, crowd in material.crowds:
-        leader, others = in_lanes(crowd, root, material.heading, tank.others)
-        racers = [*racers, (generation, leader)]
+    for generation, animals in material.crowds:
+        leader, others = in_lanes(animals, root, material.heading, tank.others)
+        if generation < final:
+            racers = [*racers, (generation, leader)]
         add(leader, others, ("best",), race=False)
         captions.append(_named(generation, material.random, len(captions) == 1))
     if racers:
@@ -174,22 +178,19 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         alone = alone._replace(staging=tank.staging(0)._replace(under=True))
     takes.append(Take(alone, seconds, start, _SLOW, goal=tank.goal))
     captions.append(f"After {_generations(final)}, in slow motion")
-    ending = _ending(panel, course, start, seconds)
-    heading = title or _title(panel.world, panel.ground is not None)
-    words = [Words(heading, "title", -1.0, _TITLE)]
+    ends = [float(end) for end in np.cumsum([take.seconds for take in takes])]
+    if (ending := _ending(panel, course, start, seconds)) is not None:
+        ends.insert(-1, _WHOLE - seconds + ending[0])
+        captions.append(ending[1])
+    words = [Words(title or _title(panel.world, panel.ground is not None), "title", -1.0, _TITLE)]
     if material.aim:
         words.append(Words(material.aim, "subtitle", -1.0, _TITLE))
-    begin = _TITLE + 0.2
-    for caption, end in zip(captions, np.cumsum([take.seconds for take in takes]), strict=True):
-        # One caption has gone when the next one appears. The last one stays.
-        words.append(Words(caption, "caption", begin, float(end)))
-        begin = float(end)
-    if ending is not None:
-        arrived = _WHOLE - seconds + ending[0]
-        words[-1] = words[-1]._replace(end=arrived)
-        words.append(Words(ending[1], "caption", arrived, 99.0))
-    else:
-        words[-1] = words[-1]._replace(end=99.0)
+    # One caption has gone when the next one appears. The last one stays.
+    begins, ends = [_TITLE + _PAUSE, *ends[:-1]], [*ends[:-1], 2 * _WHOLE]
+    words += [
+        Words(caption, "caption", begin, end)
+        for caption, begin, end in zip(captions, begins, ends, strict=True)
+    ]
     return Story(takes, words, _loop(takes, words))
 
 

@@ -16,6 +16,8 @@ _LETTERS, _ABOVE = 0.034, 0.02
 # Part of the picture for words, from -1 to 1 between its edges: sideways, down and up. The captions
 # are lower.
 _SIDEWAYS, _DOWN, _UP = 0.97, 0.62, 0.95
+# Least distance of two words one above the other, in their height.
+_APART = 1.5
 # Distance of the words at the lines from the lanes, in radii of the animal.
 _BESIDE = 0.15
 
@@ -51,10 +53,21 @@ def name_tags(
         if staging.appear is not None:
             part = np.interp(number, staging.appear, (0.0, 1.0))
             opacity[: len(staging.names)] = part
+        letters = _LETTERS * min(size)
+        taken: list[np.ndarray] = []
         with lettering(picture) as draw:
-            for name, place, shown in zip(names, places[number], opacity, strict=True):
-                if name and shown > 0:
-                    _write(draw, name, place, size, scene.look, float(shown))
+            for i, (name, shown) in enumerate(zip(names, opacity, strict=True)):
+                place = (places[number, i] + 1) / 2 * size
+                reach = font(letters).getlength(name) / 2 + letters / 2
+                close = [
+                    np.abs(place - other[:2]) < [reach + other[2], _APART * letters]
+                    for other in taken
+                ]
+                # A distance gives way to the name of an animal.
+                hidden = i >= len(staging.names) and any(each.all() for each in close)
+                if name and shown > 0 and not hidden:
+                    _write(draw, name, places[number, i], size, scene.look, float(shown))
+                    taken.append(np.append(place, reach))
 
     return draw_into
 
