@@ -44,7 +44,7 @@ test-wheel: $(DEV) ## build and install the wheel in an empty environment, and g
 	$(BIN)/pytest -m "slow or not slow" --numprocesses=0 tests/package
 
 test-compatibility: $(DEV) ## check that configurations, commands and names of version 1.0 still work
-	$(BIN)/pytest -m "slow or not slow" tests/compatibility tests/cli/test_former_runs.py
+	$(BIN)/pytest -m "slow or not slow" tests/compatibility tests/cli/test_former_runs.py tests/cli/test_runs_of_version_1_0.py
 
 traces: $(DEV) ## record the reference motions of all animals anew, and print which animals moved
 	$(BIN)/python benchmarks/traces.py
@@ -65,6 +65,7 @@ bench: $(DEV) ## run the benchmark suite
 docs: $(DEV) ## build the documentation into docs/_build/html
 	$(BIN)/python docs/tools/generate.py --check
 	$(BIN)/sphinx-build --quiet --fresh-env --fail-on-warning --keep-going -b html docs docs/_build/html
+	@echo docs/_build/html/index.html
 
 format: $(DEV) ## format the code, mend what ruff can, and write the generated pages
 	$(BIN)/ruff check --fix .

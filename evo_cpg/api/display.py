@@ -216,7 +216,8 @@ def working(
         Receiver whose methods the work may call to report its progress.
     """
     console = Console(stderr=True)
-    if not console.is_terminal:
+    # A dumb terminal, such as a shell in an editor, cannot move a line.
+    if not console.is_terminal or console.is_dumb_terminal:
         with Heartbeat(what, _printed_at, expected).beating() as heartbeat:
             yield heartbeat
         return

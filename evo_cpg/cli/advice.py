@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,9 @@ _ERROR = 0.15
 # Sections of a configuration that do not change the program of a trial, and keys in them that do.
 _NO_CODE = ("name", "seed", "evolution", "audit")
 _CODE = ("evolution.axes", "audit.disqualify")
+
+# Most oscillators in the example of a ring.
+_IN_RING = 4
 
 # Name of each part of a trial, and changes that lower its cost.
 _CAUSES = {
@@ -98,7 +102,8 @@ def about_oscillators(simulation: Simulation) -> list[str]:
             f"more than {least:.3g} (constants: {cpg.constants}) and less than 1 + the adaptation "
             f"gain ({gains[0]:g} to {gains[1]:g})"
         )
-    couple = "Couple them with controller.cpg.couplings or rings"
+    ring = _ring([tree.dof_names[i] for i in alone])
+    couple = f"Couple them with controller.cpg.couplings or rings{ring}"
     rest = "at rest under a constant drive"
     matters = (
         ("coupled to no other oscillator", couple, [i for i in alone if i not in still]),
@@ -115,6 +120,19 @@ def about_oscillators(simulation: Simulation) -> list[str]:
             names = ", ".join(tree.dof_names[i] for i in found)
             lines.append(f"{what}: {names}. {change}")
     return lines
+
+
+def _ring(names: Sequence[str]) -> str:
+    """Return an example of a ring of some oscillators, or "" for a single one."""
+    # One oscillator of each body.
+    first = {name.partition(".")[0]: name for name in reversed(names)}
+    bodies = list(dict.fromkeys(name.partition(".")[0] for name in names))[:_IN_RING]
+    if len(bodies) < 2:
+        return ""
+    # The axis of an imported joint may be a vector, such as knee.(0,0.6,0.8).
+    ring = ", ".join(f"'{first[body]}'" if "," in first[body] else first[body] for body in bodies)
+    # Lags around a ring add up to whole turns.
+    return f", such as rings: [{{oscillators: [{ring}], lag_deg: {360 // len(bodies)}}}]"
 
 
 def about_cost(simulation: Simulation) -> str:

@@ -42,6 +42,6 @@ def analyse(
         together = crowd_panel(opened, crowd, trial, Film())
     with working("replaying the champion") as work:
         written = write_page(opened, trial, number, output, work.doing, warn, together)
-    print(written.page)
-    print(written.numbers)
     show_numbers(written.measured.quantities)
+    print(written.numbers)
+    print(written.page)

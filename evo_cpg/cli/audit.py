@@ -14,7 +14,7 @@ def audit(
     run: Run,
     limits: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[LIMIT=VALUE]...", help="Limits to change, such as half_step=0.8."),
+        typer.Argument(metavar="LIMIT=VALUE", help="Limits to change, such as half_step=0.8."),
     ] = None,
     number: Number = None,
     every: Annotated[

@@ -15,7 +15,7 @@ def bench(
     cases: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[CASE]...",
+            metavar="CASE",
             help="swimmer, salamander-water, salamander-land, quadruped, half_cheetah, ant, "
             "humanoid, cpg, brain, ga, generation, gradient, bodies, large-creatures, engines, "
             "scaling or startup (default: all).",

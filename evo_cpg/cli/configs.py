@@ -31,7 +31,7 @@ def copy(
     ],
     folder: Annotated[
         Path,
-        typer.Argument(metavar="[FOLDER]", help="Folder to copy to (default: the working folder)."),
+        typer.Argument(metavar="FOLDER", help="Folder to copy to (default: the working folder)."),
     ] = Path("."),
 ) -> None:
     """Copy a configuration and the files that it names."""

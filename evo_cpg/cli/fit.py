@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.errors import require_free
-from evo_cpg.cli.options import Config, Overwrite
+from evo_cpg.cli.options import Config, Overwrite, run_folder
 
 
 def fit(
@@ -23,7 +23,10 @@ def fit(
         list[str] | None, typer.Option("--set", help="KEY=VALUE to set without estimating it.")
     ] = None,
     run: Annotated[
-        Path | None, typer.Option("--run", help="A run folder, whose champion moves the joints.")
+        Path | None,
+        typer.Option(
+            "--run", help="A run folder, whose champion moves the joints.", callback=run_folder
+        ),
     ] = None,
     noise: Annotated[
         list[str] | None,

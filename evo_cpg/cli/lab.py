@@ -23,7 +23,7 @@ def lab(
     knobs: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[KNOB=VALUES]...",
+            metavar="KNOB=VALUES",
             help="What to vary: a list such as u=0.2,0.6 or u=0.2:1:9 (START:STOP:COUNT). Knobs: "
             "u (drive), b (adaptation), turn, cut, behind, undriven, feedback, silence, passive, "
             "stiffness, size, viscosity, gravity, current, tow, bend, degrees, ratio, and keys of "

@@ -19,6 +19,7 @@ from typer.core import TyperGroup
 from evo_cpg.cli import streams
 from evo_cpg.cli.errors import ExitCode, message_for, tell, warn
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
+from evo_cpg.cli.usage import add_hint
 
 # Names of all commands, in the order of the help text. `import` is a keyword, so its file is
 # `import_.py`.
@@ -114,11 +115,11 @@ class _Commands(TyperGroup):
         self.commands: Any = _Files()
 
     def invoke(self, ctx: typer.Context) -> Any:
-        """Run a command, and drop Pydantic's prefix from messages about wrong options."""
+        """Run a command, and add hints to messages about wrong arguments."""
         try:
             return super().invoke(ctx)
-        except typer.BadParameter as error:
-            error.message = error.message.removeprefix("Value error, ")
+        except Exception as error:
+            add_hint(error)
             raise
 
 

@@ -15,7 +15,7 @@ def model(
     config: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[CONFIG]",
+            metavar="CONFIG",
             help="A YAML configuration file, a new one, or the name of one that `evo-cpg configs` "
             "lists, which is copied (default: a new animal.yaml).",
             autocompletion=complete_config,

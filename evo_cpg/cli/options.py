@@ -1,6 +1,7 @@
 """Arguments and options that several commands share."""
 
 import enum
+import os
 import re
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -30,6 +31,12 @@ class View(enum.StrEnum):
 def _find_config(given: Path) -> Path:
     from evo_cpg.config.shipped import find_config
 
+    config = given / "config.yaml"
+    if os.path.isfile(config):
+        raise UsageError(
+            f"{given} is a run folder. `evo-cpg resume {given}` continues the run. Its "
+            f"configuration is {config}"
+        )
     return find_config(given)
 
 
@@ -37,7 +44,25 @@ def find_config_or_folder(given: Path) -> Path:
     """Return the file of a configuration, or the folder of a run or sweep."""
     from evo_cpg.config.shipped import find_config
 
+    if len(given.parts) > 1 and not given.suffix and not os.path.exists(given):
+        from evo_cpg.cli.run_names import find_run
+
+        return find_run(given)
     return find_config(given, folders=True)
+
+
+def run_folder(given: Path | None) -> Path | None:
+    """Return a run folder, or explain what its name means instead."""
+    from evo_cpg.cli.run_names import find_run
+
+    return given and find_run(given)
+
+
+def run_folders(given: list[Path] | None) -> list[Path] | None:
+    """Return run folders, or explain what a name means instead."""
+    from evo_cpg.cli.run_names import find_run
+
+    return given and [find_run(each) for each in given]
 
 
 Config = Annotated[
@@ -52,12 +77,15 @@ Config = Annotated[
 Run = Annotated[
     Path,
     typer.Argument(
-        metavar="RUN", help="A run folder made by `train`.", autocompletion=complete_folder
+        metavar="RUN",
+        help="A run folder made by `train`.",
+        callback=run_folder,
+        autocompletion=complete_folder,
     ),
 ]
 Overrides = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[KEY=VALUE]...", help="Settings to change, such as seed=3."),
+    typer.Argument(metavar="KEY=VALUE", help="Settings to change, such as seed=3."),
 ]
 Port = Annotated[
     int, typer.Option(min=0, max=65535, help="Port of the page (default: a free one).")

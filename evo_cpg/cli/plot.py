@@ -20,13 +20,14 @@ def plot(
     """Plot fitness, joint signals, path and map."""
     from evo_cpg.analysis.chains import axis_signs, joint_rows
     from evo_cpg.cli.champions import champion_motion
+    from evo_cpg.files import make_folder
     from evo_cpg.training.elites import gait_map
     from evo_cpg.view.figure import save_figure
     from evo_cpg.view.map_plot import map_figure
     from evo_cpg.view.plots import fitness_figure, joint_signals_figure, path_figure
 
     opened, recording = champion_motion(run, which)
-    experiment, place = opened.experiment, output or run / "plots"
+    experiment, place = opened.experiment, output or make_folder(run / "plots")
     name = which.of_trial + which.of_cell
     history = opened.folder.history()
     history["best_so_far"] = history["champion"]

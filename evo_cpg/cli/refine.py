@@ -25,7 +25,7 @@ def refine(
     keys: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[KEY]...",
+            metavar="KEY",
             help="Numbers of the configuration to refine together with the genes, such as "
             "controller.cpg.time_scale.",
         ),

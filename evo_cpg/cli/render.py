@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.options import BEST, Cores, Crowd, Run, View, Which, pixels_of
+from evo_cpg.cli.options import BEST, Cores, Crowd, Run, View, Which, pixels_of, run_folders
 from evo_cpg.cli.writing import writes_to_run
 
 # Largest number of animals side by side.
@@ -55,12 +55,16 @@ def render(
         typer.Option(
             metavar="GENERATIONS",
             help="Show the champions of these generations side by side, such as 0,5,20,49, or "
-            "auto for four of them.",
+            "auto for four of them. The first generation is 0.",
         ),
     ] = None,
     beside: Annotated[
         list[Path] | None,
-        typer.Option(metavar="RUN", help="Also show the champion of this run. Repeatable."),
+        typer.Option(
+            metavar="RUN",
+            help="Also show the champion of this run. Repeatable.",
+            callback=run_folders,
+        ),
     ] = None,
     crowd: Crowd = None,
     story: Annotated[

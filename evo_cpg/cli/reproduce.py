@@ -25,7 +25,7 @@ def reproduce(
     ] = None,
     parts: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[PART]...", help="Parts of the study (default: all)."),
+        typer.Argument(metavar="PART", help="Parts of the study (default: all)."),
     ] = None,
     out: Annotated[
         Path | None,

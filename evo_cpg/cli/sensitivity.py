@@ -31,7 +31,7 @@ def sensitivity(
     keys: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[KEY]...",
+            metavar="KEY",
             help="Numbers of the configuration, such as world.water.form_drag, or genes "
             "(default: all except shapes in water).",
         ),

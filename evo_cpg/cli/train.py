@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.distributed import ONE_PROCESS, Distribution
-from evo_cpg.cli.options import Config, Cores, Overrides, Strict, Tensorboard, What
+from evo_cpg.cli.options import Config, Cores, Overrides, Strict, Tensorboard, What, run_folder
 
 
 def train(
@@ -23,6 +23,7 @@ def train(
             "--from",
             metavar="RUN",
             help="Start from an earlier run of the same creature and controller.",
+            callback=run_folder,
         ),
     ] = None,
     what: Annotated[

@@ -84,7 +84,7 @@ def resume_run(
         opened = open_and_build(run)
         opened.require_configured()
         folder, config, experiment = opened.folder, opened.config, opened.experiment
-        changed = changes(folder.read_meta().get("fingerprint"), fingerprint(config))
+        changed = _changes_since_start(folder, config)
         if changed and team.leads:
             warn(
                 f"{run}: changed since the run was last started: {', '.join(changed)}. "
@@ -106,6 +106,23 @@ def resume_run(
             for words in reopen_run(opened, devices, team.count):
                 warn(words)
         evolve_run(opened, team, tensorboard)
+
+
+def _changes_since_start(folder: RunFolder, config: ExperimentConfig) -> list[str]:
+    """Return what changed since a run was last started.
+
+    A key that the earlier version lacked is unchanged at its default.
+    """
+    before, now = folder.read_meta().get("fingerprint"), fingerprint(config)
+    known = before.get("config") if isinstance(before, dict) else None
+    set_keys = {
+        f"{section}.{key}"
+        for section, values in config.model_dump(exclude_defaults=True).items()
+        if isinstance(values, dict)
+        for key in values
+    }
+    new = now["config"].keys() - (known if isinstance(known, dict) else {}) - set_keys
+    return [each for each in changes(before, now) if each not in new]
 
 
 def require_scalars() -> None:
@@ -255,7 +272,8 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
         tell(f"interrupted. Continue with `evo-cpg resume {folder.path}`")
         raise
     terms = ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items())
-    origin = f"generation {champion.generation}"
+    # The progress line counts generations that are done. Their numbers begin with 0.
+    origin = f"generation {champion.generation} (the first is 0)"
     if experiment.runs > 1:
         origin += f" of run {champion.run}"
     fitness = f"fitness {champion.fitness:.4f}"
@@ -273,7 +291,7 @@ def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
     with working("recording the champion's motion", expected=expected):
         recorder.record(champion)
     if recorder.checks:
-        what = "testing the champion at half the step (Ctrl-C skips this)"
+        what = "half-step test (Ctrl-C skips it)"
         try:
             with working(what, expected=recorder.expected_to_look()):
                 recorder.look(champion)

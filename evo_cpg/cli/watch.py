@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from evo_cpg.cli.completion import complete_folder
 from evo_cpg.cli.errors import UsageError, message_for, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.cli.options import Browser, Port, Run
+from evo_cpg.cli.options import Browser, Port
+from evo_cpg.cli.run_names import find_run
 from evo_cpg.cli.streams import is_read
 
 if TYPE_CHECKING:
@@ -39,7 +41,14 @@ _NICE = 15
 
 
 def watch(
-    run: Run,
+    run: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN",
+            help="A run folder made by `train`.",
+            autocompletion=complete_folder,
+        ),
+    ],
     once: Annotated[
         bool, typer.Option("--once", help="Print the present state, then exit.")
     ] = False,
@@ -70,7 +79,7 @@ def watch(
     from evo_cpg.live.standing import require_run, standing
     from evo_cpg.training.run_folder import RunFolder
 
-    folder = RunFolder(run)
+    folder = RunFolder(find_run(run))
     require_run(folder)
     lower_priority()
     draw = _Pictures(folder).draw if picture else lambda champion, standing: None
@@ -214,7 +223,7 @@ class _Pictures:
             experiment,
             self._replays.champion(champion),
             history_columns(now.checkpoint.history),
-            f"{experiment.name}: champion of generation {champion.generation}, "
+            f"{experiment.name}: champion of generation {champion.generation} (the first is 0), "
             f"fitness {champion.fitness:.4f}",
             self._folder.path / PICTURE,
         )

@@ -82,7 +82,7 @@ def _table(now: "Standing") -> Table:
         whose = f" of run {champion.run}" if len(now.checkpoint.champions) > 1 else ""
         table.add_row(
             f"champion {champion.worth:.4f}",
-            f"of generation {champion.generation}{whose}",
+            f"of generation {champion.generation} (the first is 0){whose}",
             ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items()),
         )
     mean = np.mean([row["mean"] for row in rows])

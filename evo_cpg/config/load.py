@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from evo_cpg.config.errors import ConfigError, Key, KeyProblem, nearest, under
+from evo_cpg.config.errors import ConfigError, Key, KeyProblem, under
 from evo_cpg.config.files import read_small
 from evo_cpg.config.former import current_key, use_current_names, with_former_values
 from evo_cpg.config.keys import follow, is_index, parts_of, value_at
@@ -21,6 +21,7 @@ from evo_cpg.config.trust import beside, trusting
 from evo_cpg.config.wording import checked, short
 from evo_cpg.config.yaml_problem import lost_colour, syntax_problem
 from evo_cpg.config.yaml_text import parse_yaml, to_yaml
+from evo_cpg.errors import question, similar
 from evo_cpg.system import as_utf8
 
 
@@ -231,11 +232,13 @@ def _elsewhere(path: Path) -> str:
     """Return a hint for a missing file: a shipped configuration, or a similar name nearby."""
     if path.stem in shipped_names():
         return f". The configuration that comes with evo-cpg is called {path.stem}"
-    names = []
+    names: dict[str, str] = {}
     # The folder may be missing or unreadable.
     with contextlib.suppress(OSError):
-        names = [other.name for other in path.parent.iterdir() if other.suffix in (".yaml", ".yml")]
-    return f": {nearest(path.name, names)}" if names else ""
+        files = [other for other in path.parent.iterdir() if other.suffix in (".yaml", ".yml")]
+        names = {other.stem: other.name for other in sorted(files)}
+    near = question([names[stem] for stem in similar(path.stem, names)])
+    return f": {near}" if near else ""
 
 
 def _apply(data: dict[str, Any], override: str) -> None:
@@ -246,7 +249,9 @@ def _apply(data: dict[str, Any], override: str) -> None:
         return ConfigError("command line", parts_of(key), problem)
 
     if not separator or not key:
-        raise ConfigError("command line", (), f"{override!r} is not of the form key.path=value")
+        raise ConfigError(
+            "command line", (), f"{override!r} is not of the form key.path=value, such as seed=3"
+        )
     text = as_utf8(text)
     if any("\ud800" <= character <= "\udfff" for character in text):
         raise refused(f"{text!a} is not UTF-8 text")

@@ -9,7 +9,8 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from evo_cpg.config.errors import ConfigError, nearest
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.errors import question, similar
 from evo_cpg.files import make_folder, write_whole
 from evo_cpg.system import resolved
 
@@ -62,8 +63,9 @@ def shipped(name: str) -> Shipped:
     """
     folder = shipped_folder()
     if folder is None or name not in shipped_names():
-        hint = nearest(name, shipped_names())
-        raise ConfigError(name, (), f"no configuration of this name comes with evo-cpg: {hint}")
+        raise ConfigError(
+            name, (), f"no configuration of this name comes with evo-cpg{_hint(name)}"
+        )
     path = folder / f"{name}.yaml"
     about = _head(path.read_text(encoding="utf-8"))
     summary = re.split(r"(?<=\.) (?=[A-Z])", about, maxsplit=1)[0].removesuffix(".")
@@ -91,12 +93,10 @@ def find_config(given: Path | str, folders: bool = False) -> Path:
         return shipped(name).path
     if there:
         return path
-    hint = f"did you mean '{name}.yaml'? " if os.path.isfile(f"{name}.yaml") else ""
+    here = f"{name}.yaml"
+    hint = f": did you mean {here!r}?" if os.path.isfile(here) else _hint(name)
     raise ConfigError(
-        name,
-        (),
-        "no such file here, and no configuration of this name comes with evo-cpg: "
-        f"{hint}{nearest(name, shipped_names())}",
+        name, (), f"no such file here, and no configuration of this name comes with evo-cpg{hint}"
     )
 
 
@@ -147,6 +147,12 @@ def copy_shipped(name: str, folder: Path) -> Path:
             contents = path.read_bytes()
             write_whole(copy, lambda file, contents=contents: file.write(contents))
     return folder / parts[source]
+
+
+def _hint(name: str) -> str:
+    """Return a hint for a wrong name: the nearest names, and how to list all of them."""
+    near = question(similar(name, shipped_names()))
+    return f"{f': {near}' if near else '.'} `evo-cpg configs` lists all names"
 
 
 def _head(text: str) -> str:

@@ -122,7 +122,10 @@ class Replaying:
         return self._replays
 
     def _show(self, experiment: ExperimentParts, champion: Champion, recording: Recording) -> None:
-        words = f"Champion of generation {champion.generation}, fitness {number(champion.worth)}"
+        words = (
+            f"Champion of generation {champion.generation} (the first is 0), "
+            f"fitness {number(champion.worth)}"
+        )
         scene = viewer_data(panel_of(experiment, recording, experiment.name))
         self.motion = self.motion.replaced({"words": words, "scene": scene})
 

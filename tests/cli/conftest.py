@@ -130,4 +130,6 @@ def finished_run(shared: Path, finish) -> Path:
         assert code == 0, err
         assert out == f"{folder}\n"
         assert f"  {GENERATIONS}/{GENERATIONS} generations  best" in err
+        # The numbers of generations begin with 0.
+        assert " (the first is 0): fitness" in err
     return folder

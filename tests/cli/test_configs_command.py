@@ -61,7 +61,7 @@ def test_a_failed_copy_is_one_line(cli, tmp_path):
         "configuration hexapod"
     )
     code, _, err = cli("configs", "copy", "hexapot", folder=tmp_path)
-    assert code == 2 and "did you mean 'hexapod'?" in err
+    assert code == 2 and "did you mean 'hexapod' or 'hexapod_tripod'?" in err
 
 
 def test_a_run_records_the_name_of_its_shipped_configuration(cli, tmp_path):
@@ -104,7 +104,7 @@ def test_every_command_suggests_the_nearest_name(cli, tmp_path, command):
     code, out, err = cli(command, "hexapodd", *more.get(command, []), folder=tmp_path)
     assert (code, out) == (2, "")
     assert err.startswith("evo-cpg: hexapodd: no such file here") and err.count("\n") == 1
-    assert "did you mean 'hexapod'?" in err
+    assert "did you mean 'hexapod' or 'hexapod_tripod'?" in err
 
 
 def test_completions_are_names_files_and_folders(tmp_path, monkeypatch):

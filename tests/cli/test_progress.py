@@ -12,6 +12,7 @@ from rich.console import Console
 
 from evo_cpg.api import display as module
 from evo_cpg.api.display import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
+from evo_cpg.cli.tables import show_table
 from evo_cpg.system import folded
 
 
@@ -158,6 +159,7 @@ def test_steps_in_a_pipe_print_lines(impatient, capsys):
 
 def test_a_terminal_shows_one_moving_line(monkeypatch):
     """The line keeps brackets in the name of the work, and disappears after the work."""
+    monkeypatch.setenv("TERM", "xterm")
     screen = io.StringIO()
 
     def terminal(**_):
@@ -184,6 +186,7 @@ def test_a_terminal_shows_one_moving_line(monkeypatch):
 
 @pytest.mark.parametrize("count", [1, 300])
 def test_training_shows_bar_count_and_time_left_in_80_columns(monkeypatch, count):
+    monkeypatch.setenv("TERM", "xterm")
     screen = io.StringIO()
     monkeypatch.setattr(
         module, "Console", lambda **_: Console(file=screen, force_terminal=True, width=80)
@@ -197,6 +200,25 @@ def test_training_shows_bar_count_and_time_left_in_80_columns(monkeypatch, count
     assert f"{count + 2}/500 generations" in shown and "\N{BOX DRAWINGS HEAVY HORIZONTAL}" in shown
     assert " left," in shown and state in shown
     assert "compiling, about 120 s" in shown and "\N{HORIZONTAL ELLIPSIS}" not in shown
+
+
+def test_a_dumb_terminal_gets_lines(impatient, monkeypatch, capsys):
+    """Such a terminal cannot move a line, so it would stay silent."""
+    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setattr(module, "Console", lambda **_: Console(stderr=True, force_terminal=True))
+    with module.working("rendering"):
+        time.sleep(0.8)
+    assert capsys.readouterr().err.startswith("rendering: 0 s")
+
+
+@pytest.mark.parametrize("width", [60, 80])
+def test_a_table_breaks_no_name_if_there_is_room(monkeypatch, capsys, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    name = "iwadate2010_salamander_water"
+    show_table(("name", "study", "description"), [(name, "Iwadate 2010", "word " * 30)], left=3)
+    lines = capsys.readouterr().out.splitlines()
+    assert any(f" {name} " in line for line in lines) and max(map(len, lines)) <= width
+    assert sum(line.count("word") for line in lines) == 30
 
 
 class Terminal(io.StringIO):

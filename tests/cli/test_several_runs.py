@@ -28,7 +28,7 @@ def noisy_run(cli, tmp_path_factory):
     code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     assert code == 0, err
     assert "   2/2 generations  best of 2 runs" in err and "  median" in err
-    assert "champion of generation" in err and " of run " in err
+    assert " (the first is 0) of run " in err
     assert " in training, mean " in err and " new draws (" in err
     return folder
 

@@ -128,10 +128,10 @@ def refused(cli, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("command", ["train", "validate", "preview"])
 def test_every_command_rejects_an_invalid_config(refused, tmp_path, command):
-    path = tmp_path / "x.yaml"
+    path = tmp_path / "newt.yaml"
     path.write_text("name: x\ncreature: {name: y, bodies: [}\n")
     assert refused(command, path).startswith(f"{path}: line 2, column ")
-    assert "no such file: did you mean 'x.yaml'?" in refused(command, tmp_path / "y.yaml")
+    assert "no such file: did you mean 'newt.yaml'?" in refused(command, tmp_path / "my_newt.yaml")
     assert "cannot be read (Is a directory)" in refused(command, tmp_path)
 
 
@@ -143,7 +143,10 @@ def test_every_command_rejects_an_invalid_config(refused, tmp_path, command):
         ("creature.materials.body.density=-1", "body.density: -1: must be greater than 0"),
         ("creature.bodies.1.repeat=0", "repeat: 0: must be greater than or equal to 1"),
         ("creature.bodies.1.joint.parent=hed", "'hed' does not exist: did you mean 'head'?"),
-        ("evolution.population=8", "elites: must be fewer than the population of 8, got 20"),
+        (
+            "evolution.population=8",
+            "elites: must be fewer than the population of 8, got 20. Set evolution.elites=1, or a ",
+        ),
         (
             "evolution={elites: 400}",
             ": evolution: elites: must be fewer than the population of 200",
@@ -218,8 +221,44 @@ def test_invalid_output_folder_is_rejected(refused, tmp_path):
 
 @pytest.mark.parametrize("command", ["resume", "verify", "render", "plot"])
 def test_folder_without_a_run_is_rejected(refused, tmp_path, command):
-    for place in (tmp_path, tmp_path / "nowhere", CONFIG):
+    for place in (tmp_path, CONFIG):
         assert "is not a run folder (it has no config.yaml)" in refused(command, place)
+
+
+@pytest.mark.parametrize("command", ["resume", "verify", "render", "plot", "watch", "analyse"])
+def test_a_missing_run_folder_is_called_missing(refused, tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    expected = "runs/first: there is no such folder. "
+    made = "`evo-cpg train CONFIG --out runs/first` makes a run there"
+    assert refused(command, "runs/first") == f"{expected}{made}"
+    (tmp_path / "runs" / "Swim-2026").mkdir(parents=True)
+    (tmp_path / "runs" / "Swim-2026" / "config.yaml").touch()
+    assert refused(command, "runs/first") == f"{expected}The newest run is runs/Swim-2026"
+    for name in ("runs/Swim", "runs/swim-2025", "Swim-2026"):
+        assert refused(command, name).endswith("Did you mean 'runs/Swim-2026'?")
+    assert refused(command, "eel").endswith("`evo-cpg train eel` makes the run runs/eel")
+    assert refused(command, "runs").endswith("It holds runs, such as runs/Swim-2026")
+    part = "runs/Swim-2026/config.yaml"
+    assert refused(command, part) == f"{part} is a part of a run. Give the run folder, {part[:14]}"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("lab", "runs/first"),
+        ("export", "runs/first", "x.glb"),
+        ("train", "eel", "--from", "runs/first"),
+        ("fit", "eel", "x.csv", "a.b", "--run", "runs/first"),
+    ],
+)
+def test_a_missing_run_in_another_place_is_called_missing(refused, arguments):
+    assert "runs/first: there is no such folder" in refused(*arguments)
+
+
+def test_a_run_folder_is_no_configuration(refused, tmp_path):
+    (tmp_path / "config.yaml").touch()
+    message = refused("train", tmp_path)
+    assert message.startswith(f"{tmp_path} is a run folder. `evo-cpg resume {tmp_path}` continues")
 
 
 def test_run_with_a_broken_config_or_no_champion_is_rejected(refused, tmp_path):
@@ -473,7 +512,8 @@ def test_uncoupled_and_resting_oscillators_get_a_warning(cli, tmp_path):
     text = (REPOSITORY / "configs/starfish_land.yaml").read_text()
     path.write_text(re.sub(r"\n      - \{source: .arm\[145\].*", "", text))
     warned = f"evo-cpg: warning: {path}: "
-    couple = "Couple them with controller.cpg.couplings or rings"
+    ring = "[{oscillators: [arm1_1.z, arm4_1.z, arm5_1.z], lag_deg: 120}]"
+    couple = f"Couple them with controller.cpg.couplings or rings, such as rings: {ring}"
     code, _, err = cli("validate", path)
     assert code == 0
     alone = "arm1_1.z, arm4_1.z, arm5_1.z"
@@ -483,6 +523,11 @@ def test_uncoupled_and_resting_oscillators_get_a_warning(cli, tmp_path):
     assert err == f"{rest}{couple}. {pair} (constants: swapped) and {gain}\n"
     code, _, err = cli("validate", path, "controller.cpg.pair_weight=1.3")
     assert (code, err) == (0, f"{warned}coupled to no other oscillator: {alone}. {couple}\n")
+    # The example is a remedy.
+    code, _, err = cli(
+        "validate", path, "controller.cpg.pair_weight=1.3", f"controller.cpg.rings={ring}"
+    )
+    assert (code, err) == (0, "")
 
 
 def test_resting_oscillators_get_a_warning(cli):

@@ -99,10 +99,16 @@ def test_text_with_a_folder_or_suffix_is_a_path(path):
 def test_unknown_name_gets_the_nearest_name(name):
     with pytest.raises(ConfigError, match="no such file here, and no configuration") as caught:
         find_config(name)
-    assert ("did you mean 'hexapod'?" in str(caught.value)) == (name == "hexapodd")
-    assert "iwadate2010_swimmer" in str(caught.value)
-    with pytest.raises(ConfigError, match=r"no configuration of this name comes with evo-cpg: "):
+    near = "did you mean 'hexapod' or 'hexapod_tripod'?"
+    assert (near in str(caught.value)) == (name == "hexapodd")
+    assert str(caught.value).endswith(" `evo-cpg configs` lists all names")
+    with pytest.raises(ConfigError, match=r"no configuration of this name comes with evo-cpg[:.] "):
         shipped(name)
+
+
+def test_a_part_of_a_name_finds_every_name_with_it():
+    with pytest.raises(ConfigError, match=r"'iwadate2010_swimmer', 'swimmer_gaits', 'two_eyed_"):
+        find_config("swimer")
 
 
 def test_similar_file_is_named_with_its_suffix():

@@ -214,7 +214,8 @@ class RealEvolutionConfig(MapSection):
             given = "got" if "elites" in self.model_fields_set else "but the default is"
             raise ValueError(
                 f"elites: must be fewer than the population of {self.population}, "
-                f"{given} {self.elites}"
+                f"{given} {self.elites}. Set evolution.elites={self.population // 10 or 1}, or a "
+                "larger population"
             )
         if self.learning and not 1 <= (self.learning.elites or 1) <= self.elites:
             raise ValueError(

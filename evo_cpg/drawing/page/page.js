@@ -515,7 +515,7 @@
     $("champion").disabled = run.running || run.code !== 0;
     const best = run.curves.best || [], count = best.length;
     const how = run.running ? (run.stopping ? "stopping after this generation" : "running") : run.code === 0 ? "finished" : run.code === 2 ? `refused: ${run.output.split("\n").pop()}` : "stopped";
-    const line = count ? `, generation ${count}, best fitness ${best[count - 1].toPrecision(4)}` : "";
+    const line = count ? `, ${count} generation${count > 1 ? "s" : ""} done, best fitness ${best[count - 1].toPrecision(4)}` : "";
     $("run-state").textContent = `${how}${line}`;
     const lines = [];
     const all = [...best, ...(run.curves.mean || [])], low = Math.min(...all), high = Math.max(...all);
