@@ -158,7 +158,7 @@ Crowd = Annotated[
         min=0,
         metavar="GENERATION",
         help="Show all animals of this generation together: the leader in colours, the others as "
-        "ghosts.",
+        "ghosts. The first generation is 0.",
     ),
 ]
 Tensorboard = Annotated[

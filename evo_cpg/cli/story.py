@@ -10,7 +10,7 @@ from evo_cpg.files import make_folder
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.output import check_size, output_path
-from evo_cpg.view.story import Loop, look_of, story_film
+from evo_cpg.view.story import Loop, story_film
 
 # Sizes of the films, and the largest width and file of the loop, pixels and bytes.
 _WIDE, _TALL = (1920, 1080), (1080, 1920)
@@ -52,7 +52,7 @@ def tell(
         with tempfile.TemporaryFile() as scratch:
             loop = None
             if looped and place == path:
-                loop = Loop(story.loop, look_of(story.takes[-1]), small, scratch)
+                loop = Loop(story.loop, small, scratch)
             with working("rendering", counted=True) as work:
                 story_film(
                     story.takes,

@@ -1,7 +1,6 @@
-"""The story of a run, for `render --story`: first generation, later ones, champion."""
+"""The story of a run, for `render --story`: first generation, later ones, a race, the champion."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,59 +10,70 @@ from evo_cpg.api.display import working
 from evo_cpg.api.opened import OpenedChampion
 from evo_cpg.cli.champions import champion_motion
 from evo_cpg.cli.errors import warn
+from evo_cpg.cli.lanes import Course, course_of, in_lanes, tank_of
 from evo_cpg.cli.options import Which
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at
+from evo_cpg.training.lineage import champion_at
 from evo_cpg.training.run_folder import RunFolderError
-from evo_cpg.view.camera import course, overview, project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.scene import Panel, animal_radius, panel_of
-from evo_cpg.view.story import DISSOLVE, EASE, FPS, LoopPart, Overview, Take, spans
+from evo_cpg.view.story import DISSOLVE, EASE, FPS, LoopPart, Take, look_of, spans
 from evo_cpg.view.story_text import Words
 
-# Lengths in the film, s: of the whole story, of the title before the first motion, and of each
-# later generation. The first generation moves for as long as the others. The champion takes the
-# rest.
-_WHOLE, _TITLE, _LATER = 15.0, 1.9, 2.9
+# Lengths in the film, s: of the whole story, of the title before the first motion, of each crowd's
+# motion, and of the race. The champion takes the rest.
+_WHOLE, _TITLE, _CROWD, _RACE = 15.0, 1.7, 2.3, 3.2
+# Time in which the camera leaves the title, time before it turns to the winner of the race, and
+# time in which it does, s.
+_LEAVE, _STAY, _FOLLOW = 1.2, 0.2, 1.6
 # A generation runs for as long as the champion takes for this many of its own lengths, in this much
 # film, s. Allowed speeds of the film.
-_LENGTHS, _RUN, _SLOWEST, _FASTEST = 6.0, 3.0, 1.0, 6.0
+_LENGTHS, _RUN, _SLOWEST, _FASTEST = 4.0, 3.0, 1.0, 6.0
 # Speed of the film when the champion arrives, and time that is shown after it has arrived, s. The
 # champion has arrived when it is this much farther away than ever, as a fraction of the way.
-_SLOW, _AFTER, _ARRIVED = 0.5, 0.5, 0.03
-# Without a light, the champion's take ends at this part of the trial.
-_STEADY = 0.7
-# Parts of a crowd that the camera shows: all but the farthest.
-_SHOWN = 0.04
-# Least fraction of the picture's width that an animal has next to its light. Otherwise an arrow
-# points to the light.
-_SMALLEST = 0.06
-# Room ahead of the animals for this arrow, relative to the length of their way.
-_ROOM_AHEAD = 0.15
-# Distance of the camera at the start and at the end of all crowds, relative to the least.
-_FAR, _NEAR = 1.18, 1.06
-# Animals that walk without a light stand side by side. Number of lanes, and width in lengths.
-_LANES, _LANE = 24, 0.4
-# Lengths of the parts of the loop, s.
-_OF_FIRST, _OF_LAST, _OF_CHAMPION = 2.3, 2.2, 2.8
+_SLOW, _AFTER, _ARRIVED = 0.5, 0.75, 0.03
+# Distance of a body from the light that counts as reaching it, in lengths of the animal.
+_REACHED = 0.15
+# Fraction of the bodies, over the champion's take, for a camera below the surface of the water.
+_SUBMERGED = 0.9
+# Highest speed of the film in the race.
+_FASTEST_RACE = 10.0
+# Distance of the camera at the start of a crowd, relative to that at its end.
+_FAR = 1.06
+# Lengths of the parts of the loop, s: of the title, and of the motion in each take. Words that
+# would be seen for less time are left out.
+_OF_TITLE, _OF_FIRST, _OF_LAST, _OF_RACE, _OF_CHAMPION = 1.2, 2.0, 1.7, 2.4, 2.6
+_READABLE = 0.8
 
 
 class Material(NamedTuple):
     """Animals of a story.
 
     Attributes:
-        opened: run with its champion.
         panel: the champion in its world.
-        length: length of the animal, m.
+        generation: generation of the champion.
+        heading: direction that counts as progress without a light, see `Task.heading`.
+        aim: the animal's task in words, or empty for a task of the user's own.
+        course: way of the champion.
         speed: speed of the film for the crowds.
-        crowds: numbers and animals of the shown generations, without the champion's.
+        race: speed of the film for the race.
+        random: whether the first generation is random.
+        crowds: numbers and animals of the shown generations, the best first.
+        earlier: generations and motion of earlier champions, if there are no crowds.
     """
 
-    opened: OpenedChampion
     panel: Panel
-    length: float
+    generation: int
+    heading: str
+    aim: str
+    course: Course
     speed: float
+    race: float
+    random: bool
     crowds: list[tuple[int, CrowdMotion]]
+    earlier: list[tuple[int, Recording]]
 
 
 class Story(NamedTuple):
@@ -88,11 +98,22 @@ def material_of(run: Path, which: Which) -> Material:
         which: one of several runs in the folder, and trial.
     """
     opened, recording = champion_motion(run, which)
-    creature = opened.experiment.creature
+    creature, task = opened.experiment.creature, opened.experiment.simulation.task
     panel = panel_of(opened.experiment, recording, creature.name)._replace(numbers=False)
     length = 2 * animal_radius(creature, sample(recording, FPS))
+    course = course_of(panel, length, task.heading == "forward")
+    chosen = generations_of(opened.folder.newest, opened.champion.generation)
+    last = _WHOLE - sum(_lengths(len(chosen)))
+    start = _arrival(recording, last, course.finish)
     speed = _speed(recording, creature.root_index, length)
-    return Material(opened, panel, length, speed, _crowds(opened, which.trial, speed))
+    # The race ends where the champion's take begins.
+    race = min(max(start / (_RACE - EASE / 2), speed), _FASTEST_RACE)
+    crowds, earlier = _crowds(opened, which.trial, chosen, max(speed * _CROWD, race * _RACE)), []
+    if not crowds:
+        earlier = _earlier(opened, which.trial, chosen)
+    random = opened.folder.load_start() is None
+    told = opened.champion.generation, task.heading, _aim(opened, recording)
+    return Material(panel, *told, course, speed, race, random, crowds, earlier)
 
 
 def story_of(material: Material, title: str | None, aspect: float) -> Story:
@@ -103,48 +124,73 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         title: title, or None for one that fits the world.
         aspect: width of the picture over its height.
     """
-    opened, panel, length, speed, crowds = material
-    experiment, recording, creature = opened.experiment, panel.recording, panel.creature
-    task = experiment.simulation.task
-    if panel.ground is not None and not np.isfinite(recording.goal).all():
-        lanes = creature.root_index, task.heading, _LANE * length
-        crowds = [(generation, _in_lanes(crowd, *lanes)) for generation, crowd in crowds]
+    panel, course, speed, final = (
+        material.panel, material.course, material.speed, material.generation,
+    )  # fmt: skip
+    recording, root = panel.recording, panel.creature.root_index
+    every = [crowd for _, crowd in material.crowds]
+    tank = tank_of(panel, course, every, speed * _CROWD, aspect)
+    takes: list[Take] = []
+    captions: list[str] = []
+
+    def add(animal: Recording, others: CrowdMotion, names: tuple[str, ...], race: bool) -> None:
+        """Add a take of the lanes."""
+        first, moves = not takes, _RACE if race else _CROWD
+        hold = _TITLE if first else DISSOLVE
+        end, appear = hold + moves, None
+        views = [(0.0, tank.wide._replace(distance=_FAR)), (end, tank.wide)]
+        if first:
+            views = [(_TITLE - 0.2, tank.title), (_TITLE + _LEAVE, tank.wide)]
+            appear = round(_TITLE * FPS), round((_TITLE + 0.6 * _LEAVE) * FPS)
+        if race:
+            begin = hold + (_LEAVE if first else _STAY)
+            last = tank.behind(animal, others, material.race * (moves - EASE / 2))
+            views = [*views[:-1], (begin, tank.wide), (end if tank.near else begin + _FOLLOW, last)]
+        staging = tank.staging(others.count)._replace(names=names, appear=appear)
+        seen = panel._replace(recording=animal, crowd=others, staging=staging)
+        # The first take shares no frames with a take before it.
+        seconds = hold + moves - DISSOLVE / 2 if first else moves
+        pace = material.race if race else speed
+        takes.append(Take(seen, seconds, 0.0, pace, views, hold, tank.goal))
+
+    racers = material.earlier
+    for generation, crowd in material.crowds:
+        leader, others = in_lanes(crowd, root, material.heading, tank.others)
+        racers = [*racers, (generation, leader)]
+        add(leader, others, ("best",), race=False)
+        captions.append(_named(generation, material.random, len(captions) == 1))
+    if racers:
+        names = [str(generation) for generation in (final, *(number for number, _ in racers))]
+        add(recording, _together([motion for _, motion in racers]), tuple(names), race=True)
+        *some, last = *names[1:], names[0]
+        captions.append(f"A race: the best after {', '.join(some)} and {last} generations")
+    seconds = _WHOLE - sum(take.seconds for take in takes)
+    alone = panel._replace(staging=tank.staging(0))
+    # Without crowds, this take is longer.
+    start = _arrival(recording, seconds, course.finish)
+    shown = (recording.time >= start) & (recording.time <= start + _SLOW * seconds)
+    below = recording.position[shown, ..., 2] < (panel.surface or 0.0)
+    if panel.surface is not None and below.mean() > _SUBMERGED:
+        alone = alone._replace(staging=tank.staging(0)._replace(under=True))
+    takes.append(Take(alone, seconds, start, _SLOW, goal=tank.goal))
+    captions.append(f"After {_generations(final)}, in slow motion")
+    ending = _ending(panel, course, start, seconds)
     heading = title or _title(panel.world, panel.ground is not None)
-    wide = _overview(
-        recording, creature.root_index, task.heading, [crowd for _, crowd in crowds], length, aspect
-    )
-    times = _lengths(len(crowds))
-    total = sum(times[:-1]) or 1.0
-    takes, done = [], 0.0
-    for number, ((_, crowd), seconds) in enumerate(zip(crowds, times, strict=False)):
-        leader, others = crowd.led(creature.root_index, task.heading)
-        seen = panel._replace(recording=leader, crowd=others)
-        start, end = (_FAR + (_NEAR - _FAR) * part / total for part in (done, done + seconds))
-        camera = wide._replace(nearness=(start, end))
-        # All generations move for the same time, once they are fully seen.
-        hold = _TITLE if number == 0 else DISSOLVE
-        takes.append(Take(seen, seconds, 0.0, speed, camera, hold))
-        done += seconds
-    takes.append(Take(panel, times[-1], _arrival(recording, times[-1]), _SLOW))
-    captions = [
-        f"{_named(generation)}: {advanced(crowd, creature.root_index, task.heading, length)}"
-        for generation, crowd in crowds
-    ]
-    captions.append(f"After {_generations(opened.champion.generation)}, in slow motion")
-    animals = f"{experiment.strategy.population} random nervous systems."
-    if np.isfinite(recording.goal).all():
-        animals += " One light."
-    words = [Words(heading, "title", -1.0, _TITLE + 0.5)]
-    if crowds:
-        words.append(Words(animals, "subtitle", 0.3, _TITLE + 0.5))
-    start = _TITLE
-    for caption, end in zip(captions, np.cumsum(times), strict=True):
+    words = [Words(heading, "title", -1.0, _TITLE)]
+    if material.aim:
+        words.append(Words(material.aim, "subtitle", -1.0, _TITLE))
+    begin = _TITLE + 0.2
+    for caption, end in zip(captions, np.cumsum([take.seconds for take in takes]), strict=True):
         # One caption has gone when the next one appears. The last one stays.
-        words.append(
-            Words(caption, "caption", start, float(end) if caption != captions[-1] else 99)
-        )
-        start = float(end)
-    return Story(takes, words, _loop(takes, captions))
+        words.append(Words(caption, "caption", begin, float(end)))
+        begin = float(end)
+    if ending is not None:
+        arrived = _WHOLE - seconds + ending[0]
+        words[-1] = words[-1]._replace(end=arrived)
+        words.append(Words(ending[1], "caption", arrived, 99.0))
+    else:
+        words[-1] = words[-1]._replace(end=99.0)
+    return Story(takes, words, _loop(takes, words))
 
 
 def generations_of(done: int, champion: int) -> list[int]:
@@ -160,11 +206,11 @@ def generations_of(done: int, champion: int) -> list[int]:
     return [0, *sorted(each for each in found if 0 < each < champion)]
 
 
-def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int, CrowdMotion]]:
+def _crowds(
+    opened: OpenedChampion, trial: int, chosen: list[int], seconds: float
+) -> list[tuple[int, CrowdMotion]]:
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
-    chosen = generations_of(folder.newest, opened.champion.generation)
-    seconds = speed * (_LATER - EASE / 2)
     try:
         opened.require_configured()
         with working("breeding the first generations again"):
@@ -172,123 +218,178 @@ def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int,
     except RunFolderError as error:
         warn(f"the story leaves out the first generations: {error}")
         return []
-    motion = compile_crowd_motion(experiment, seconds, 2 * FPS / speed, run, trial)
+    motion = compile_crowd_motion(experiment, seconds, 2 * FPS * _RACE / seconds, run, trial)
+    best = _best_until(opened, chosen)
+    crowds = []
     with working("replaying the first generations"):
-        crowds = [
-            motion(np.split(genes, experiment.runs, axis=1)[run], generation)
-            for genes, generation in zip(every, chosen, strict=True)
-        ]
-    return [(number, one) for number, one in zip(chosen, crowds, strict=True) if one.count]
+        for genes, generation in zip(every, chosen, strict=True):
+            own = np.split(genes, experiment.runs, axis=1)[run]
+            if generation in best:
+                own = _led_by(best[generation].genes, own)
+            crowd = motion(own, generation)
+            if generation not in best:
+                leader = crowd.leader(
+                    experiment.creature.root_index, experiment.simulation.task.heading
+                )
+                crowd = crowd.of(np.argsort(np.arange(crowd.count) != leader, kind="stable"))
+            crowds.append((generation, crowd))
+    return [(generation, crowd) for generation, crowd in crowds if crowd.count]
+
+
+def _led_by(best: np.ndarray, genes: np.ndarray) -> np.ndarray:
+    """Return a population ``(genes, n)`` with its best individual first.
+
+    A search without elites may have lost the best individual so far. Then it replaces the first.
+    """
+    same = np.flatnonzero((genes == best[:, None]).all(0))
+    led = genes.copy()
+    if len(same):
+        led[:, same[0]] = led[:, 0]
+    led[:, 0] = best
+    return led
+
+
+def _best_until(opened: OpenedChampion, generations: list[int]) -> dict[int, Champion]:
+    """Return the champions after some generations that came before the final one."""
+    champion = opened.champion
+    try:
+        lineage = [one for one in opened.folder.load_lineage() if one.run == champion.run]
+    except RunFolderError:
+        return {}
+    found = {generation: champion_at(lineage, generation) for generation in generations}
+    return {
+        generation: one
+        for generation, one in found.items()
+        if one is not None and one.generation < champion.generation
+    }
+
+
+def _earlier(opened: OpenedChampion, trial: int, wanted: list[int]) -> list[tuple[int, Recording]]:
+    """Return the motion of earlier champions, or nothing if none is known or can be replayed."""
+    try:
+        opened.require_configured()
+    except RunFolderError:
+        return []
+    found = _best_until(opened, wanted)
+    with working("replaying earlier champions"):
+        replays = opened.replay([*found.values()], trial) if found else []
+    return [(number, each.recording) for number, each in zip(found, replays, strict=True)]
+
+
+def _together(motions: list[Recording]) -> CrowdMotion:
+    """Return the motion of several animals as a crowd, until the first of them ends."""
+    count = min(len(each.time) for each in motions)
+    return CrowdMotion(
+        motions[0].time[:count],
+        np.stack([each.position[:count] for each in motions], 1),
+        np.stack([each.rotation[:count] for each in motions], 1),
+        motions[0].goal,
+    )
 
 
 def _speed(recording: Recording, root: int, length: float) -> float:
     """Return the speed of the film for crowds, from the speed of the champion."""
     path = recording.position[:, root]
     away = np.linalg.norm(path - path[0], axis=-1)
-    there = int((away >= 0.9 * away.max()).argmax())
-    pace = away[there] / max(recording.time[there], 1e-9)
+    there = int((away >= min(_LENGTHS * length, 0.9 * away.max())).argmax())
     # A short trial must not end before its take.
-    fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_RUN + DISSOLVE))
-    return float(min(max(_LENGTHS * length / max(pace, 1e-9) / _RUN, _SLOWEST), fastest))
+    fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_RACE + DISSOLVE))
+    return float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
 
 
-def _lengths(crowds: int) -> list[float]:
-    """Return the lengths of all takes, s: crowds, then the champion."""
-    # The first crowd shares no frames with a take before it.
-    shown = [_TITLE + _LATER - DISSOLVE / 2, *[_LATER] * (crowds - 1)] if crowds else []
-    return [*shown, _WHOLE - sum(shown)]
+def _arrival(recording: Recording, seconds: float, finish: tuple[float, float] | None) -> float:
+    """Return the instant at which the champion's take begins, s.
 
-
-def _overview(
-    recording: Recording,
-    root: int,
-    heading: str,
-    crowds: Sequence[CrowdMotion],
-    length: float,
-    aspect: float,
-) -> Overview:
-    """Return the camera of the crowds, which shows their start, most of them, and the light."""
-    start = recording.position[0]
-    places = [start]
-    for crowd in crowds:
-        leader = crowd.leader(root, heading)
-        places.append(crowd.position[::10, leader].reshape(-1, 3))
-        middles = crowd.position.mean(2)[:: max(len(crowd.time) // 10, 1)].reshape(-1, 3)
-        low, high = np.quantile(middles, (_SHOWN, 1 - _SHOWN), axis=0)
-        places.append(middles[((middles >= low) & (middles <= high)).all(1)])
-    every = np.concatenate(places)
-    goal = recording.goal
-    bearing = course(recording.position[:, root], goal, length / 20)
-    lit = np.concatenate([every, goal[None]]) if np.isfinite(goal).all() else every
-    # An arrow to the light needs room ahead of the animals.
-    ahead = np.array([np.cos(bearing), np.sin(bearing), 0.0])
-    along = every @ ahead
-    beyond = every[along.argmax()] + _ROOM_AHEAD * float(np.ptp(along)) * ahead
-    for points in (lit, np.concatenate([every, beyond[None]])):
-        path = overview(points, bearing, np.radians(20), aspect, np.ones(1))
-        seen = np.ptp(project(path, start[None], aspect)[0, :, 0]) / 2
-        if seen >= _SMALLEST:
-            break
-    return Overview(points, bearing, (1.0, 1.0))
-
-
-def _in_lanes(crowd: CrowdMotion, root: int, heading: str, width: float) -> CrowdMotion:
-    """Return some animals of a crowd side by side in lanes, with the leader in front.
-
-    The others are those at even ranks of progress, so that they show the whole crowd as it is. The
-    first animals of a population would not, because these are the elites.
+    Args:
+        recording: motion of the champion.
+        seconds: length of the take, s.
+        finish: distance of the finish and the instant at which the champion passes it, or None.
     """
-    ranked = np.argsort(-crowd.advance(root, heading))
-    lanes = min(_LANES, crowd.count)
-    chosen = ranked[np.linspace(0, crowd.count - 1, lanes).round().astype(int)]
-    # Neighbours differ, as in the population.
-    chosen = crowd.of(np.concatenate([chosen[:1], np.sort(chosen[1:])]))
-    aside = np.zeros((chosen.count, 1, 3), np.float32)
-    aside[:, 0, 1] = width * np.arange(chosen.count)
-    return chosen._replace(position=chosen.position + aside)
+    end = min(_arrived(recording, finish) + _AFTER, recording.time[-1])
+    return float(max(end - _SLOW * seconds, recording.time[0]))
 
 
-def _arrival(recording: Recording, seconds: float) -> float:
-    """Return the instant at which the champion's take begins, s."""
-    time, shown = recording.time, _SLOW * seconds
+def _arrived(recording: Recording, finish: tuple[float, float] | None) -> float:
+    """Return the instant at which the champion is at its goal, or the end of the trial, s."""
     if np.isfinite(recording.goal).all():
         away = recording.distance
         near = away.min() + _ARRIVED * (away[0] - away.min())
-        end = time[(away <= near).argmax()] + _AFTER
-    else:
-        end = time[0] + _STEADY * (time[-1] - time[0])
-    return float(max(min(end, time[-1]) - shown, time[0]))
+        return float(recording.time[(away <= near).argmax()])
+    return recording.time[-1] if finish is None else finish[1]
 
 
-def _loop(takes: Sequence[Take], captions: Sequence[str]) -> list[LoopPart]:
-    """Return the parts of the film that the loop shows: first and last crowd, and champion."""
+def _lengths(crowds: int) -> list[float]:
+    """Return the lengths of the takes of crowds, and of the race, s."""
+    # The first take shares no frames with a take before it.
+    found = [*[_CROWD] * crowds, _RACE] if crowds else []
+    return [_TITLE - DISSOLVE / 2 + found[0], *found[1:]] if found else []
+
+
+def _ending(panel: Panel, course: Course, start: float, seconds: float) -> tuple[float, str] | None:
+    """Return the time in the champion's take at which it is at its goal, s, and a sentence."""
+    recording = panel.recording
+    at = (_arrived(recording, course.finish) - start) / _SLOW
+    text = "It passes the finish."
+    if course.finish is None:
+        if course.target is None:
+            return None
+        away = np.linalg.norm(recording.position - course.target, axis=-1).min()
+        text = "It reaches the light."
+        if away > _REACHED * course.length:
+            return None
+    return (max(at, DISSOLVE + 1.0), text) if at < seconds - 0.5 else None
+
+
+def _loop(takes: list[Take], words: list[Words]) -> list[LoopPart]:
+    """Return the parts of the film that the loop shows: title, crowds, race, and champion."""
     every, shared = spans([take.seconds for take in takes]), round(DISSOLVE * FPS)
-    first, end = every[-1]
-    first = max(first + shared, end - round(_OF_CHAMPION * FPS))
-    parts = [LoopPart(first, end, captions[-1])]
-    if len(takes) > 2:
-        first = every[-2][0] + shared
-        end = min(first + round(_OF_LAST * FPS), every[-2][1] - shared)
-        parts.insert(0, LoopPart(first, end, captions[-2]))
-    if len(takes) > 1:
-        first = round(_TITLE * FPS)
-        end = min(first + round(_OF_FIRST * FPS), every[0][1] - shared)
-        parts.insert(0, LoopPart(first, end, captions[0]))
-    return parts
+    last = len(takes) - 1
+
+    def part(number: int, seconds: float, title: float = 0.0) -> LoopPart:
+        first, end = every[number]
+        first += round((takes[number].hold - title) * FPS)
+        end -= shared if number < last else 0
+        count = round((title + seconds) * FPS)
+        if number >= last - 1 and number:
+            # The end of the race and the arrival count.
+            first = max(first, end - count)
+        end = min(first + count, end)
+        # No words are seen while one part dissolves into the next, except those of the title.
+        gone = (end - first - shared) / FPS
+        told = [
+            one._replace(start=max(start, begin), end=min(one.end - first / FPS, gone))
+            for one in words
+            for start in (one.start - first / FPS,)
+            for begin in (-1.0 if one.kind != "caption" else DISSOLVE,)
+        ]
+        told = [one for one in told if one.end - one.start > _READABLE]
+        return LoopPart(first, end, told, look_of(takes[number]))
+
+    found = [part(0, _OF_FIRST, _OF_TITLE if last else 0.0)]
+    if last > 2:
+        found.append(part(last - 2, _OF_LAST))
+    if last > 1:
+        found.append(part(last - 1, _OF_RACE))
+    if last > 0:
+        found.append(part(last, _OF_CHAMPION))
+    return found
+
+
+def _aim(opened: OpenedChampion, recording: Recording) -> str:
+    """Return the animal's task in words, or nothing for a task of the user's own."""
+    if np.isfinite(recording.goal).all():
+        return "Its task: reach the light."
+    return "" if opened.config.task.type == "custom" else "Its task: get as far as it can."
 
 
 def _generations(count: int) -> str:
     return f"{count} generation" + ("s" if count != 1 else "")
 
 
-def advanced(crowd: CrowdMotion, root: int, heading: str, length: float) -> str:
-    """Return in words how many animals of a crowd have come at least one length ahead."""
-    count = int((crowd.advance(root, heading) >= length).sum())
-    return f"{count or 'none'} of {crowd.count} get{'s' if count == 1 else ''} ahead"
-
-
-def _named(generation: int) -> str:
-    return "The first generation" if generation == 0 else f"After {_generations(generation)}"
+def _named(generation: int, random: bool, second: bool) -> str:
+    if generation:
+        return f"After {_generations(generation)}" + ": children of the best" * second
+    return "The first generation" + (" moves at random" if random else "")
 
 
 def _title(world: str, grounded: bool) -> str:

@@ -39,7 +39,7 @@ def loaded() -> Sources:
 
 def older(first: Mapping[str, str], then: Mapping[str, str]) -> Sources:
     """Join two sets of sources. A module in both keeps the digest that it had first."""
-    return dict(sorted((then | first).items())) if first else dict(then)
+    return dict(sorted((then | first).items())) if first else dict(then)  # pyright: ignore
 
 
 def changed(sources: Mapping[str, str]) -> list[str]:

@@ -55,12 +55,14 @@ _AROUND = np.radians(14.0)
 CAMERAS = ("follow", *_ASPECTS, "orbit")
 # The camera of an overview: angle between the line of sight and the way of the animals in wide and
 # in tall pictures, and its additional elevation in tall ones.
-_ACROSS, _ALONG, _STEEPER = np.radians(58.0), np.radians(14.0), np.radians(24.0)
-# Upper end of the part of the frame for an overview, below a title.
-_UNDER_TITLE = 0.56
+_ACROSS, _ALONG, _STEEPER = np.radians(68.0), np.radians(14.0), np.radians(24.0)
+# Upper end of the part of the frame for an overview: below a title, and without one.
+_UNDER_TITLE, _UNTITLED = 0.5, 0.86
 # Largest distance of an overview, in lengths of what it shows, and number of halvings of the
 # interval in which its least distance lies. Number of shifts that bring the points into the middle.
 _FARTHEST, _HALVINGS, _SHIFTS = 12.0, 14, 24
+# Two distances are alike if they differ by less than this fraction.
+_ALIKE = 0.02
 # Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
@@ -165,9 +167,9 @@ def overview(
     bearing: float,
     elevation: float,
     aspect: float,
-    nearness: Float[np.ndarray, " frames"],
+    titled: bool = False,
 ) -> CameraPath:
-    """Plan a camera that stands still, turned to one side, and shows some points in all frames.
+    """Return one frame of a camera that is turned to one side and shows some points.
 
     Args:
         points: the points, m.
@@ -175,22 +177,46 @@ def overview(
             left to the upper right of a wide picture, and upwards in a tall one.
         elevation: height of the eye above the focus as an angle, rad.
         aspect: width of the picture over its height.
-        nearness: distance in every frame, as a fraction of the least one that shows all points.
+        titled: whether the upper part of the frame is left for a title.
     """
-    turn = _ACROSS if aspect >= 1 else _ALONG
+    turn, above = _ACROSS if aspect >= 1 else _ALONG, _UNDER_TITLE if titled else _UNTITLED
     sight = _direction(bearing + turn, elevation if aspect >= 1 else elevation + _STEEPER)
     middle = (points.min(0) + points.max(0)) / 2
     far = _FARTHEST * float(np.linalg.norm(np.ptp(points, axis=0)))
-    near, best = 0.0, _centred(middle, far * sight, points, aspect)
+    near, best = 0.0, _centred(middle, far * sight, points, aspect, above)
     assert best is not None
     for _ in range(_HALVINGS):
         half = (near + far) / 2
-        found = _centred(middle, half * sight, points, aspect)
+        found = _centred(middle, half * sight, points, aspect, above)
         near, far = (half, far) if found is None else (near, half)
         best = found or best
-    back = (best.position - best.focus) * nearness[:, None]
-    focus = np.repeat(best.focus, len(nearness), 0)
-    return CameraPath(focus + back, focus, VIEW_ANGLE)
+    return best
+
+
+def between(
+    before: CameraPath, after: CameraPath, weight: Float[np.ndarray, " frames"]
+) -> CameraPath:
+    """Return a camera that moves from one camera to another one, gently to the eye.
+
+    The distance grows or shrinks by equal factors in equal parts. The focus moves as the distance
+    changes, so that the picture is scaled about one of its points. The line of sight turns.
+
+    Args:
+        before: camera at weight 0, of one frame or as many as there are weights.
+        after: camera at weight 1.
+        weight: weight of the second camera in every frame.
+    """
+    part = weight[:, None]
+    back = [path.position - path.focus for path in (before, after)]
+    away = [np.linalg.norm(each, axis=-1, keepdims=True) for each in back]
+    far = away[0] ** (1 - part) * away[1] ** part
+    change = away[1] - away[0]
+    alike = np.abs(change) < _ALIKE * away[0]
+    moved = np.where(alike, part, (far - away[0]) / np.where(alike, 1.0, change))
+    focus = (1 - moved) * before.focus + moved * after.focus
+    sight = (1 - part) * back[0] / away[0] + part * back[1] / away[1]
+    sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+    return CameraPath(focus + far * sight, focus, before.view_angle)
 
 
 def _centred(
@@ -198,6 +224,7 @@ def _centred(
     ahead: Float[np.ndarray, "3"],
     points: Float[np.ndarray, "n 3"],
     aspect: float,
+    above: float,
 ) -> CameraPath | None:
     """Return a camera of one frame with the points in the middle, or None if they do not fit.
 
@@ -206,6 +233,7 @@ def _centred(
         ahead: way from the eye to the focus, m.
         points: the points, m.
         aspect: width of the picture over its height.
+        above: upper end of the part of the frame for the points.
     """
     path = CameraPath((focus - ahead)[None], focus[None], VIEW_ANGLE)
     for _ in range(_SHIFTS):
@@ -213,11 +241,11 @@ def _centred(
         if not np.isfinite(place).all():
             return None
         low, most = place.min(0), place.max(0)
-        off = (low + most) / 2 - [0.0, (_UNDER_TITLE - _BELOW) / 2]
+        off = (low + most) / 2 - [0.0, (above - _BELOW) / 2]
         # A full shift would overshoot for points farther away than the focus.
         path = _moved(path, 1.0, off / 2, aspect)
     place = np.nan_to_num(project(path, points[None], aspect)[0], nan=np.inf)
-    fits = (place > [-_ROOM, -_BELOW]) & (place < [_ROOM, _UNDER_TITLE])
+    fits = (place > [-_ROOM, -_BELOW]) & (place < [_ROOM, above])
     return path if fits.all() else None
 
 

@@ -15,12 +15,20 @@ from evo_cpg.view.ground import add_ground, add_numbers
 from evo_cpg.view.meshes import surfaces
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh
 from evo_cpg.view.offscreen import pixels, placed
-from evo_cpg.view.scenery import add_goal_light, add_particles, add_shafts, add_sky, add_trail
+from evo_cpg.view.scenery import (
+    add_goal_light,
+    add_lane_lights,
+    add_particles,
+    add_shafts,
+    add_sky,
+    add_trail,
+)
 from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.skin import add_skins
 from evo_cpg.view.stage import Stage, Update
 from evo_cpg.view.terrain import Terrain
-from evo_cpg.view.water import add_mirror, add_tint, add_waterlines
+from evo_cpg.view.track import add_track
+from evo_cpg.view.water import add_ceiling, add_mirror, add_tint, add_waterlines
 
 
 def set_scene(
@@ -36,7 +44,7 @@ def set_scene(
     Returns:
         A function that draws a frame by its number: bytes ``(height, width, 3)``, bottom row first.
     """
-    plotter, away = stage.plotter, stage.away
+    plotter = stage.plotter
     updates = _add_environment(stage)
     if skins:
         updates.append(add_skins(stage))
@@ -51,7 +59,8 @@ def set_scene(
         shot = stage.shot(number)
         plotter.camera.position = shot.eye
         plotter.camera.focal_point = shot.focus
-        plotter.camera.clipping_range = (0.05 * away, 20 * away)
+        away = float(np.linalg.norm(shot.focus - shot.eye))
+        plotter.camera.clipping_range = (0.05 * away, 20 * stage.away)
         for update in updates:
             update(shot)
         for actors, place, turn in zip(bodies, shot.position, shot.rotation, strict=True):
@@ -73,6 +82,9 @@ def _add_environment(stage: Stage) -> list[Update]:
     updates = [add_sky(stage), add_ground(stage)]
     if scene.walks and scene.numbers:
         updates.append(add_numbers(stage))
+    staging = scene.staging
+    if staging is not None and staging.track is not None:
+        add_track(stage, staging.track)
     _add_stones(stage, scene.ground.obstacles)
     updates += [
         add_sun_shadows(stage, surfaces(scene.creature)),
@@ -84,12 +96,18 @@ def _add_environment(stage: Stage) -> list[Update]:
         updates.append(add_ghosts(stage))
     if scene.goal is not None:
         updates.append(add_goal_light(stage, scene.goal))
-    updates.append(add_trail(stage))
+        if staging is not None and staging.lanes.any():
+            updates.append(add_lane_lights(stage, scene.goal + staging.lanes))
+    # In a race, trails would cross the lines.
+    if staging is None:
+        updates.append(add_trail(stage))
     if look.particles:
         add_particles(stage)
         if look.under_water:
             add_shafts(stage)
-    if scene.surface is not None and isinstance(stage.ground, Terrain):
+    if scene.surface is not None and look.under_water:
+        updates.append(add_ceiling(stage, scene.surface))
+    elif scene.surface is not None and isinstance(stage.ground, Terrain):
         updates.append(add_tint(stage, stage.ground, scene.surface))
         updates.append(add_mirror(stage, scene.surface))
         updates.append(add_waterlines(stage, scene.surface))

@@ -8,13 +8,13 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.view.offscreen import add_faded
+from evo_cpg.view.offscreen import add_faded, write_depth
 from evo_cpg.view.shadows import Spots
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.textures import spot_texture
 
-# Opacity of a ghost, alone and among many.
-_OPACITY, _OPACITY_OF_MANY, _MANY = 0.5, 0.12, 100
+# Opacity of a ghost, alone and among many, and in a lane of its own.
+_OPACITY, _OPACITY_OF_MANY, _MANY, _OPACITY_IN_LANES = 0.5, 0.12, 100, 0.9
 # Brightness of a point that faces sideways, and its change with the height of the direction.
 _LEVEL, _SLOPE = 0.9, 0.3
 # Mean distance of a ghost's bodies from the animal's at which it is fully seen, in its radius.
@@ -38,12 +38,18 @@ def add_ghosts(stage: Stage) -> Update:
     every = (of_one + first[-1] * np.arange(count)[:, None, None]).reshape(-1, 3)
     mesh = pv.PolyData.from_regular_faces(np.zeros((count * first[-1], 3), np.float32), every)
     opacity = np.interp(count, (1, _MANY), (_OPACITY, _OPACITY_OF_MANY))
+    staged, appear = scene.staging is not None, None
+    if scene.staging is not None:
+        opacity, appear = _OPACITY_IN_LANES, scene.staging.appear
     color = np.array(pv.Color(look.ghost, opacity=float(opacity)).int_rgba, np.float32)
     rgba = np.tile(color.astype(np.uint8), (mesh.n_points, 1))
-    add_faded(stage.plotter, mesh, rgba, culling="back")
+    actor = add_faded(stage.plotter, mesh, rgba, culling="back")
+    if staged:
+        # Each ghost hides what is behind it, so that it is seen as an animal and not as a cloud.
+        write_depth(actor)
     outwards = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in own]
     patches = None
-    if scene.stands:
+    if scene.stands or staged:
         texture = spot_texture(look.shadow, _PATCH * look.shadow_strength, sharpness=2.2)
         patches = Spots(stage.plotter, texture, stage.ground, stage.lift, count)
     axes = np.tile(0.5 * stage.radius * np.eye(2), (count, 1, 1))
@@ -63,8 +69,10 @@ def add_ghosts(stage: Stage) -> Update:
         shade = _LEVEL + _SLOPE * np.concatenate(upwards, axis=1).reshape(-1, 1)
         rgba[:, :3] = np.minimum(color[:3] * shade, 255)
         # A ghost that still coincides with the animal is not seen.
-        apart = np.linalg.norm(place - shot.position, axis=-1).mean(1) / (_APART * stage.radius)
-        rgba[:, 3] = np.repeat(color[3] * np.clip(apart, 0.0, 1.0), first[-1])
+        shown = np.linalg.norm(place - shot.position, axis=-1).mean(1) / (_APART * stage.radius)
+        if appear is not None:
+            shown = np.minimum(shown, np.interp(shot.number, appear, (0.0, 1.0)))
+        rgba[:, 3] = np.repeat(color[3] * np.clip(shown, 0.0, 1.0), first[-1])
         mesh["rgba"] = rgba
         if patches is not None:
             patches.lay(place.mean(1)[:, :2].astype(float), axes)

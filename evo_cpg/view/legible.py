@@ -72,14 +72,14 @@ def write(
         size: size of the letters, pixels.
         color: colour of the letters.
         bold: whether to use the bold face.
-        opacity: opacity of the letters, 0 to 1.
+        opacity: opacity of the letters, 0 to 1. A plate fades with them.
         anchor: point of the text that is at the place, see Pillow's "Text anchors".
         plate: colour of a translucent plate behind the letters, or empty for no plate.
     """
     text, face = legible(text), font(size, bold)
     if plate:
         left, top, right, bottom = draw.textbbox(place, text, face, anchor)
-        pad, back = 0.15 * size, (*ImageColor.getrgb(plate), _PLATE)
+        pad, back = 0.15 * size, (*ImageColor.getrgb(plate), round(_PLATE * opacity))
         draw.rectangle((left - pad, top - pad, right + pad, bottom + pad), fill=back)
     fill = (*ImageColor.getrgb(color), round(255 * opacity))
     draw.text(place, text, fill, face, anchor)

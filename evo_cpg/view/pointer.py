@@ -1,4 +1,4 @@
-"""An arrow at the edge of the picture that points to a light outside it."""
+"""An arrow at the edge of the picture that points to a goal outside it."""
 
 from collections.abc import Callable
 
@@ -20,15 +20,20 @@ _COLOR, _RIM = "#ffd37a", "#4a3a12"
 
 
 def pointer(
-    camera: CameraPath, goal: Float[np.ndarray, "3"] | None, look: Look, size: tuple[int, int]
+    camera: CameraPath,
+    goal: Float[np.ndarray, "3"] | None,
+    look: Look,
+    size: tuple[int, int],
+    name: str = "light",
 ) -> Callable[[np.ndarray, int], None]:
-    """Return a function that draws the arrow into a frame, if the light is outside of it.
+    """Return a function that draws the arrow into a frame, if the goal is outside of it.
 
     Args:
         camera: the camera in every frame.
-        goal: place of the light, m, or None without a light.
+        goal: place of the goal, m, or None without a goal.
         look: look of the world.
         size: width and height of the picture, pixels.
+        name: word beside the arrow.
 
     Returns:
         A function of a picture, bytes ``(height, width, 3)``, bottom row first, and its number.
@@ -54,7 +59,7 @@ def pointer(
             words = back - 0.9 * _LETTERS * height * along
             anchor = ("r" if along[0] > 0.4 else "l" if along[0] < -0.4 else "m") + "m"
             where = float(words[0]), float(words[1])
-            write(draw, "light", where, _LETTERS * height, look.text, bold=False, anchor=anchor)
+            write(draw, name, where, _LETTERS * height, look.text, bold=False, anchor=anchor)
 
     return draw_into
 

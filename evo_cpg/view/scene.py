@@ -38,6 +38,7 @@ class Panel(NamedTuple):
         note: text below the title, in small letters.
         crowd: other animals of the same kind, which are drawn as ghosts, or None.
         numbers: whether distances are painted on the ground.
+        staging: arrangement of a race, or None.
     """
 
     creature: Creature
@@ -50,6 +51,54 @@ class Panel(NamedTuple):
     note: str = ""
     crowd: CrowdMotion | None = None
     numbers: bool = True
+    staging: "Staging | None" = None
+
+
+class Track(NamedTuple):
+    """Straight lanes side by side, with lines across them.
+
+    Attributes:
+        start: start in the nearest lane, m.
+        bearing: direction of the lanes from the x axis, rad.
+        spacing: distance between the lines, m.
+        lines: number of lines beyond the start.
+        right: distance of the right border from the start, m.
+        left: distance of the left border from the start, m.
+        finish: distance of a finish from the start, m, or None.
+    """
+
+    start: Float[np.ndarray, "3"]
+    bearing: float
+    spacing: float
+    lines: int
+    right: float
+    left: float
+    finish: float | None = None
+
+    def at(self, along: float, aside: float) -> Float[np.ndarray, "3"]:
+        """Return a place by its distances along the lanes and to their left, m."""
+        c, s = np.cos(self.bearing), np.sin(self.bearing)
+        return self.start + np.array([along * c - aside * s, along * s + aside * c, 0.0])
+
+
+class Staging(NamedTuple):
+    """Arrangement of a race: animals in lanes, on a floor with lines.
+
+    Attributes:
+        lanes: displacement of each other animal from its own place, m.
+        track: lines on the floor, or None.
+        floor: height of the floor under swimmers, m, or None for the usual one.
+        names: words above the animal and each other one, or none.
+        appear: first and last frame in which the other animals appear.
+        under: whether the camera is below the surface of the water.
+    """
+
+    lanes: Float[np.ndarray, "n 3"] = np.zeros((0, 3))
+    track: Track | None = None
+    floor: float | None = None
+    names: tuple[str, ...] = ()
+    appear: tuple[float, float] | None = None
+    under: bool = False
 
 
 class Ghosts(NamedTuple):
@@ -140,6 +189,7 @@ class Scene(NamedTuple):
         marks: pattern of the ground.
         ghosts: other animals of the same kind, or None.
         numbers: whether distances are painted on the ground.
+        staging: arrangement of a race, or None.
     """
 
     creature: Creature
@@ -154,6 +204,7 @@ class Scene(NamedTuple):
     marks: Marks
     ghosts: Ghosts | None = None
     numbers: bool = True
+    staging: Staging | None = None
 
     @property
     def level(self) -> float | None:
@@ -196,6 +247,8 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
     radius = animal_radius(creature, clip)
     if surface is not None and surface_is_seen(creature, clip, panel.ground, surface):
         look = SHORE
+        if panel.staging is not None and panel.staging.under:
+            look = STYLES["water"]
     else:
         look, surface = STYLES[panel.world], None
     # Without a light, the recorded distance refers to the root.
@@ -206,11 +259,19 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
     else:
         lowest = clip.position[..., 2].min() - animal_reach(creature)
         lowest = lowest if goal is None else min(lowest, goal[2])
-        ground = Ground(floor=Plane(height=float(lowest - _FLOOR_DEPTH * radius)))
+        lowest -= _FLOOR_DEPTH * radius
+        if panel.staging is not None and panel.staging.floor is not None:
+            lowest = panel.staging.floor
+        ground = Ground(floor=Plane(height=float(lowest)))
         marks = Marks(np.zeros(2), 0.0, CELLS * grid_spacing(2 * radius))
-    ghosts = None if panel.crowd is None else ghosts_at(panel.crowd, clip)
+    staging = panel.staging
+    ghosts = None
+    if panel.crowd is not None:
+        ghosts = ghosts_at(panel.crowd, clip)
+        if staging is not None:
+            ghosts = ghosts._replace(position=ghosts.position + staging.lanes[:, None])
     world = goal, ground, stands, surface, look
-    return Scene(creature, clip, *world, radius, bearing, marks, ghosts, panel.numbers)
+    return Scene(creature, clip, *world, radius, bearing, marks, ghosts, panel.numbers, staging)
 
 
 def ghosts_at(crowd: CrowdMotion, clip: Clip) -> Ghosts:

@@ -4,8 +4,9 @@ from typing import cast
 
 import numpy as np
 import pyvista as pv
+from jaxtyping import Float
 
-from evo_cpg.view.camera import level_axes
+from evo_cpg.view.camera import level_axes, turned_about_vertical
 from evo_cpg.view.meshes import head_index
 from evo_cpg.view.offscreen import add_faded
 from evo_cpg.view.shadows import Spots
@@ -15,6 +16,9 @@ from evo_cpg.view.textures import spot_texture
 
 # Points along a side of the pool of light, and its height in radii of the animal.
 _POOL, _POOL_LIFT = 41, 0.02
+# Radius of a light, in radii of the animal. Width of the halo of a light of another lane in its
+# radius, and its opacity.
+_CORE, _LANE_HALO, _LANE_GLOW = 0.075, 9.0, 0.6
 # Number of specks in water, and their colour.
 _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 # Time in which the trail fades to a third, s, and its thickness in radii of the animal.
@@ -41,7 +45,7 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
     shine = spot_texture(look.halo, look.glow, sharpness=3.0)
     pool = Spots(plotter, shine, stage.ground, _POOL_LIFT * radius, 1, _POOL)
     pool.lay(goal[None, :2], 1.8 * radius * np.eye(2)[None])
-    core = 0.075 * radius
+    core = _CORE * radius
     sphere = pv.Sphere(radius=core, center=goal, theta_resolution=32, phi_resolution=24)
     plotter.add_mesh(sphere, color=look.light, lighting=False)
     halos = []
@@ -62,6 +66,48 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
             actor.orientation = (0.0, 0.0, float(np.degrees(shot.turned)))
 
     return face_viewer
+
+
+def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "n 3"]) -> Update:
+    """Draw the lights of the other lanes of a race: small spheres, each with a halo.
+
+    Args:
+        stage: scene and camera.
+        goals: places of the lights, m.
+    """
+    plotter, look, core = stage.plotter, stage.look, _CORE * stage.radius
+    sphere = cast(pv.PolyData, pv.Sphere(radius=core, theta_resolution=16, phi_resolution=12))
+    own, faces = np.asarray(sphere.points), sphere.regular_faces
+    cores = plotter.add_mesh(_copies(own, faces, goals), color=look.light, lighting=False)
+    side = _LANE_HALO * core
+    square = cast(pv.PolyData, pv.Plane(direction=-stage.sight, i_size=side, j_size=side))
+    own, faces = np.asarray(square.points), square.regular_faces
+    mesh = _copies(own, faces, goals)
+    around = np.asarray(square.active_texture_coordinates)
+    mesh.active_texture_coordinates = np.tile(around, (len(goals), 1))
+    texture = spot_texture(look.halo, _LANE_GLOW, sharpness=3.0)
+    shine = plotter.add_mesh(mesh, texture=texture, lighting=False)
+    shine.ForceTranslucentOn()
+    staging = stage.scene.staging
+    appear = None if staging is None else staging.appear
+
+    def face_viewer(shot: Shot) -> None:
+        if appear is not None:
+            for actor in (cores, shine):
+                actor.prop.opacity = float(np.interp(shot.number, appear, (0.0, 1.0)))
+        turned = (turned_about_vertical(axis, shot.turned) for axis in np.eye(3))
+        mesh.points = (goals[:, None] + own @ np.stack([*turned])).reshape(-1, 3)
+
+    return face_viewer
+
+
+def _copies(
+    points: Float[np.ndarray, "n 3"], faces: np.ndarray, places: Float[np.ndarray, "m 3"]
+) -> pv.PolyData:
+    """Return one mesh of copies of a mesh about the origin."""
+    first = len(points) * np.arange(len(places))[:, None, None]
+    every = (places[:, None] + points).reshape(-1, 3)
+    return pv.PolyData.from_regular_faces(every, (faces + first).reshape(-1, faces.shape[1]))
 
 
 def add_trail(stage: Stage) -> Update:
@@ -142,6 +188,10 @@ def add_shafts(stage: Stage) -> None:
     high = generator.uniform(*_SHAFT_HIGH, _SHAFTS) * radius + focus[along, 2] - foot[:, 2]
     wide = generator.uniform(*_SHAFT_WIDE, _SHAFTS)[:, None] * radius * across
     top = foot + high[:, None] * ([0.0, 0.0, 1.0] + _SHAFT_SLANT * across)
+    if stage.scene.surface is not None:
+        # They end at the surface.
+        reach = np.maximum(stage.scene.surface - foot[:, 2], 0.0) / high
+        top = foot + np.minimum(reach, 1.0)[:, None] * (top - foot)
     middle = foot + 0.6 * (top - foot)
     rows = ([row - wide, row, row + wide] for row in (foot, middle, top))
     points = np.stack([point for row in rows for point in row], 1)

@@ -22,6 +22,8 @@ from evo_cpg.view.terrain import Level, Terrain, heights
 _ELEVATIONS, _CLEARANCE, _HIDDEN = np.radians([16.0, 22.0, 28.0, 35.0, 45.0]), 0.3, 0.03
 # Elevation for a swimmer that bends sideways, rad: more sideways than upwards by this factor.
 _FROM_ABOVE, _SIDEWAYS = np.radians(38.0), 2.0
+# Height of a camera under water, from 0 at the ground to 1 at the surface. Rounds of improvement.
+_DEPTH, _ROUNDS = 0.7, 2
 # The mesh of the ground ends this many visibilities from the path, where it has faded to nothing.
 _HORIZON = 2.4
 # A camera far away from a crowd sees at least this many of its distances.
@@ -103,13 +105,14 @@ class Stage:
 
     @functools.cached_property
     def away(self) -> float:
-        """Distance of the camera from its focus in the first frame, m."""
-        return float(np.linalg.norm(self.camera.focus[0] - self.camera.position[0]))
+        """Largest distance of the camera from its focus, m."""
+        return float(np.linalg.norm(self.camera.focus - self.camera.position, axis=-1).max())
 
     @functools.cached_property
     def sight(self) -> Float[np.ndarray, "3"]:
         """Direction of view in the first frame."""
-        return (self.camera.focus[0] - self.camera.position[0]) / self.away
+        sight = self.camera.focus[0] - self.camera.position[0]
+        return sight / np.linalg.norm(sight)
 
     @functools.cached_property
     def sun(self) -> Float[np.ndarray, "3"]:
@@ -159,6 +162,8 @@ def camera_path(scene: Scene, camera: str, aspect: float, close: bool = False) -
     def at(elevation: float) -> CameraPath:
         return follow(bodies, goal, clip.rate, aspect, elevation, turn, close)
 
+    if look.under_water and surface is not None:
+        return _below(at, surface, scene)
     path = at(first)
     if scene.level is not None:
         return path
@@ -176,6 +181,18 @@ def camera_path(scene: Scene, camera: str, aspect: float, close: bool = False) -
         if free and hidden(path, clip.position, top, margin) <= _HIDDEN:
             break
         path = at(elevation)
+    return path
+
+
+def _below(at: Callable[[float], CameraPath], surface: float, scene: Scene) -> CameraPath:
+    """Return a camera between the ground and the surface of the water (m)."""
+    path = at(0.0)
+    for _ in range(_ROUNDS):
+        eye, focus = path.position, path.focus
+        ground = heights(scene.ground.floor, eye[:, :2])
+        middle = ground + _DEPTH * (surface - ground)
+        away = np.linalg.norm(eye - focus, axis=-1)
+        path = at(float(np.arcsin(np.clip((middle - focus[:, 2]) / away, -0.5, 0.5)).mean()))
     return path
 
 

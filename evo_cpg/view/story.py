@@ -1,8 +1,8 @@
 """A story in one film: takes one after the other that dissolve into each other, and few words.
 
-A take shows an animal, perhaps with the crowd of its generation, through one camera. Takes of a
-crowd share a camera that stands still, so generations can be compared. The last take follows the
-champion.
+A take shows an animal, perhaps with others in lanes beside it. Its camera moves from view to view.
+Takes of a crowd share a view that stands still, so generations can be compared. The last take
+follows the champion.
 """
 
 import contextlib
@@ -14,13 +14,14 @@ from typing import IO, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.view.camera import CameraPath, overview
+from evo_cpg.view.camera import SMOOTHING, CameraPath, between, overview, smooth
 from evo_cpg.view.clip import Clip, sample_at
 from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.frame_processes import Reel, drawing_processes, drawn_frames
 from evo_cpg.view.legible import lettering
 from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import add_bodies
+from evo_cpg.view.name_tags import name_tags
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import check_size, film_writer, oversampling, picture_of
 from evo_cpg.view.pointer import pointer
@@ -40,22 +41,28 @@ EASE = 0.5
 # Pixels rendered per pixel of the film, along a side.
 _OVERSAMPLING = 1.25
 # Qualities of a loop, from the best one.
-_QUALITIES = (75, 48, 36, 26, 18, 10)
+_QUALITIES = (75, 60, 48, 36)
 
 
 class Overview(NamedTuple):
-    """A camera that stands still and shows some points.
+    """A view that stands still and shows some points.
 
     Attributes:
         points: the points, m.
         bearing: direction in which the animals go, from the x axis, rad.
-        nearness: distance of the camera in the first frame and in the last one, as fractions of
-            the distance that shows all points.
+        elevation: height of the camera above the horizon, rad.
+        distance: distance of the camera, relative to the least one that shows all points.
+        titled: whether the upper part of the picture is left for a title.
+        follows: whether the view moves with the animal, so that it shows the points in the last
+            frame.
     """
 
     points: Float[np.ndarray, "n 3"]
     bearing: float
-    nearness: tuple[float, float]
+    elevation: float
+    distance: float = 1.0
+    titled: bool = False
+    follows: bool = False
 
 
 class Take(NamedTuple):
@@ -67,16 +74,19 @@ class Take(NamedTuple):
             neighbours.
         start: first instant of the recording that is shown, s.
         speed: recorded seconds per second of film.
-        overview: camera of a crowd, or None for a camera that follows the animal.
+        views: times in the take, s, and the views that the camera reaches at them. None is a view
+            that follows the animal.
         hold: time in the film before the motion begins, s.
+        goal: place that the arrow points to if there is no light, m, and its name.
     """
 
     panel: Panel
     seconds: float
     start: float
     speed: float
-    overview: Overview | None = None
+    views: Sequence[tuple[float, Overview | None]] = ((0.0, None),)
     hold: float = 0.0
+    goal: tuple[Float[np.ndarray, "3"], str] | None = None
 
 
 class StoryFrames:
@@ -140,13 +150,24 @@ class StoryFrames:
         aspect = self.size[0] / self.size[1]
         with canvas(self.rendered) as plotter:
             camera = camera_of(take, scene, aspect)
-            stage = Stage(plotter, scene, camera, self._scale, wide=take.overview is not None)
-            point = pointer(camera, scene.goal, scene.look, self.rendered)
+            wide = any(view is not None for _, view in take.views)
+            stage = Stage(plotter, scene, camera, self._scale, wide=wide)
+            goal, name = (scene.goal, "light") if take.goal is None else take.goal
+            point = pointer(camera, goal, scene.look, self.rendered, name)
+            ahead = np.ones(end - first, bool)
+            if take.goal is not None:
+                # No arrow points back to a finish.
+                centre = clip.position.mean(1)
+                start = take.panel.recording.position[0].mean(0)
+                ahead = (take.goal[0] - centre) @ (take.goal[0] - start) > 0
+            tag = name_tags(camera, scene, self.rendered)
             show = set_scene(stage, add_bodies(plotter, take.panel.creature, scene.look.ambient))
 
             def draw(frame: int) -> np.ndarray:
                 seen = show(frame)
-                point(seen, frame)
+                if ahead[frame]:
+                    point(seen, frame)
+                tag(seen, frame)
                 return seen
 
             yield draw
@@ -180,18 +201,40 @@ def clip_of(take: Take, count: int) -> Clip:
 
 def camera_of(take: Take, scene: Scene, aspect: float) -> CameraPath:
     """Return the camera of a take in all of its frames."""
-    if take.overview is None:
+    count = len(scene.clip.time)
+    seconds = np.arange(count) / FPS
+    paths = [_path_of(view, scene, aspect) for _, view in take.views]
+    found = paths[0]
+    for (start, _), (end, _), after in zip(take.views, take.views[1:], paths[1:], strict=False):
+        found = between(found, after, eased((seconds - start) / (end - start)))
+    if len(found.position) == count:
+        return found
+    return CameraPath(
+        found.position.repeat(count, 0), found.focus.repeat(count, 0), found.view_angle
+    )
+
+
+def _path_of(view: Overview | None, scene: Scene, aspect: float) -> CameraPath:
+    """Return a camera that keeps a view in all frames, or in one frame if it stands still."""
+    if view is None:
         return camera_path(scene, "follow", aspect, close=True)
-    points, bearing, (start, end) = take.overview
-    nearness = np.linspace(start, end, len(scene.clip.time))
-    elevation = scene.look.side_elevation if scene.goal is None else scene.look.elevation
-    return overview(points, bearing, elevation, aspect, nearness)
+    path = overview(view.points, view.bearing, view.elevation, aspect, view.titled)
+    focus, back = path.focus, view.distance * (path.position - path.focus)
+    if view.follows:
+        centre = smooth(scene.clip.position.mean(1), SMOOTHING * scene.clip.rate)
+        focus = focus + centre - centre[-1]
+    return path._replace(position=focus + back, focus=focus)
+
+
+def eased(part: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return numbers from 0 to 1 that start and end gently, for parts from 0 to 1."""
+    part = np.clip(part, 0.0, 1.0)
+    return part * part * (3 - 2 * part)
 
 
 def smoothly(part: float) -> float:
-    """Return a number from 0 to 1 that starts and ends gently, for a part from 0 to 1."""
-    part = min(max(part, 0.0), 1.0)
-    return part * part * (3 - 2 * part)
+    """Return a number from 0 to 1 that starts and ends gently, see `eased`."""
+    return float(eased(np.array(part)))
 
 
 def blended(before: np.ndarray, after: np.ndarray, weight: float) -> np.ndarray:
@@ -232,7 +275,8 @@ def story_film(
     """
     check_size(size)
     make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
-    frames, look = make(), look_of(takes[-1])
+    frames, looks = make(), [look_of(take) for take in takes]
+    ends = np.cumsum([take.seconds for take in takes])
     with (
         drawn_frames(frames, make, drawing_processes(frames.count, processes)) as drawn,
         film_writer(path, frames.size, frames.rendered, FPS) as write,
@@ -243,6 +287,7 @@ def story_film(
             # A picture from another process cannot be changed.
             frame = bare if bare.flags.writeable else bare.copy()
             with lettering(frame) as draw:
+                look = looks[min(int((ends <= number / FPS).sum()), len(looks) - 1)]
                 for each in words:
                     written(draw, each, number / FPS, look, frames.rendered)
             write(frame)
@@ -255,22 +300,26 @@ class LoopPart(NamedTuple):
     """Part of a story that a loop shows.
 
     Attributes:
-        first: first frame, at which the part before begins to dissolve into this one.
-        end: frame after the last one.
-        caption: text of the part.
+        first: first frame.
+        end: frame after the last one. The part dissolves into the next one before it.
+        words: texts of the part, with times of the film from its first frame.
+        look: look of the world.
     """
 
     first: int
     end: int
-    caption: str
+    words: Sequence[Words]
+    look: Look
 
 
 class Loop:
-    """A short loop of parts of a story, whose end dissolves into its start.
+    """A short loop of parts of a story, each of which dissolves into the next one.
+
+    It begins with the first frame of the first part. The last part dissolves into this frame, so
+    the first part should begin with a picture that stands still.
 
     Args:
         parts: the parts.
-        look: look of the world.
         size: width and height, pixels.
         file: empty scratch file for frames.
         every: frames of the film for each frame of the loop.
@@ -279,12 +328,11 @@ class Loop:
     def __init__(
         self,
         parts: Sequence[LoopPart],
-        look: Look,
         size: tuple[int, int],
         file: IO[bytes],
         every: int = 2,
     ):
-        self._parts, self._look, self._size = parts, look, size
+        self._parts, self._size = parts, size
         self._file, self._every = file, every
         self._shared = round(DISSOLVE * FPS / every)
         self._numbers: dict[int, int] = {}
@@ -315,22 +363,25 @@ class Loop:
         return quality
 
     def frames(self) -> Iterator[np.ndarray]:
-        """Return the frames with all dissolves and captions, bottom row first."""
-        shared = self._shared
+        """Return the frames with all dissolves and words, bottom row first."""
+        shared, last = self._shared, len(self._parts) - 1
         for i, part in enumerate(self._parts):
-            own, before = self._shown(part), self._shown(self._parts[i - 1])[-shared:]
-            # No caption is seen while one part dissolves into the next.
-            last = (len(own) - shared) * self._every / FPS
-            words = Words(part.caption, "caption", DISSOLVE, last)
-            for j, number in enumerate(own[: len(own) - shared]):
-                frame = self._kept(number)
-                if j < shared:
-                    weight = smoothly((j + 1) / (shared + 1))
-                    frame = blended(self._kept(before[j]), frame, weight)
-                frame = np.ascontiguousarray(frame[::-1])
-                with lettering(frame) as draw:
-                    written(draw, words, j * self._every / FPS, self._look, self._size)
+            count, after = len(self._shown(part)), self._parts[(i + 1) % (last + 1)]
+            for j in range(shared if i else 0, count):
+                frame = self._worded(part, j)
+                if (k := j - (count - shared)) >= 0:
+                    # The last part turns into a picture that stands still.
+                    then = self._worded(after, k if i < last else 0)
+                    frame = blended(frame, then, smoothly((k + 1) / (shared + 1)))
                 yield frame
+
+    def _worded(self, part: LoopPart, number: int) -> np.ndarray:
+        """Return a frame of a part with its words, by its number in the part."""
+        frame = np.ascontiguousarray(self._kept(self._shown(part)[number])[::-1])
+        with lettering(frame) as draw:
+            for words in part.words:
+                written(draw, words, number * self._every / FPS, part.look, self._size)
+        return frame
 
     def _shown(self, part: LoopPart) -> range:
         return range(part.first, part.end, self._every)

@@ -72,7 +72,12 @@ def written(
                 draw, line, behind, letters, "#000000", bold=bold,
                 opacity=_SHADOW_OPACITY * opacity, anchor="ls",
             )  # fmt: skip
-        write(draw, line, place, letters, look.text, bold=bold, opacity=opacity, anchor="ls")
+        # Dark letters would be lost on dark things that pass below them.
+        plate = "" if dark or words.kind != "caption" else look.distance
+        write(
+            draw, line, place, letters, look.text,
+            bold=bold, opacity=opacity, anchor="ls", plate=plate,
+        )  # fmt: skip
 
 
 def wrapped(text: str, size: float, room: float) -> list[str]:

@@ -46,6 +46,13 @@ def floor_texture(
     return tile_texture(np.clip(colour, 0, 255).astype(np.uint8))
 
 
+def light_texture(tints: tuple[str, str]) -> pv.Texture:
+    """Return a texture of a net of light, between two tints from dark to light."""
+    dark, light = (np.array(pv.Color(color).int_rgb, float) for color in tints)
+    tone = np.clip(0.2 + 0.2 * _periodic_noise(2, 10) + 0.6 * _caustics(), 0, 1)
+    return tile_texture((dark + tone[..., None] * (light - dark)).astype(np.uint8))
+
+
 def tile_texture(image: np.ndarray) -> pv.Texture:
     """Return a texture that repeats an image ``(n, n, channels)`` of bytes."""
     texture = pv.Texture(image)

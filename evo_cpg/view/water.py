@@ -15,7 +15,7 @@ from evo_cpg.view.offscreen import add_faded
 from evo_cpg.view.shadows import Spots
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Level, Terrain
-from evo_cpg.view.textures import spot_texture, tile_texture
+from evo_cpg.view.textures import light_texture, spot_texture, tile_texture
 
 _SHALLOW, _DEEP = "#bfeae4", "#4cadd2"
 # Opacity of the lower sheet where the water is shallow and deep. Depth of two thirds of the change,
@@ -25,6 +25,9 @@ _CLEAR, _OPAQUE, _DEEPENS, _SHORE = 0.26, 0.52, 0.5, 0.1
 # shortest waves. The steepness is the root mean square of the slopes.
 _TILE, _TEXELS, _LONGEST, _SHORTEST, _STEEPNESS = 5.0, 256, 6.0, 50.0, 0.12
 _SEED = 20103
+# The surface from below: distance at which it has faded, relative to the ground, its tints, and the
+# drift of its pattern, tiles per second.
+_CEILING, _CEILING_TINTS, _DRIFT = 1.6, ("#2f9fb0", "#d8fbf6"), 0.03
 _GRAVITY = 9.81
 # Fraction of light that water mirrors at vertical incidence, 0 to 1 (Schlick 1994).
 _REFLECTION = 0.02
@@ -114,6 +117,23 @@ def add_tint(stage: Stage, terrain: Terrain, surface: float) -> Update:
         away = ((place - shot.focus[:2]) ** 2).sum(1)
         rgba[:, 3] = 255 * opacity * np.exp(-away / stage.visible**2)
         mesh["rgba"] = rgba
+
+    return update
+
+
+def add_ceiling(stage: Stage, surface: float) -> Update:
+    """Draw the surface at a height (m) as it is seen from below: bright, with moving light."""
+    disc, place, fade = fading_disc(_CEILING * stage.visible, 0.1)
+    side = _TILE * stage.radius
+    rgba = np.column_stack([np.full((len(place), 3), 255), 255 * fade]).astype(np.uint8)
+    texture = light_texture(_CEILING_TINTS)
+    disc.active_texture_coordinates = place / side
+    actor = add_faded(stage.plotter, disc, rgba, texture=texture)
+
+    def update(shot: Shot) -> None:
+        actor.position = (shot.focus[0], shot.focus[1], surface)
+        drift = _DRIFT * shot.time * np.array([1.0, 0.6])
+        disc.active_texture_coordinates = (place + shot.focus[:2]) / side + drift
 
     return update
 

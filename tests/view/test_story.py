@@ -8,11 +8,12 @@ import pytest
 import synthetic
 from PIL import Image, ImageSequence
 
-from evo_cpg.cli.storyboard import advanced
+from evo_cpg.cli.lanes import course_of, in_lanes, tank_of
+from evo_cpg.cli.storyboard import Material, story_of
 from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.training.crowd_motion import CrowdMotion
-from evo_cpg.view.camera import overview, project
+from evo_cpg.view.camera import CameraPath, between, overview, project
 from evo_cpg.view.clip import Clip, sample
 from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.legible import font, lettering
@@ -46,8 +47,8 @@ def beside(*steps):
 
 
 def take(seconds=1.0, crowd=None, start=0.0, hold=0.0):
-    seen = Overview(POINTS, 0.0, (1.0, 1.0))
-    return Take(PANEL._replace(crowd=crowd), seconds, start, 1.0, seen, hold)
+    seen = Overview(POINTS, 0.0, STYLES["land"].side_elevation)
+    return Take(PANEL._replace(crowd=crowd), seconds, start, 1.0, [(0.0, seen)], hold)
 
 
 def drawn(takes, *numbers):
@@ -75,12 +76,12 @@ def test_the_motion_waits_and_then_starts_gently():
 @pytest.mark.parametrize("aspect", [16 / 9, 9 / 16])
 def test_an_overview_shows_all_points_and_uses_the_picture(aspect):
     points = np.random.default_rng(0).uniform(-1, 1, (40, 3)) * [4, 2, 0.5]
-    path = overview(points, 0.4, 0.3, aspect, np.ones(2))
-    seen = project(path, points[None].repeat(2, 0), aspect)
+    path = overview(points, 0.4, 0.3, aspect)
+    seen = project(path, points[None], aspect)
     assert np.abs(seen).max() < 1
     assert max(np.ptp(seen[0], axis=0) / 2) > 0.8
     # The animals go to the right in a wide picture, and upwards in a tall one.
-    ahead = np.array([[[0, 0, 0], [np.cos(0.4), np.sin(0.4), 0]]], float).repeat(2, 0)
+    ahead = np.array([[[0, 0, 0], [np.cos(0.4), np.sin(0.4), 0]]], float)
     start, end = project(path, ahead, aspect)[0]
     along = (end - start) * [aspect, 1]
     assert along[0] > abs(along[1]) if aspect > 1 else along[1] > abs(along[0])
@@ -90,7 +91,7 @@ def test_ghosts_are_drawn_in_their_places():
     alone, crowded = drawn([take()], 10)[0], drawn([take(crowd=beside(1.0, 2.0))], 10)[0]
     changed = np.abs(crowded - alone).max(-1) > 12
     elevation = STYLES["land"].side_elevation
-    path = overview(POINTS, 0.0, elevation, SIZE[0] / SIZE[1], np.ones(1))
+    path = overview(POINTS, 0.0, elevation, SIZE[0] / SIZE[1])
     clip = sample(WALK, FPS)
     for step, seen in ((0.0, False), (1.0, True), (2.0, True)):
         trunk = clip.position[10, 0] + [0.0, step, 0.0]
@@ -136,33 +137,106 @@ def test_a_long_title_is_broken_between_words():
 
 def test_the_end_of_a_loop_dissolves_into_its_start(tmp_path):
     """Frames of one colour: the number of the frame."""
-    parts = [LoopPart(0, 40, ""), LoopPart(60, 100, "")]
-    loop = Loop(parts, STYLES["water"], (16, 16), io.BytesIO())
+    parts = [LoopPart(0, 40, [], STYLES["water"]), LoopPart(60, 100, [], STYLES["water"])]
+    loop = Loop(parts, (16, 16), io.BytesIO())
     for number in range(120):
         loop.take(number, np.full((16, 16, 3), number, np.uint8))
     found = [int(frame[0, 0, 0]) for frame in loop.frames()]
-    # Two parts of 20 frames share 6 frames with each neighbour.
-    assert len(found) == 2 * (20 - 6)
-    assert found[6:14] == [*range(12, 28, 2)] and found[20:] == [*range(72, 88, 2)]
-    # The first frame is nearly the one after the last: frame 88.
-    assert 80 < found[0] < 90
+    # Two parts of 20 frames share 6 frames in the middle. The last 6 turn into the first frame.
+    assert len(found) == 20 + 20 - 6
+    assert found[:14] == [*range(0, 28, 2)] and found[20:28] == [*range(72, 88, 2)]
+    assert found[28:] == sorted(found[28:], reverse=True) and found[-1] < 6
     assert loop.write(tmp_path / "a.webp", 10**6) == 75
-    assert loop.write(tmp_path / "b.webp", 1) == 10
+    assert loop.write(tmp_path / "b.webp", 1) == 36
     with Image.open(tmp_path / "a.webp") as picture:
         # The encoder joins frames that look the same.
         assert (picture.size, picture.info["loop"]) == ((16, 16), 0)
         assert len([*ImageSequence.Iterator(picture)]) > 5
 
 
-def test_a_caption_counts_the_animals_that_get_ahead():
-    crowd = beside(0.0, 1.0, 2.0)
-    crowd.position[-1, :, :, 0] = crowd.position[0, :, :, 0] + [[0.1], [0.6], [0.9]]
-    assert advanced(crowd, 0, "forward", 0.5) == "2 of 3 get ahead"
-    assert advanced(crowd, 0, "forward", 0.8) == "1 of 3 gets ahead"
-    assert advanced(crowd, 0, "forward", 1.0) == "none of 3 get ahead"
-    # The light is behind the animals.
-    lit = crowd._replace(goal=np.array([-9.0, 1.0, 0.5]))
-    assert advanced(lit, 0, "forward", 0.5) == "none of 3 get ahead"
+def test_a_moving_camera_scales_the_picture_about_a_point():
+    """Two cameras with one line of sight, of which one is four times as far away."""
+    eye = np.array([[0.0, -4.0, 1.0]])
+    near = CameraPath(eye, np.zeros((1, 3)), 32.0)
+    far = CameraPath(4 * eye + [3.0, 0.0, 0.0], np.array([[3.0, 0.0, 0.0]]), 32.0)
+    path = between(near, far, np.array([0.0, 0.5, 1.0]))
+    away = np.linalg.norm(path.position - path.focus, axis=1)
+    np.testing.assert_allclose(away / away[0], [1.0, 2.0, 4.0])
+    fixed = np.array([-1.0, 0.0, 0.0])
+    seen = project(path, np.tile(fixed, (3, 1, 1)), 1.0)
+    np.testing.assert_allclose(seen, seen[:1].repeat(3, 0), atol=1e-9)
+
+
+def test_the_finish_is_the_last_line_that_the_champion_passes():
+    course = course_of(PANEL, 0.5, forward=True)
+    way = WALK.position[:, 0, 0] - WALK.position[0, 0, 0]
+    distance, instant = course.finish
+    assert distance / course.spacing == pytest.approx(round(distance / course.spacing))
+    assert distance <= way[WALK.time <= WALK.time[-1] - 0.75].max() < distance + course.spacing
+    assert np.interp(instant, WALK.time, way) >= distance
+    np.testing.assert_allclose(course.target, WALK.position[0, 0] + [distance, 0, 0])
+
+
+def test_a_light_is_the_goal_and_has_no_finish():
+    lit = PANEL._replace(recording=WALK._replace(goal=np.array([1.0, 1.0, 0.2])))
+    course = course_of(lit, 0.5, forward=False)
+    assert course.finish is None and course.bearing == pytest.approx(np.pi / 4, abs=0.05)
+    tank = tank_of(lit, course, [], 1.0, 16 / 9)
+    assert tank.near and tank.track is None
+    far = lit._replace(recording=WALK._replace(goal=np.array([90.0, 90.0, 0.2])))
+    tank = tank_of(far, course_of(far, 0.5, forward=False), [], 1.0, 16 / 9)
+    assert not tank.near and tank.track is not None
+
+
+@pytest.mark.parametrize("aspect", [16 / 9, 9 / 16])
+def test_no_lane_is_closer_to_the_next_than_the_animal_is_wide(aspect):
+    tank = tank_of(PANEL, course_of(PANEL, 0.5, forward=True), [], 1.0, aspect)
+    lanes = tank.staging(tank.others).lanes
+    corners = tank.course.corners
+    assert tank.others >= 4
+    assert np.diff(lanes[:, 1], prepend=0.0).min() > np.ptp(corners[:, 1])
+    # All animals are in the view, at their start.
+    every = (corners + np.concatenate([np.zeros((1, 3)), lanes])[:, None]).reshape(1, -1, 3)
+    wide = tank.wide
+    path = overview(wide.points, wide.bearing, wide.elevation, aspect)
+    assert np.abs(project(path, every, aspect)).max() < 1
+
+
+def test_animals_of_all_ranks_are_in_the_lanes():
+    crowd = beside(*range(9))
+    order = [4, 0, 7, 2, 8, 1, 6, 3, 5]
+    crowd.position[-1, :, :, 0] = crowd.position[0, :, :, 0] + 0.1 * np.array(order)[:, None]
+    first, others = in_lanes(crowd, 0, "forward", 4)
+    np.testing.assert_array_equal(first.position, crowd.position[:, 0])
+    # Of the eight others, the second, fourth, sixth and last by progress, in their own order.
+    far = (others.position[-1, :, 0, 0] - others.position[0, :, 0, 0]) / 0.1
+    np.testing.assert_allclose(far, [0, 7, 2, 5], atol=1e-5)
+
+
+def test_a_story_has_crowds_a_race_and_an_arrival():
+    crowds = [(number, beside(*range(5))) for number in (0, 2, 7)]
+    course = course_of(PANEL, 0.5, forward=True)
+    aim = "Its task: get as far as it can."
+    material = Material(PANEL, 20, "forward", aim, course, 1.0, 1.5, True, crowds, [])
+    story = story_of(material, None, 16 / 9)
+    assert sum(take.seconds for take in story.takes) == pytest.approx(15.0)
+    assert len(story.takes) == 5
+    texts = [words.text for words in story.words]
+    assert texts[:3] == [
+        "Nobody taught it to walk.",
+        aim,
+        "The first generation moves at random",
+    ]
+    assert "A race: the best after 0, 2, 7 and 20 generations" in texts
+    assert story.takes[3].panel.staging.names == ("20", "0", "2", "7")
+    # No word appears before the one at the same place has gone.
+    captions = [words for words in story.words if words.kind == "caption"]
+    assert all(one.end <= two.start for one, two in itertools.pairwise(captions))
+    assert captions[0].start >= story.words[0].end
+    # The loop begins with the title at full strength, before anything moves.
+    first = story.loop[0]
+    assert first.words[0].text == texts[0] and first.words[0].start < 0
+    assert first.first < 1.7 * FPS
 
 
 def test_only_a_swimmer_that_bends_sideways_is_seen_from_above():

@@ -1,0 +1,261 @@
+"""Lanes for the animals of a story, the views that show them, and the goal.
+
+All animals of a generation start at the same place and would hide each other. In the film, each has
+a lane of its own, and a light of its own if there is one. Only the drawing is moved.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.physics.contact_model import Ground
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.training.crowd_motion import CrowdMotion
+from evo_cpg.view.camera import Bodies, course, overview, project
+from evo_cpg.view.clip import sample
+from evo_cpg.view.look import STYLES
+from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing
+from evo_cpg.view.story import FPS, Overview
+from evo_cpg.view.terrain import heights
+
+# Number of lanes in a wide and in a tall picture. Least width of a lane, in lengths of the animal,
+# its width and its height. Distance of the borders from the outer animals, in lengths.
+_WIDE, _TALL, _LANE, _ROOMY, _HIGH, _NEARER = 7, 5, 0.75, 1.25, 2.8, 0.2
+# Number of other animals where there are no lanes.
+_PILED = 4
+# A goal is in the view of the lanes if it is at most this many lengths away. Otherwise the view
+# shows the champion's way in the time of a crowd, or at least this many lengths.
+_IN_VIEW, _LEAST = 5.0, 1.5
+# Borders of the view around the lanes, in lengths: behind the start, beyond a goal, at the sides
+# and, for swimmers, below and above.
+_BEHIND, _BEYOND, _BESIDE, _UPRIGHT = 0.25, 0.3, 0.45, 0.3
+# Elevation of the view of the lanes, rad: in water, and on land, where it shows a sky.
+_IN_WATER, _ON_LAND = np.radians(24.0), np.radians(12.0)
+# Least part of the picture's width for the animal next to its goal, in the view of the title. Room
+# ahead of the animal for an arrow, and behind it or its goal, in lengths.
+_SMALLEST, _AHEAD, _BACK = 0.15, 0.6, 0.2
+# Lengths behind the first animal of a race that its last view shows, before it, and around animals.
+_TRAILING, _BEFORE, _AROUND = 4.5, 1.4, 0.2
+# The finish stands on the last line that the champion passes this long before the end, s.
+_BEFORE_END = 0.75
+# The floor under swimmers lies this far below them, and at most so far below the start, in lengths.
+# Fraction of the bodies of a crowd that may be lower.
+_FLOOR, _DEEPEST, _STRAYS = 0.3, 1.2, 0.02
+# Lanes have the same height if the difference is below this part of their width.
+_LEVEL = 0.02
+
+
+class Course(NamedTuple):
+    """Way of the champion from the start to its goal.
+
+    Attributes:
+        start: place of the root at the start, m.
+        bearing: direction of the way from the x axis, rad.
+        ahead: the same as a level unit vector.
+        aside: level unit vector to its left.
+        corners: corners of the bodies at the start, m.
+        length: length of the animal, m.
+        lane: width of a lane, m. It is 0 on uneven ground, where nothing can be moved aside.
+        spacing: distance between the lines, m, or 0 without lines.
+        target: place of the light or of the finish, m, or None.
+        finish: distance of the finish from the start, m, and the instant at which the champion
+            passes it, s. None with a light, or without lines.
+    """
+
+    start: Float[np.ndarray, "3"]
+    bearing: float
+    ahead: Float[np.ndarray, "3"]
+    aside: Float[np.ndarray, "3"]
+    corners: Float[np.ndarray, "n 3"]
+    length: float
+    lane: float
+    spacing: float
+    target: Float[np.ndarray, "3"] | None
+    finish: tuple[float, float] | None
+
+
+class Tank(NamedTuple):
+    """Lanes side by side, and the views that show them.
+
+    Attributes:
+        course: way of the first animal.
+        others: number of animals beside the first one.
+        track: lines across the lanes, or None.
+        floor: height of the floor under swimmers, m, or None.
+        title: view of the first animal, and of its goal if it is near.
+        wide: view of all lanes.
+        near: whether this view shows the goal.
+    """
+
+    course: Course
+    others: int
+    track: Track | None
+    floor: float | None
+    title: Overview
+    wide: Overview
+    near: bool
+
+    @property
+    def goal(self) -> tuple[Float[np.ndarray, "3"], str] | None:
+        """Place of the finish, m, and its name, or None."""
+        course = self.course
+        if course.target is None or course.finish is None:
+            return None
+        return course.target, "finish"
+
+    def behind(self, first: Recording, others: CrowdMotion, time: float) -> Overview:
+        """Return a view of the first animal and those close behind it, at a time (s)."""
+        course, staging = self.course, self.staging(others.count)
+        own = first.position[np.abs(first.time - time).argmin()]
+        rest = others.position[np.abs(others.time - time).argmin()] + staging.lanes[:, None]
+        bodies = np.concatenate([own, rest.reshape(-1, 3)])
+        along = (bodies - course.start) @ course.ahead
+        front = along[: len(own)].max()
+        seen = bodies[along >= front - _TRAILING * course.length]
+        room = course.length * np.array([_BEFORE * course.ahead, -_AROUND * course.aside])
+        upright = [0.0, 0.0, _AROUND * course.length]
+        ahead = own[along[: len(own)].argmax()] + room[0]
+        points = [*seen, *(seen + upright), ahead, ahead + room[1]]
+        return self.wide._replace(points=np.array(points), follows=not self.near)
+
+    def staging(self, others: int) -> Staging:
+        """Return the arrangement of some animals beside the first one."""
+        course = self.course
+        lanes = course.lane * np.arange(1, others + 1)[:, None] * course.aside
+        return Staging(lanes, self.track, self.floor)
+
+
+def course_of(panel: Panel, length: float, forward: bool) -> Course:
+    """Return the way of a champion.
+
+    Args:
+        panel: the champion.
+        length: length of the animal, m.
+        forward: whether only displacement along x counts.
+    """
+    creature, recording = panel.creature, panel.recording
+    path, goal = recording.position[:, creature.root_index], recording.goal
+    lit, start = bool(np.isfinite(goal).all()), path[0]
+    bearing = course(path, goal, length / 20) if lit or not forward else 0.0
+    ahead = np.array([np.cos(bearing), np.sin(bearing), 0.0])
+    aside = np.array([-ahead[1], ahead[0], 0.0])
+    clip = sample(recording, FPS)
+    box = np.array([body.shape.half_extents for body in creature.bodies])
+    corners = Bodies(clip.position[:1], clip.rotation[:1], box).corners()[0]
+    across = (corners - start) @ aside
+    lane = max(_LANE * length, _ROOMY * np.ptp(across), _HIGH * np.ptp(corners[:, 2]))
+    way, spacing = (path - start) @ ahead, mark_spacing(length)
+    if panel.ground is not None and not _flat(panel.ground, start, ahead, aside, way.max(), lane):
+        lane, spacing = 0.0, 0.0
+    target, finish = goal if lit else None, None
+    if not lit and spacing:
+        passed = way[recording.time <= recording.time[-1] - _BEFORE_END].max(initial=0.0)
+        if passed >= spacing:
+            distance = float(np.floor(passed / spacing) * spacing)
+            finish = distance, float(recording.time[(way >= distance).argmax()])
+            target = start + distance * ahead
+    return Course(
+        start, bearing, ahead, aside, corners, length, float(lane), spacing, target, finish
+    )
+
+
+def tank_of(
+    panel: Panel, course: Course, crowds: Sequence[CrowdMotion], seconds: float, aspect: float
+) -> Tank:
+    """Return the lanes for a champion and its earlier generations.
+
+    Args:
+        panel: the champion.
+        course: its way.
+        crowds: the generations.
+        seconds: length of a crowd's motion, s.
+        aspect: width of the picture over its height.
+    """
+    start, ahead, corners = course.start, course.ahead, course.corners
+    length, lane, target, finish = course.length, course.lane, course.target, course.finish
+    recording, land = panel.recording, panel.ground is not None
+    count = _WIDE if aspect >= 1 else _TALL
+    path = recording.position[:, panel.creature.root_index]
+    early = recording.time <= recording.time[0] + seconds
+    shown = max(float(((path[early] - start) @ ahead).max()), _LEAST * length)
+    away = np.inf if target is None else float((target - start) @ ahead)
+    near = target is not None and away <= _IN_VIEW * length
+    end = away + _BEYOND * length if near else shown + _AHEAD * length
+    along = (corners - start) @ ahead
+    low, high = corners[:, 2].min(), corners[:, 2].max()
+    if not land:
+        low, high = low - _UPRIGHT * length, high + _UPRIGHT * length
+    rise = target[2] - start[2] if target is not None and near and finish is None else 0.0
+    points = [
+        [*(start + to_end * ahead + to_left * course.aside)[:2], height]
+        for to_end, up in ((along.min() - _BEHIND * length, 0.0), (end, rise))
+        for to_left in (-_BESIDE * length, _BESIDE * length + lane * (count - 1))
+        for height in (low + up, high + up)
+    ]
+    wide = Overview(np.array(points), course.bearing, _ON_LAND if land else _IN_WATER)
+    look = STYLES[panel.world]
+    tail = start + (along.min() - _BACK * length) * ahead
+    before = start + (along.max() + _AHEAD * length) * ahead
+    title = wide._replace(elevation=look.side_elevation, titled=True)
+    both = [*corners, tail, before if target is None else target + _BACK * length * ahead]
+    seen = overview(np.array(both), course.bearing, title.elevation, aspect, titled=True)
+    if np.ptp(project(seen, corners[None], aspect)[0, :, 0]) / 2 < _SMALLEST:
+        both = [*corners, tail, before]
+    title = title._replace(points=np.array(both))
+    track = None
+    # Near lights are the only goal. Otherwise lines show how far the animals come.
+    if course.spacing and not (near and finish is None):
+        lines = int(np.ceil((finish[0] if finish else end) / course.spacing))
+        # On the viewer's side, captions are below.
+        sides = _NEARER * length, lane * (count - 1) + _NEARER * length
+        place = None if finish is None else finish[0]
+        track = Track(start, course.bearing, course.spacing, lines, *sides, place)
+    floor = None
+    if not land:
+        depths = [recording.position[..., 2].min()]
+        depths += [target[2]] if target is not None else []
+        depths += [float(np.quantile(crowd.position[..., 2], _STRAYS)) for crowd in crowds]
+        floor = max(min(depths), start[2] - _DEEPEST * length)
+        floor -= animal_reach(panel.creature) + _FLOOR * length
+    return Tank(course, count - 1 if lane else _PILED, track, floor, title, wide, near)
+
+
+def in_lanes(
+    crowd: CrowdMotion, root: int, heading: str, count: int
+) -> tuple[Recording, CrowdMotion]:
+    """Return the first animal of a crowd, and the animals of the other lanes.
+
+    The others are those at even ranks of progress, so that they show the whole crowd as it is. The
+    first animals of a population would not, because these are the elites.
+
+    Args:
+        crowd: the animals, the best first.
+        root: number of the root body.
+        heading: ``forward`` if only displacement along x counts.
+        count: number of other animals.
+    """
+    ranked = 1 + np.argsort(-crowd.advance(root, heading)[1:])
+    count = min(count, len(ranked))
+    chosen = ranked[((np.arange(count) + 0.5) / max(count, 1) * len(ranked)).astype(int)]
+    # Neighbours differ, as in the population.
+    return crowd.recording(0, root), crowd.of(np.sort(chosen))
+
+
+def _flat(
+    ground: Ground,
+    start: Float[np.ndarray, "3"],
+    ahead: Float[np.ndarray, "3"],
+    aside: Float[np.ndarray, "3"],
+    far: float,
+    lane: float,
+) -> bool:
+    """Return whether ground has no obstacles, and the same height in all lanes up to a distance."""
+    if ground.obstacles:
+        return False
+    if ground.level is not None:
+        return True
+    along, across = np.linspace(0.0, far, 12), lane * np.arange(_WIDE)
+    place = start + along[:, None, None] * ahead + across[:, None] * aside
+    return bool(np.ptp(heights(ground.floor, place[..., :2]), axis=1).max() <= _LEVEL * lane)
