@@ -104,7 +104,7 @@ def _add_animal(glb: Glb, root: Node, creature: Creature, recording: Recording) 
             glb.node(name, node, mesh=mesh)
     covered = skins(creature)
     if covered:
-        _add_skins(glb, creature, recording, covered, add)
+        _add_skins(glb, creature, recording, covered, times, add)
 
 
 def _add_skins(
@@ -112,6 +112,7 @@ def _add_skins(
     creature: Creature,
     recording: Recording,
     covered: Sequence[Skin],
+    times: int,
     add: Callable[[int, str], Node],
 ) -> None:
     """Add skins with bones of their own, so that the bodies stay ordinary nodes."""
@@ -142,8 +143,10 @@ def _add_skins(
             joints=np.searchsorted(used, skin.bodies),
             weights=skin.weights,
         )
-        # Bones move the skin, and no node above it.
-        glb.node(own, mesh=mesh, skin=bound)
+        # Only bones move a skin. three.js draws it as long as the place of its node is in view.
+        node = glb.node(own, mesh=mesh, skin=bound)
+        moved = (recording.position[:, start] - recording.position[0, start]) @ upright.T
+        glb.animate(node, "translation", times, moved)
 
 
 def _add_camera(glb: Glb, root: Node, name: str, scene: Scene) -> None:

@@ -25,6 +25,8 @@ _SWEEP = 0.9
 # A fin is a fan if what carries it has at most this fraction of its width. Depth of the notch in
 # the rear edge of a fan, relative to its length.
 _FAN, _NOTCH = 0.6, 0.4
+# Thickness of an edge without an end, relative to the plate.
+_FLAT = 1e-3
 # Points along and across a fin.
 _ALONG, _ACROSS = 13, 15
 
@@ -87,9 +89,10 @@ class Fin(NamedTuple):
                     sign * np.stack([bulge[row], -bulge[row]]),
                 ),
                 np.arange(2 * _ACROSS).reshape(2, _ACROSS),
+                sign * self.axes[0],
             )
             for row, sign in ((0, -1), (-1, 1))
-            if bulge[row].max() > 0
+            if bulge[row].max() > _FLAT
         ]
         return cast(pv.PolyData, pv.merge([*sides, *ends], merge_points=False))
 
@@ -188,13 +191,16 @@ def _is_foot(plate: _Plate, centre: np.ndarray, turn: np.ndarray, lowest: float)
     return bool(level and centre[2] - plate.half[2] <= lowest + 2 * plate.half[2])
 
 
-def _sheet(points: np.ndarray, grid: np.ndarray) -> pv.PolyData:
-    """Return a smooth surface over a grid of points."""
+def _sheet(points: np.ndarray, grid: np.ndarray, normal: np.ndarray | None = None) -> pv.PolyData:
+    """Return a smooth surface over a grid of points, or a flat one with a normal."""
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
     faces = np.concatenate(
         [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
     )
     sheet = pv.PolyData.from_regular_faces(points, faces)
+    if normal is not None:
+        sheet.point_data.active_normals = np.tile(normal, (len(points), 1)).astype(np.float32)
+        return sheet
     smooth = sheet.compute_normals(
         cell_normals=False, split_vertices=False, consistent_normals=False
     )

@@ -172,9 +172,9 @@ def test_html_in_the_files_of_a_run_is_escaped(cli, swimmer, tmp_path):
     assert complaint == f"evo-cpg: warning: {run}: {CHANGED}\n" and CHANGED in page
     assert "window.broken" in page
     assert evil not in page and "<img src=x" not in page
-    # Two scripts that run, and one with the data.
-    assert len(re.findall("<script", page)) == 3
-    assert "another champion" in page
+    # Three scripts that run, and one with the data.
+    assert len(re.findall("<script", page)) == 4
+    assert "belongs to another champion" in page
     if chromium.found():
         with chromium.browser(tmp_path / "profile") as tab:
             tab.open(run / "analysis.html")
@@ -213,7 +213,7 @@ def test_the_page_shows_the_audit(cli, swimmer, tmp_path):
     code, _, complaint = cli("analyse", run)
     assert code == 0, complaint
     page = page_of(run)
-    assert "does not pass" in page and "another champion" not in page
+    assert "does not pass" in page and "belongs to another champion" not in page
     rows = rows_of(page, "audit")
     assert rows["way kept"][:2] == ["30 %", "at least 90 %"]
     assert rows["speed"][0] == "diverged"

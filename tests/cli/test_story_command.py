@@ -1,5 +1,7 @@
 """`evo-cpg render --story`: a film, a loop, and populations that are made anew."""
 
+import json
+import re
 import shutil
 import subprocess
 
@@ -89,6 +91,24 @@ def test_a_crowd_is_filmed(cli, run, tmp_path):
     code, out, err = cli("render", run, "--crowd", 3, *size, "-o", place)
     assert (code, out, err) == (0, f"{place}\n", "")
     code, _, err = cli("render", run, "--crowd", 7, *size, "-o", place)
+    assert (code, err) == (
+        2,
+        f"evo-cpg: --crowd: {run} has 6 generations. The next one is 6\n",
+    )
+
+
+@pytest.mark.slow
+def test_a_crowd_is_on_the_page_of_its_run(cli, run, tmp_path):
+    place = tmp_path / "a.html"
+    code, _, err = cli("analyse", run, "--crowd", 3, "-o", place)
+    assert code == 0, err
+    page = place.read_text(encoding="utf-8")
+    data = re.search(r'id="crowd">(.*?)</script>', page)
+    assert data is not None
+    crowd = json.loads(data[1])["crowd"]
+    title = f"Generation 3: {crowd['count'] + 1} animals"
+    assert f'data-scene="crowd">{title}</button>' in page
+    code, _, err = cli("analyse", run, "--crowd", 7, "-o", tmp_path / "b.html")
     assert (code, err) == (
         2,
         f"evo-cpg: --crowd: {run} has 6 generations. The next one is 6\n",

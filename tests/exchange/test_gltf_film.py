@@ -306,4 +306,6 @@ def test_the_khronos_validator_finds_no_issues(scene, tmp_path):
     command = [node, "-e", _VALIDATE, str(tmp_path / "scene.glb")]
     done = subprocess.run(command, check=True, text=True, **place)
     issues = json.loads(done.stdout)
-    assert issues["messages"] == [] and issues["numErrors"] == 0
+    # The node of a skin moves only so that three.js finds it in view.
+    codes = {message["code"] for message in issues["messages"]}
+    assert codes <= {"ANIMATION_CHANNEL_TARGET_NODE_SKIN"} and issues["numErrors"] == 0

@@ -89,6 +89,8 @@ def test_fins_are_closed_and_stay_within_their_plates(name):
     for i, fin in found.items():
         mesh = fin.mesh()
         assert outwards(mesh)
+        normals = np.asarray(mesh.point_data["Normals"])
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-5)
         beyond = np.abs(mesh.points) / np.asarray(animal.bodies[i].shape.half_extents)
         # It is as long as the plate, and nowhere larger.
         np.testing.assert_allclose(beyond.max(), 1, atol=1e-6)
