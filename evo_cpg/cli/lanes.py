@@ -27,7 +27,7 @@ _WIDE, _TALL, _LANE, _NARROW, _ROOMY, _HIGH, _NEARER = 7, 4, 0.75, 0.5, 1.25, 2.
 # Number of other animals where there are no lanes.
 _PILED = 4
 # A goal is in the view of the lanes if it is at most this many lengths away. Otherwise the view
-# shows the champion's way in the time of a crowd, or at least this many lengths.
+# shows the path of the champion in the time of a crowd, or at least this many lengths.
 _IN_VIEW, _LEAST = 5.0, 1.5
 # Borders of the view around the lanes, in lengths: behind the start, beyond a goal, at the sides
 # and, for swimmers, below and above.
@@ -43,7 +43,7 @@ _TRAILING, _BEFORE, _AROUND = 4.5, 1.4, 0.2
 _BEFORE_END = 0.75
 # The floor under swimmers lies this far below them, and at most so far below the start, in lengths.
 # Fraction of the bodies of a crowd that may be lower.
-_FLOOR, _DEEPEST, _STRAYS = 0.3, 1.2, 0.02
+_FLOOR, _DEEPEST, _BELOW = 0.3, 1.2, 0.02
 # Lanes have the same height if the difference is below this part of their width.
 _LEVEL = 0.02
 
@@ -53,7 +53,7 @@ class Course(NamedTuple):
 
     Attributes:
         start: place of the root at the start, m.
-        bearing: direction of the way from the x axis, rad.
+        bearing: direction of the course from the x axis, rad.
         ahead: the same as a level unit vector.
         aside: level unit vector to its left.
         corners: corners of the bodies at the start, m.
@@ -83,7 +83,7 @@ class Tank(NamedTuple):
     """Lanes side by side, and the views that show them.
 
     Attributes:
-        course: way of the first animal.
+        course: path of the first animal.
         lane: width of a lane, m.
         others: number of animals beside the first one.
         track: lines across the lanes, or None.
@@ -132,7 +132,7 @@ class Tank(NamedTuple):
 
 
 def course_of(panel: Panel, length: float, forward: bool) -> Course:
-    """Return the way of a champion.
+    """Return the course of a champion.
 
     Args:
         panel: the champion.
@@ -151,15 +151,17 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
     across = (corners - start) @ aside
     lane = max(_LANE * length, _ROOMY * np.ptp(across), _HIGH * np.ptp(corners[:, 2]))
     narrow = max(_NARROW * length, _ROOMY * np.ptp(across))
-    way, spacing = (path - start) @ ahead, mark_spacing(length)
-    if panel.ground is not None and not _flat(panel.ground, start, ahead, aside, way.max(), lane):
+    progress, spacing = (path - start) @ ahead, mark_spacing(length)
+    if panel.ground is not None and not _flat(
+        panel.ground, start, ahead, aside, progress.max(), lane
+    ):
         lane, narrow, spacing = 0.0, 0.0, 0.0
     target, finish = goal if lit else None, None
     if not lit and spacing:
-        passed = way[recording.time <= recording.time[-1] - _BEFORE_END].max(initial=0.0)
+        passed = progress[recording.time <= recording.time[-1] - _BEFORE_END].max(initial=0.0)
         if passed >= spacing:
             distance = float(np.floor(passed / spacing) * spacing)
-            finish = distance, float(recording.time[(way >= distance).argmax()])
+            finish = distance, float(recording.time[(progress >= distance).argmax()])
             target = start + distance * ahead
     return Course(
         start,
@@ -183,7 +185,7 @@ def tank_of(
 
     Args:
         panel: the champion.
-        course: its way.
+        course: its course.
         crowds: the generations.
         seconds: length of a crowd's motion, s.
         aspect: width of the picture over its height.
@@ -242,7 +244,7 @@ def _floor(panel: Panel, course: Course, crowds: Sequence[CrowdMotion]) -> float
     """Return the height of a floor below the champion, its goal and most of the crowds, m."""
     depths = [panel.recording.position[..., 2].min()]
     depths += [course.target[2]] if course.target is not None else []
-    depths += [np.quantile(crowd.position[..., 2], _STRAYS) for crowd in crowds]
+    depths += [np.quantile(crowd.position[..., 2], _BELOW) for crowd in crowds]
     lowest = max(min(depths), course.start[2] - _DEEPEST * course.length)
     return float(lowest - animal_reach(panel.creature) - _FLOOR * course.length)
 

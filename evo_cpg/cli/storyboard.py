@@ -265,13 +265,15 @@ def _best_until(opened: OpenedChampion, generations: list[int]) -> dict[int, Cha
     }
 
 
-def _earlier(opened: OpenedChampion, trial: int, wanted: list[int]) -> list[tuple[int, Recording]]:
+def _earlier(
+    opened: OpenedChampion, trial: int, generations: list[int]
+) -> list[tuple[int, Recording]]:
     """Return the motion of earlier champions, or nothing if none is known or can be replayed."""
     try:
         opened.require_configured()
     except RunFolderError:
         return []
-    found = _best_until(opened, wanted)
+    found = _best_until(opened, generations)
     with working("replaying earlier champions"):
         replays = opened.replay([*found.values()], trial) if found else []
     return [(number, each.recording) for number, each in zip(found, replays, strict=True)]

@@ -275,7 +275,7 @@ def story_film(
     """
     check_size(size)
     make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
-    frames, looks = make(), [look_of(take) for take in takes]
+    frames, settings = make(), [look_of(take) for take in takes]
     ends = np.cumsum([take.seconds for take in takes])
     with (
         drawn_frames(frames, make, drawing_processes(frames.count, processes)) as drawn,
@@ -287,7 +287,7 @@ def story_film(
             # A picture from another process cannot be changed.
             frame = bare if bare.flags.writeable else bare.copy()
             with lettering(frame) as draw:
-                look = looks[min(int((ends <= number / FPS).sum()), len(looks) - 1)]
+                look = settings[min(int((ends <= number / FPS).sum()), len(settings) - 1)]
                 for each in words:
                     written(draw, each, number / FPS, look, frames.rendered)
             write(frame)

@@ -169,12 +169,12 @@ def test_a_moving_camera_scales_the_picture_about_a_point():
 
 def test_the_finish_is_the_last_line_that_the_champion_passes():
     course = course_of(PANEL, 0.5, forward=True)
-    way = WALK.position[:, 0, 0] - WALK.position[0, 0, 0]
+    progress = WALK.position[:, 0, 0] - WALK.position[0, 0, 0]
     assert course.finish is not None and course.target is not None
     distance, instant = course.finish
     assert distance / course.spacing == pytest.approx(round(distance / course.spacing))
-    assert distance <= way[WALK.time <= WALK.time[-1] - 0.75].max() < distance + course.spacing
-    assert np.interp(instant, WALK.time, way) >= distance
+    assert distance <= progress[WALK.time <= WALK.time[-1] - 0.75].max() < distance + course.spacing
+    assert np.interp(instant, WALK.time, progress) >= distance
     np.testing.assert_allclose(course.target, WALK.position[0, 0] + [distance, 0, 0])
 
 
