@@ -2,8 +2,8 @@
 
     python docs/tools/animal_pages.py RUN...
 
-takes the champion of each run, which `evo-cpg train` and `evo-cpg analyse` made from a shipped
-configuration without changes. It writes three files into `docs/animals`:
+takes the champion of each run, which `evo-cpg train` or `evo-cpg reproduce`, and `evo-cpg analyse`,
+made from a shipped configuration. Only its number of runs and its name may differ. It writes three files into `docs/animals`:
 
 - `NAME.json`: the numbers of the champion.
 - `NAME.jpg`: a picture.
@@ -61,9 +61,9 @@ def collect(run: Path) -> str:
 
     opened = open_run(run).load_champion()
     experiment, champion, meta = opened.experiment, opened.champion, opened.folder.read_meta()
-    name = experiment.name
     digest = _digest(opened.config)
-    if name not in shipped_names() or opened.recording is None or digest != config_digest(name):
+    name = next((each for each in shipped_names() if config_digest(each) == digest), None)
+    if name is None or opened.recording is None:
         raise ValueError(f"{run}: not the champion of a shipped configuration as it is now")
     panel = panel_of(experiment, opened.recording, "")
     ANIMALS.mkdir(exist_ok=True)
@@ -118,7 +118,7 @@ def _write_scene(name: str, scene: dict[str, Any]) -> None:
 
 
 def config_digest(name: str) -> str:
-    """Return the digest of all values of a shipped configuration."""
+    """Return the digest of a shipped configuration."""
     from evo_cpg.config.load import load_config
     from evo_cpg.config.shipped import shipped
 
@@ -126,9 +126,13 @@ def config_digest(name: str) -> str:
 
 
 def _digest(config: Any) -> str:
+    """Return the digest of all values of a configuration but its name and its number of runs."""
     from evo_cpg.config.fingerprint import fingerprint
 
-    values = json.dumps(fingerprint(config)["config"], sort_keys=True)
+    parts = fingerprint(config)["config"]
+    values = json.dumps(
+        {key: parts[key] for key in parts.keys() - {"name", "runs"}}, sort_keys=True
+    )
     return hashlib.sha256(values.encode()).hexdigest()
 
 
