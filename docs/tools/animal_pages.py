@@ -3,7 +3,8 @@
     python docs/tools/animal_pages.py RUN...
 
 takes the champion of each run, which `evo-cpg train` or `evo-cpg reproduce`, and `evo-cpg analyse`,
-made from a shipped configuration. Only its number of runs and its name may differ. It writes three files into `docs/animals`:
+made from a shipped configuration. Only its number of runs and its name may differ. It writes three
+files into `docs/animals`:
 
 - `NAME.json`: the numbers of the champion.
 - `NAME.jpg`: a picture.
