@@ -75,7 +75,14 @@ def test_masses_and_inertias_equal_mujocos(compiled, number):
         np.testing.assert_allclose(inertia, expected, atol=1e-12 * expected.max())
 
 
-@pytest.mark.parametrize(("number", "kind"), list(zip(range(6), 2 * list(MOTORS), strict=True)))
+# Each kind of motor drives one structure in the fast tests.
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [
+        pytest.param(number, kind, marks=[] if number in (0, 2, 4) else pytest.mark.slow)
+        for number, kind in zip(range(6), 2 * list(MOTORS), strict=True)
+    ],
+)
 def test_accelerations_equal_mujocos(compiled, number, kind):
     """Gravity, buoyancy, springs, rotors, motors at and below their limits, torques: 1e-9.
 
@@ -142,7 +149,7 @@ def unlike_axes(number: int) -> Creature:
     return dataclasses.replace(creature, bodies=tuple(bodies))
 
 
-@pytest.mark.parametrize("number", [1, 3])
+@pytest.mark.parametrize("number", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_axes_with_values_of_their_own_accelerate_as_in_mujoco(compiled, number):
     """Springs with rest angles, dampers, rotors and motors, each of one axis: 1e-9."""
     creature = unlike_axes(number)

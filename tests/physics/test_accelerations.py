@@ -90,7 +90,14 @@ def relative_errors(number: int, dtype, stiffer: float = 1.0) -> list[float]:
     return errors
 
 
-@pytest.mark.parametrize("number", range(len(STRUCTURES)))
+# The fast tests compare the smallest structure, the chain and the mixture with most bodies.
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(number, marks=[] if number in (0, 3, 5) else pytest.mark.slow)
+        for number in range(len(STRUCTURES))
+    ],
+)
 def test_random_trees_accelerate_as_in_mujoco(number):
     """Compare 54 trees with all shapes, joints of 1 to 3 axes, springs, dampers and rotors.
 
@@ -99,7 +106,7 @@ def test_random_trees_accelerate_as_in_mujoco(number):
     assert max(relative_errors(number, jnp.float64)) < 1e-9
 
 
-@pytest.mark.parametrize("number", [1, 3])
+@pytest.mark.parametrize("number", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_float32_keeps_four_digits(number):
     """In float32 the tolerance is 2e-4 of the largest acceleration.
 

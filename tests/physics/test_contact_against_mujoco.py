@@ -70,7 +70,7 @@ def block(size, friction):
     return Creature("block", (Body("block", Box(size), material),))
 
 
-@pytest.mark.parametrize("friction", [0.2, 0.5])
+@pytest.mark.parametrize("friction", [0.2, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_a_block_slides_as_far_as_in_mujoco(x64, friction):
     """The distance is v^2 / (2 mu g) within 1 %, and MuJoCo's within 2 %."""
     ground = Ground(0.0, friction, friction)

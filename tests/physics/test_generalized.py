@@ -22,7 +22,15 @@ from evo_cpg.physics.world import World
 GRAVITY = 9.81
 
 
-@pytest.fixture(scope="module", params=STRUCTURES[1::2], ids=str)
+@pytest.fixture(
+    scope="module",
+    params=[
+        STRUCTURES[1],
+        pytest.param(STRUCTURES[3], marks=pytest.mark.slow),
+        STRUCTURES[5],
+    ],
+    ids=str,
+)
 def found(request):
     """Return a tree and its tested quantities at a random state, under random loads."""
     with jax.enable_x64(True):
