@@ -84,11 +84,18 @@ def forces(world: World, velocity: np.ndarray) -> dict[str, list[np.ndarray]]:
     return jax.tree.map(np.asarray, every(velocity))
 
 
-@pytest.mark.parametrize(("name", "surface"), [("box", 0.0), ("capsule", None), ("ellipsoid", 0.0)])
+@pytest.mark.parametrize(
+    ("name", "surface"),
+    [
+        ("box", 0.0),
+        ("capsule", None),
+        pytest.param("ellipsoid", 0.0, marks=pytest.mark.slow),
+    ],
+)
 def test_bodies_without_size_have_no_force(name, surface, x64):
     """The last body of a chain and a fin vanish: the others move as if the two did not exist."""
-    part = world(creature(SHAPES[name], (1, 1, 1, 1, 0), fin=0), surface)
-    less = world(creature(SHAPES[name], (1, 1, 1, 1), fin=None), surface)
+    part = world(creature(SHAPES[name], (1, 1, 1, 0), fin=0), surface)
+    less = world(creature(SHAPES[name], (1, 1, 1), fin=None), surface)
     kept = [part.tree.names.index(body) for body in less.tree.names]
     gone = [i for i in range(part.tree.body_count) if i not in kept]
     velocity = np.random.default_rng(1).normal(size=(6, part.tree.body_count, SAMPLES))

@@ -16,7 +16,7 @@ from on_ground import alone, released
     ("shape", "h"),
     [
         (Capsule(0.03, 0.3), 1 / 240),
-        (Ellipsoid((0.15, 0.06, 0.03)), 1 / 240),
+        pytest.param(Ellipsoid((0.15, 0.06, 0.03)), 1 / 240, marks=pytest.mark.slow),
         (Box((0.3, 0.12, 0.06)), 1 / 240),
         (Capsule(0.03, 0.3), 1 / 60),
     ],
