@@ -1,6 +1,7 @@
 """Rhythm or rest of many networks, against SciPy's integration of eqs. 4-6."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -102,12 +103,18 @@ def test_a_pair_outside_the_bounds_rests(weight, gain):
     assert is_what_simulation_shows(chain(pair_weight=weight), gain) == "rest"
 
 
+@functools.cache
+def unscaled(constants):
+    """Return the rhythm of a pair at unit drive and time scale."""
+    return found(chain(pair_weight=12.0, constants=constants), 20.0)
+
+
 @pytest.mark.parametrize("constants", ["swapped", "as_printed"])
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("drive", [1e-30, 1.0, 1e30])
 def test_drive_and_time_scale_only_scale_the_rhythm(constants, scale, drive):
     """The period scales with the time scale, and the amplitude with the drive, to rounding."""
-    plain = found(chain(pair_weight=12.0, constants=constants), 20.0)
+    plain = unscaled(constants)
     settings = {"time_scale": scale, "max_tonic_input": drive}
     cycle = found(chain(pair_weight=12.0, constants=constants, **settings), 20.0, drive)
     assert cycle.period == pytest.approx(scale * plain.period, rel=1e-9)

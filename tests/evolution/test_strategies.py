@@ -171,10 +171,10 @@ def test_a_state_survives_conversion_to_arrays(name):
     like = jax.eval_shape(lambda: state)
     again = jax.tree.map(jnp.asarray, state_from(arrays, like))
     last = jnp.asarray(populations[-1])
-    worth, tell = sphere(last), jax.jit(strategy.tell)
+    worth, (_, step) = sphere(last), programs(strategy)
     for one, other in zip(
-        jax.tree.leaves(tell(jax.random.key(1), state, last, worth)),
-        jax.tree.leaves(tell(jax.random.key(1), again, last, worth)),
+        jax.tree.leaves(step(jax.random.key(1), 7, last, state, worth)),
+        jax.tree.leaves(step(jax.random.key(1), 7, last, again, worth)),
         strict=True,
     ):
         np.testing.assert_array_equal(one, other)
@@ -260,12 +260,16 @@ def genes_after_migration(genes):
             return genes
 
     islands = Islands(12, Echo(4), 3, every=2, migrants=2)
-    _, state = islands.ask(jax.random.key(0), islands.init(jax.random.key(0), genes))
-    for _ in range(2):
-        worth = Evaluation(genes[0], {}, {}, genes)
-        after = islands.tell(jax.random.key(0), state, genes, worth)
-        genes, state = islands.ask(jax.random.key(0), after)
-    return np.asarray(genes[0])
+
+    @jax.jit
+    def two_generations(key, genes):
+        _, state = islands.ask(key, islands.init(key, genes))
+        for _ in range(2):
+            worth = Evaluation(genes[0], {}, {}, genes)
+            genes, state = islands.ask(key, islands.tell(key, state, genes, worth))
+        return genes[0]
+
+    return np.asarray(two_generations(jax.random.key(0), genes))
 
 
 def test_the_best_of_an_island_replace_the_worst_of_the_next():
@@ -438,7 +442,7 @@ def test_unknown_parameters_of_evosax_are_refused():
 
 @pytest.mark.parametrize("name", [*NAMES, "bits"])
 def test_a_population_around_an_individual_keeps_it(name):
-    strategy = BitGenetics(SIZE, mutated_genes=(2, 3)) if name == "bits" else STRATEGIES[name]()
+    strategy = BitGenetics(SIZE, mutated_genes=(2, 3)) if name == "bits" else made(name)
     one = jnp.tile(jnp.array([1.0, 0, 1, 1, 0, 1]), genes_of(name) // GENES)
     around = jax.jit(strategy.around)(jax.random.key(0), jnp.tile(one[:, None], (1, SIZE)))
     assert around.shape == (len(one), SIZE)
