@@ -146,8 +146,11 @@ def test_the_page_is_small_and_requests_nothing_from_the_network(animal, request
     assert "default-src 'none'" in html.unescape(page)
 
 
-def test_html_in_the_files_of_a_run_is_escaped(cli, swimmer, tmp_path):
-    """The HTML is in the name, the notes of the run, an audit and the configuration."""
+def test_html_of_a_run_is_escaped_in_a_named_page(cli, swimmer, tmp_path):
+    """The HTML is in the name, the notes of the run, an audit and the configuration.
+
+    The page replaces the file that `--out` names.
+    """
     run = tmp_path / "run"
     shutil.copytree(swimmer, run)
     evil = "</script><script>window.broken=1</script><img src=x onerror=window.broken=1>"
@@ -160,14 +163,19 @@ def test_html_in_the_files_of_a_run_is_escaped(cli, swimmer, tmp_path):
     check = {"question": evil, "measured": 1.0, "limit": None, "unit": evil, "passed": True}
     audit = {"passed": True, "reasons": [evil], "checks": [check], "made": evil, "fitness": evil}
     (run / "audit.json").write_text(json.dumps(audit))
-    code, _, complaint = cli("analyse", run)
+    out = tmp_path / "there.html"
+    out.write_text("mine")
+    command = "analyse", run, "--out", "there.html", "--overwrite"
+    code, told, complaint = cli(*command, folder=tmp_path)
     if code == 2:
         # Such a name is refused before the page is written.
         assert "name" in complaint
         (run / "config.yaml").write_text(f"# {evil}\n" + (swimmer / "config.yaml").read_text())
-        code, _, complaint = cli("analyse", run)
+        code, told, complaint = cli(*command, folder=tmp_path)
     assert code == 0, complaint
-    page = page_of(run)
+    assert told.splitlines()[-2:] == ["there.json", "there.html"]
+    page = out.read_text()
+    assert "<canvas" in page
     # The file of the configuration has another digest.
     assert complaint == f"evo-cpg: warning: {run}: {CHANGED}\n" and CHANGED in page
     assert "window.broken" in page
@@ -177,7 +185,7 @@ def test_html_in_the_files_of_a_run_is_escaped(cli, swimmer, tmp_path):
     assert "belongs to another champion" in page
     if chromium.found():
         with chromium.browser(tmp_path / "profile") as tab:
-            tab.open(run / "analysis.html")
+            tab.open(out)
             assert tab.run("window.broken === undefined")
             assert not tab.complaints
 
@@ -313,16 +321,6 @@ def test_numbers_in_json_python_and_terminal_agree(swimmer):
 def test_a_folder_without_a_run_is_refused(cli, tmp_path):
     code, _, complaint = cli("analyse", tmp_path)
     assert code == 2 and "is not a run folder" in complaint
-
-
-def test_out_names_the_page(cli, swimmer, tmp_path):
-    (tmp_path / "there.html").write_text("mine")
-    code, out, complaint = cli(
-        "analyse", swimmer, "--out", "there.html", "--overwrite", folder=tmp_path
-    )
-    assert code == 0, complaint
-    assert out.splitlines()[-2:] == ["there.json", "there.html"]
-    assert "<canvas" in (tmp_path / "there.html").read_text()
 
 
 @browsing

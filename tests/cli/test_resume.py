@@ -1,7 +1,7 @@
 """A run that was stopped and resumed equals an uninterrupted run, bit for bit.
 
-The stopped run is a process. One test resumes the run in another process. The other tests resume in
-this process, which compiles once for all of them.
+The stopped run and the uninterrupted run are processes. The tests resume in this process, which
+compiles once for all of them.
 """
 
 import csv
@@ -82,7 +82,7 @@ def test_an_interrupted_run_continues_to_the_same_bits(finished_run, start, cli,
     assert_same_run(folder, finished_run)
 
 
-def test_a_killed_run_continues_to_the_same_bits(finished_run, start, finish, tmp_path):
+def test_a_killed_run_continues_to_the_same_bits(finished_run, start, cli, tmp_path):
     folder = tmp_path / "run"
     code, _ = stop(start, folder, signal.SIGKILL)
     assert code == -signal.SIGKILL
@@ -90,7 +90,7 @@ def test_a_killed_run_continues_to_the_same_bits(finished_run, start, finish, tm
     newest = max((folder / "checkpoints").iterdir())
     newest.write_bytes(newest.read_bytes()[:100])
     (folder / ".metrics.csv.x").write_text("generation,")
-    code, _, err = finish("resume", folder)
+    code, _, err = cli("resume", folder)
     assert code == 0, err
     assert_same_run(folder, finished_run)
 
