@@ -74,13 +74,11 @@ def machine(engine) -> str:
     return ", ".join([here["processor"], f"flags {able}", code, *versions, *xla_flags.quick()])
 
 
-def _slow(kind: str):
-    return pytest.param(
-        kind, marks=[pytest.mark.slow] if "walkers" in kind or "learns" in kind else []
-    )
-
-
-EACH_KIND = pytest.mark.parametrize("kind", [_slow(kind) for kind in KINDS])
+# The fast tests run one kind, which has all parts of the first and noise.
+EACH_KIND = pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=[] if "with noise" in kind else pytest.mark.slow) for kind in KINDS],
+)
 
 
 @pytest.fixture(scope="module")
