@@ -104,11 +104,11 @@ class Tank(NamedTuple):
 
     @property
     def goal(self) -> tuple[Float[np.ndarray, "3"], str] | None:
-        """Place of the finish, m, and its name, or None."""
+        """Place of the last line that the champion passes, m, and its name, or None."""
         course = self.course
         if course.target is None or course.finish is None:
             return None
-        return course.target, "finish"
+        return course.target, f"{course.finish[0]:g} m"
 
     def behind(self, first: Recording, others: CrowdMotion, time: float) -> Overview:
         """Return a view of the first animal and those close behind it, at a time (s)."""

@@ -114,7 +114,7 @@ def material_of(run: Path, which: Which) -> Material:
     if not crowds:
         earlier = _earlier(opened, which.trial, chosen)
     random = opened.folder.load_start() is None
-    told = opened.champion.generation, task.heading, _aim(opened, recording)
+    told = opened.champion.generation, task.heading, _aim(opened, recording, course)
     return Material(panel, *told, course, speed, race, random, crowds, earlier)
 
 
@@ -182,7 +182,7 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
     if (ending := _ending(panel, course, start, seconds)) is not None:
         ends.insert(-1, _WHOLE - seconds + ending[0])
         captions.append(ending[1])
-    words = [Words(title or _title(panel.world, panel.ground is not None), "title", -1.0, _TITLE)]
+    words = [Words(title or _title(material), "title", -1.0, _TITLE)]
     if material.aim:
         words.append(Words(material.aim, "subtitle", -1.0, _TITLE))
     # One caption has gone when the next one appears. The last one stays.
@@ -332,7 +332,7 @@ def _ending(panel: Panel, course: Course, start: float, seconds: float) -> tuple
     """Return the time in the champion's take at which it is at its goal, s, and a sentence."""
     recording = panel.recording
     at = (_arrived(recording, course.finish) - start) / _SLOW
-    text = "It passes the finish."
+    text = "" if course.finish is None else f"It reaches {course.finish[0]:g} m."
     if course.finish is None:
         if course.target is None:
             return None
@@ -378,11 +378,14 @@ def _loop(takes: list[Take], words: list[Words]) -> list[LoopPart]:
     return found
 
 
-def _aim(opened: OpenedChampion, recording: Recording) -> str:
+def _aim(opened: OpenedChampion, recording: Recording, course: Course) -> str:
     """Return the animal's task in words, or nothing for a task of the user's own."""
     if np.isfinite(recording.goal).all():
         return "Its task: reach the light."
-    return "" if opened.config.task.type == "custom" else "Its task: get as far as it can."
+    if opened.config.task.type == "custom":
+        return ""
+    far = "Its task: get as far as it can."
+    return far if course.finish is None else f"{far} Can it reach {course.finish[0]:g} m?"
 
 
 def _generations(count: int) -> str:
@@ -395,6 +398,9 @@ def _named(generation: int, random: bool, second: bool) -> str:
     return "The first generation" + (" moves at random" if random else "")
 
 
-def _title(world: str, grounded: bool) -> str:
-    verb = "walk" if world == "land" else "move" if grounded else "swim"
+def _title(material: Material) -> str:
+    panel = material.panel
+    verb = "walk" if panel.world == "land" else "move" if panel.ground is not None else "swim"
+    # A task of the user's own may be another one.
+    verb = verb if material.aim else "move"
     return f"Nobody taught it to {verb}."

@@ -59,7 +59,11 @@ def pointer(
             words = back - 0.9 * _LETTERS * height * along
             anchor = ("r" if along[0] > 0.4 else "l" if along[0] < -0.4 else "m") + "m"
             where = float(words[0]), float(words[1])
-            write(draw, name, where, _LETTERS * height, look.text, bold=False, anchor=anchor)
+            # Lines on the floor do not cross the word.
+            write(
+                draw, name, where, _LETTERS * height, look.text,
+                bold=False, anchor=anchor, plate=look.distance,
+            )  # fmt: skip
 
     return draw_into
 

@@ -9,7 +9,7 @@ from evo_cpg.view.legible import font, legible, write
 from evo_cpg.view.look import Look
 
 # Sizes of letters, margin, and distance of lines, in a picture whose shorter side is 1080 pixels.
-_SIZES = {"title": 84.0, "subtitle": 46.0, "caption": 54.0}
+_SIZES = {"title": 98.0, "subtitle": 56.0, "caption": 64.0}
 _MARGIN, _LINE = 84.0, 1.25
 # Time in which words fade in and out, s.
 _FADE = 0.35
@@ -65,15 +65,15 @@ def written(
     dark = float(np.mean([int(look.text[i : i + 2], 16) for i in (1, 3, 5)])) > 128
     for number, line in enumerate(lines):
         place = margin, first + number * step
-        if dark:
+        if dark and words.kind != "caption":
             offset = _SHADOW * letters
             behind = place[0] + offset, place[1] + offset
             write(
                 draw, line, behind, letters, "#000000", bold=bold,
                 opacity=_SHADOW_OPACITY * opacity, anchor="ls",
             )  # fmt: skip
-        # Dark letters would be lost on dark things that pass below them.
-        plate = "" if dark or words.kind != "caption" else look.distance
+        # Letters would be lost on lines and bodies that pass below them.
+        plate = look.distance if words.kind == "caption" else ""
         write(
             draw, line, place, letters, look.text,
             bold=bold, opacity=opacity, anchor="ls", plate=plate,

@@ -1,4 +1,4 @@
-"""Lines on the floor of a race: the start, distances in metres, and a finish."""
+"""Lines on the floor of a race: the start, and distances in metres, the last one in squares."""
 
 import numpy as np
 import pyvista as pv
