@@ -49,7 +49,7 @@ _LEVEL = 0.02
 
 
 class Course(NamedTuple):
-    """Way of the champion from the start to its goal.
+    """Path of the champion from the start to its goal.
 
     Attributes:
         start: place of the root at the start, m.

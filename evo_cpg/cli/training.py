@@ -26,7 +26,7 @@ from evo_cpg.cli.champions import open_and_build
 from evo_cpg.cli.distributed import Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError, tell, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.config.fingerprint import changes, fingerprint
+from evo_cpg.config.fingerprint import changes_since, fingerprint
 from evo_cpg.config.load import load_run_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
@@ -84,7 +84,7 @@ def resume_run(
         opened = open_and_build(run)
         opened.require_configured()
         folder, config, experiment = opened.folder, opened.config, opened.experiment
-        changed = _changes_since_start(folder, config)
+        changed = changes_since(folder.read_meta().get("fingerprint"), config)
         if changed and team.leads:
             warn(
                 f"{run}: changed since the run was last started: {', '.join(changed)}. "
@@ -106,23 +106,6 @@ def resume_run(
             for words in reopen_run(opened, devices, team.count):
                 warn(words)
         evolve_run(opened, team, tensorboard)
-
-
-def _changes_since_start(folder: RunFolder, config: ExperimentConfig) -> list[str]:
-    """Return what changed since a run was last started.
-
-    A key that the earlier version lacked is unchanged at its default.
-    """
-    before, now = folder.read_meta().get("fingerprint"), fingerprint(config)
-    known = before.get("config") if isinstance(before, dict) else None
-    set_keys = {
-        f"{section}.{key}"
-        for section, values in config.model_dump(exclude_defaults=True).items()
-        if isinstance(values, dict)
-        for key in values
-    }
-    new = now["config"].keys() - (known if isinstance(known, dict) else {}) - set_keys
-    return [each for each in changes(before, now) if each not in new]
 
 
 def require_scalars() -> None:

@@ -4,7 +4,7 @@ import ast
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,13 +21,27 @@ def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
         ``config``, by keys of one or two parts (``seed``, ``evolution.population``), and ``code``,
         by module.
     """
-    parts: dict[str, str] = {}
-    for name, section in without_former_values(config.model_dump(mode="json")).items():
-        inner = section if isinstance(section, dict) else {"": section}
-        for key, value in inner.items():
-            text = json.dumps(value, sort_keys=True).encode()
-            parts[f"{name}.{key}".rstrip(".")] = hashlib.sha256(text).hexdigest()
+    parts = {
+        key: hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+        for key, value in _by_key(without_former_values(config.model_dump(mode="json")))
+    }
     return {"config": parts, "code": _code_digests(config)}
+
+
+def changes_since(before: Any, config: ExperimentConfig) -> list[str]:
+    """Return the differences between an earlier fingerprint and a configuration.
+
+    A key that the earlier version lacked is unchanged at its default.
+
+    Args:
+        before: earlier fingerprint, perhaps of an earlier version.
+        config: the present configuration.
+    """
+    now = fingerprint(config)
+    known = before.get("config") if isinstance(before, dict) else None
+    given = {key for key, _ in _by_key(config.model_dump(exclude_defaults=True))}
+    new = now["config"].keys() - (known if isinstance(known, dict) else {}) - given
+    return [each for each in changes(before, now) if each not in new]
 
 
 def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
@@ -47,6 +61,14 @@ def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
             form.format(name) for name in sorted(names) if old.get(name) != now[kind].get(name)
         ]
     return found
+
+
+def _by_key(sections: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the values of a configuration by keys of one or two parts."""
+    for name, section in sections.items():
+        inner = section if isinstance(section, dict) else {"": section}
+        for key, value in inner.items():
+            yield f"{name}.{key}".rstrip("."), value
 
 
 def _code_digests(config: ExperimentConfig) -> dict[str, str]:

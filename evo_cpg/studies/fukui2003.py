@@ -3,9 +3,9 @@
 Under noise, all elites of a generation may fall over by chance. A good lineage is then lost, and
 the best distance of the next generations falls.
 
-Choices that the thesis leaves open are varied, one at a time: the strength of the dashpots, the
-time for each posture, the length of the legs, the rule that combines two restitutions, and whether
-a mutated gene is flipped or redrawn.
+Choices that the thesis leaves open are varied, one at a time. They are the strength of the
+dashpots, the time for each posture and the length of the legs. Others are the rule that combines
+two restitutions, and whether a mutated gene is flipped or redrawn.
 """
 
 from collections.abc import Sequence

@@ -15,17 +15,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-# Packages whose loaded modules count.
+# Packages whose loaded modules count, and modules within them that only keep records.
 _COUNTED = (
-    "benchmarks",
+    "benchmarks.",
     *(
-        f"evo_cpg.{package}"
+        f"evo_cpg.{package}."
         for package in (
             *("spatial", "fusion", "creature", "physics", "control", "evolution", "simulation"),
             *("analysis", "training", "exchange", "laboratory", "studies"),
         )
     ),
 )
+_RECORDS = tuple(f"evo_cpg.studies.{name}" for name in ("catalogue", "provenance", "sources"))
 _DIGITS = 10
 
 Sources = dict[str, str]
@@ -37,14 +38,16 @@ def loaded() -> Sources:
     return {name: found for name in names if (found := _digest_of(name)) is not None}
 
 
-def older(first: Mapping[str, str], then: Mapping[str, str]) -> Sources:
-    """Join two sets of sources. A module in both keeps the digest that it had first."""
-    return dict(sorted((then | first).items())) if first else dict(then)  # pyright: ignore
+def older(one: Mapping[str, str], other: Mapping[str, str]) -> Sources:
+    """Join two sets of sources. A module in both keeps a digest that differs from today's code."""
+    joined = {**one, **other}
+    joined |= {name: known for name, known in one.items() if known != _digest_of(name)}
+    return dict(sorted(joined.items()))
 
 
 def changed(sources: Mapping[str, str]) -> list[str]:
     """Return the names of modules whose code differs from recorded sources, or that are gone."""
-    return [name for name, known in sources.items() if _digest_of(name) != known]
+    return [name for name, known in sources.items() if _counts(name) and _digest_of(name) != known]
 
 
 def packed(sources: Mapping[str, str]) -> Sources:
@@ -67,7 +70,7 @@ def unpacked(packages: Mapping[str, str]) -> Sources:
 
 
 def _counts(name: str) -> bool:
-    return any(name.startswith(f"{package}.") for package in _COUNTED)
+    return name.startswith(_COUNTED) and name not in _RECORDS
 
 
 @cache

@@ -10,7 +10,7 @@ import yaml
 import evo_cpg as evo
 from evo_cpg.api.opened import open_run
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.fingerprint import changes, fingerprint
+from evo_cpg.config.fingerprint import changes, changes_since, fingerprint
 from evo_cpg.config.former import FormerKeyWarning, with_former_values, without_former_values
 from evo_cpg.config.load import load_config, load_run_config
 from evo_cpg.config.numbers import number_at, with_numbers
@@ -58,6 +58,16 @@ def test_fingerprint_of_1_0_is_unchanged(finished_run, tmp_path):
     assert without_former_values(former.model_dump(mode="json")) == dumped
     now = fingerprint(load_config(folder.config))
     assert changes(before, now) == ["world.water"]
+
+
+def test_a_key_that_the_earlier_version_lacked_counts_if_it_is_set(finished_run):
+    config = load_run_config(RunFolder(finished_run).config)
+    before = fingerprint(config)
+    for key in ("runs", "simulation.substeps"):
+        del before["config"][key]
+    assert changes_since(before, config.model_copy(update={"runs": 1})) == []
+    assert changes_since(before, config.model_copy(update={"runs": 7})) == ["runs"]
+    assert changes_since(None, config) == []
 
 
 def test_former_name_of_a_key_works_with_a_warning(tmp_path):
