@@ -10,7 +10,7 @@ from evo_cpg.simulation.measures import measures
 from evo_cpg.studies.audits import audit_part
 from evo_cpg.studies.lights import evaluate, light_table, still
 from evo_cpg.studies.stills import pictures_part
-from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle, percent, tabled
+from evo_cpg.studies.study import Part, Runs, Study, Table, middle, percent, tabled
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.probe import around, blinded, probe
 
@@ -29,11 +29,6 @@ RUNS = {
     "land": Runs("iwadate2010_salamander_land", (), 5),
     "land_random": Runs("iwadate2010_salamander_land", (_RANDOM,), _FEW),
     "shore": Runs("salamander_amphibious", (f"evolution.generations={_AT_SHORE}",), _FEW),
-    "shore_random": Runs(
-        "salamander_amphibious",
-        (f"evolution={{type: random, generations: {_AT_SHORE}, population: 400}}",),
-        _FEW,
-    ),
     "boulders": Runs("salamander_boulders", ("evolution.generations=25",), _FEW),
     "eyes": Runs("two_eyed_swimmer", (), 5),
 }
@@ -68,18 +63,7 @@ def shore(workshop: Workshop) -> list[Table]:
     left = 100 * np.array(_evaluated_in(workshop, "shore", "land")["distance"])
     cells = [f"{middle(column, 1)} %" for column in left.T]
     guests = {"": "champions evolved on land"} | dict(zip(_LEFT, cells, strict=True))
-    return [tabled([*_crossings(workshop, "shore"), guests])]
-
-
-def shore_random(workshop: Workshop) -> list[Table]:
-    """Compare champions of the shore with random search."""
-    fitness = {
-        name: [champion.worth for champion in workshop.champions(name)]
-        for name in ("shore", "shore_random")
-    }
-    words = beside(fitness, "shore_random")["shore"]
-    rows = _crossings(workshop, "shore_random")
-    return [tabled([*rows, {"": "evolution beats random search", "fitness": words}])]
+    return [tabled([*_crossings(workshop), guests])]
 
 
 _LEFT = [
@@ -88,14 +72,14 @@ _LEFT = [
 ]
 
 
-def _crossings(workshop: Workshop, name: str) -> list[dict[str, str]]:
+def _crossings(workshop: Workshop) -> list[dict[str, str]]:
     """Return a row for each champion: distance left in each situation, and largest tilt."""
-    found = _evaluated_in(workshop, "shore", name)
+    found = _evaluated_in(workshop, "shore", "shore")
     rows = []
     for champion, left, tilt in zip(
-        workshop.champions(name), found["distance"], found["tilt"], strict=True
+        workshop.champions("shore"), found["distance"], found["tilt"], strict=True
     ):
-        seed = workshop.experiment(name).seed + champion.run
+        seed = workshop.experiment("shore").seed + champion.run
         rows.append(
             {"": f"seed {seed}", "fitness": f"{champion.worth:.3f}"}
             | dict(zip(_LEFT, map(percent, left), strict=True))
@@ -153,7 +137,7 @@ def _evaluated_in(workshop: Workshop, world: str, name: str) -> dict[str, list[l
 
     def measure() -> dict[str, list[list[float]]]:
         simulation = workshop.experiment(world).simulation
-        if world == "shore" and not name.startswith("shore"):
+        if world == "shore" and name != "shore":
             # Animals that did not evolve at the shore have no depth sensor.
             declared, source = workshop.member(world).config, workshop.member(world).source
             steps = f"simulation.steps={declared.simulation.steps}"
@@ -180,7 +164,6 @@ STUDY = Study(
         "land": Part("on land", ("land", "land_random"), land),
         "audit": audit_part("audit of the champions on land", {"on land": "land"}),
         "shore": Part("across the shore", ("shore", "land"), shore),
-        "shore_random": Part("random search at the shore", ("shore", "shore_random"), shore_random),
         "boulders": Part("among boulders", ("boulders",), boulders),
         "eyes": Part("a swimmer with two eyes", ("eyes",), eyes),
         **{
