@@ -17,15 +17,16 @@ from evo_cpg.view.camera import Bodies, course, overview, project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.look import STYLES
 from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing
-from evo_cpg.view.story import FPS, Overview
+from evo_cpg.view.scenery import LAMP
+from evo_cpg.view.story import FPS, GLIDE, Overview
 from evo_cpg.view.terrain import heights
 
 # Number of lanes in a wide and in a tall picture. Least width of a lane, in lengths of the animal
 # (seen from the side and from behind), its width and its height. Distance of the borders from the
 # outer animals, in lengths.
 _WIDE, _TALL, _LANE, _NARROW, _ROOMY, _HIGH, _NEARER = 7, 4, 0.75, 0.5, 1.25, 2.8, 0.2
-# Number of other animals where there are no lanes.
-_PILED = 4
+# Largest factor by which lanes of few animals are wider. Number of other animals without lanes.
+_WIDEST, _PILED = 2.0, 4
 # A goal is in the view of the lanes if it is at most this many lengths away. Otherwise the view
 # shows the path of the champion in the time of a crowd, or at least this many lengths.
 _IN_VIEW, _LEAST = 5.0, 1.5
@@ -40,7 +41,9 @@ _SMALLEST, _AHEAD, _BACK = 0.15, 0.6, 0.2
 # Lengths behind the first animal of a race that its last view shows, before it, and around animals.
 _TRAILING, _BEFORE, _AROUND = 4.5, 1.4, 0.2
 # The finish stands on the last line that the champion passes this long before the end, s.
-_BEFORE_END = 0.75
+_BEFORE_END = GLIDE
+# Distance of a body from the light that counts as reaching it, in lengths of the animal.
+_REACHED = 0.15
 # The floor under swimmers lies this far below them, and at most so far below the start, in lengths.
 # Fraction of the bodies of a crowd that may be lower.
 _FLOOR, _DEEPEST, _BELOW = 0.3, 1.2, 0.02
@@ -62,8 +65,8 @@ class Course(NamedTuple):
         narrow: width of a lane that is seen from behind, m.
         spacing: distance between the lines, m, or 0 without lines.
         target: place of the light or of the finish, m, or None.
-        finish: distance of the finish from the start, m, and the instant at which the champion
-            passes it, s. None with a light, or without lines.
+        finish: distance of the finish from the start, m. None with a light, or without lines.
+        arrival: instant at which the champion touches the light or passes the finish, s, or None.
     """
 
     start: Float[np.ndarray, "3"]
@@ -76,7 +79,8 @@ class Course(NamedTuple):
     narrow: float
     spacing: float
     target: Float[np.ndarray, "3"] | None
-    finish: tuple[float, float] | None
+    finish: float | None
+    arrival: float | None
 
 
 class Tank(NamedTuple):
@@ -108,7 +112,7 @@ class Tank(NamedTuple):
         course = self.course
         if course.target is None or course.finish is None:
             return None
-        return course.target, f"{course.finish[0]:g} m"
+        return course.target, f"{course.finish:g} m"
 
     def behind(self, first: Recording, others: CrowdMotion, time: float) -> Overview:
         """Return a view of the first animal and those close behind it, at a time (s)."""
@@ -126,8 +130,9 @@ class Tank(NamedTuple):
         return self.wide._replace(points=np.array(points), follows=not self.near)
 
     def staging(self, others: int) -> Staging:
-        """Return the arrangement of some animals beside the first one."""
-        lanes = self.lane * np.arange(1, others + 1)[:, None] * self.course.aside
+        """Return the arrangement of some animals beside the first one. Few have wide lanes."""
+        wide = min(self.others / max(others, 1), _WIDEST)
+        lanes = wide * self.lane * np.arange(1, others + 1)[:, None] * self.course.aside
         return Staging(lanes, self.track, self.floor)
 
 
@@ -156,13 +161,15 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
         panel.ground, start, ahead, aside, progress.max(), lane
     ):
         lane, narrow, spacing = 0.0, 0.0, 0.0
-    target, finish = goal if lit else None, None
-    if not lit and spacing:
+    target, finish, arrival = None, None, None
+    if lit:
+        target, arrival = goal, _touch(recording, box, length)
+    elif spacing:
         passed = progress[recording.time <= recording.time[-1] - _BEFORE_END].max(initial=0.0)
         if passed >= spacing:
-            distance = float(np.floor(passed / spacing) * spacing)
-            finish = distance, float(recording.time[(progress >= distance).argmax()])
-            target = start + distance * ahead
+            finish = float(np.floor(passed / spacing) * spacing)
+            arrival = float(recording.time[(progress >= finish).argmax()])
+            target = start + finish * ahead
     return Course(
         start,
         bearing,
@@ -175,7 +182,29 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
         spacing,
         target,
         finish,
+        arrival,
     )
+
+
+def _touch(
+    recording: Recording, half_extents: Float[np.ndarray, "b 3"], length: float
+) -> float | None:
+    """Return the instant at which a body touches the light or is nearest to it, s.
+
+    Args:
+        recording: motion of the animal.
+        half_extents: half edges of the box around each body, m.
+        length: length of the animal, m.
+
+    Returns:
+        The instant, or None if no body comes near.
+    """
+    own = np.einsum("tbij,tbi->tbj", recording.rotation, recording.goal - recording.position)
+    away = np.linalg.norm(np.maximum(np.abs(own) - half_extents, 0.0), axis=-1).min(1)
+    if away.min() > _REACHED * length:
+        return None
+    touching = away <= away.min() + LAMP * length / 2
+    return float(recording.time[touching.argmax()])
 
 
 def tank_of(
@@ -215,11 +244,10 @@ def tank_of(
     track = None
     # Near lights are the only goal. Otherwise lines show how far the animals come.
     if course.spacing and not (near and finish is None):
-        lines = int(np.ceil((finish[0] if finish else end) / course.spacing))
+        lines = int(np.ceil((finish or end) / course.spacing))
         # On the viewer's side, captions are below.
         sides = _NEARER * length, lane * (count - 1) + _NEARER * length
-        place = None if finish is None else finish[0]
-        track = Track(start, course.bearing, course.spacing, lines, *sides, place)
+        track = Track(start, course.bearing, course.spacing, lines, *sides, finish)
     title = _title_view(course, STYLES[panel.world].side_elevation, aspect)
     floor = None if land else _floor(panel, course, crowds)
     return Tank(course, lane, count - 1 if lane else _PILED, track, floor, title, wide, near)

@@ -12,6 +12,8 @@ from evo_cpg.cli.champions import champion_motion
 from evo_cpg.cli.errors import warn
 from evo_cpg.cli.lanes import Course, course_of, in_lanes, tank_of
 from evo_cpg.cli.options import Which
+from evo_cpg.cli.racers import earlier_champions, racers_of, together
+from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at
@@ -22,31 +24,29 @@ from evo_cpg.view.scene import Panel, animal_radius, panel_of
 from evo_cpg.view.story import DISSOLVE, EASE, FPS, LoopPart, Take, look_of, spans
 from evo_cpg.view.story_text import Words
 
-# Lengths in the film, s: of the whole story, of the title before the first motion, of each crowd's
-# motion, and of the race. The champion takes the rest.
-_WHOLE, _TITLE, _CROWD, _RACE = 15.0, 1.7, 2.3, 3.2
-# Time without words after the title, s.
-_PAUSE = 0.2
+# Lengths in the film, s: of the whole story, of the title before the first motion, of the motion of
+# the first crowd and of each other one, and of the race. The champion takes the rest.
+_WHOLE, _TITLE, _FIRST, _CROWD, _RACE = 15.0, 1.7, 3.2, 1.8, 3.4
+# Time without words after the title, s. Part of the first crowd's motion before its second words.
+_PAUSE, _PART = 0.1, 0.52
 # Time in which the camera leaves the title, time before it turns to the winner of the race, and
 # time in which it does, s.
 _LEAVE, _STAY, _FOLLOW = 1.2, 0.2, 1.6
 # A generation runs for as long as the champion takes for this many of its own lengths, in this much
 # film, s. Allowed speeds of the film.
 _LENGTHS, _RUN, _SLOWEST, _FASTEST = 4.0, 3.0, 1.0, 6.0
-# Speed of the film when the champion arrives, and time that is shown after it has arrived, s. The
-# champion has arrived when it is this much farther away than ever, as a fraction of the way.
-_SLOW, _AFTER, _ARRIVED = 0.5, 0.75, 0.03
-# Distance of a body from the light that counts as reaching it, in lengths of the animal.
-_REACHED = 0.15
+# Speed of the film when the champion arrives, and time that is shown after it has arrived, s.
+_SLOW, _AFTER = 0.5, 1.8
+# Time in the race after the winner's arrival and before the next take appears, s. Least distance
+# between two animals of the race, in their length.
+_WON, _APART = 0.1, 0.45
 # Fraction of the bodies, over the champion's take, for a camera below the surface of the water.
 _SUBMERGED = 0.9
-# Highest speed of the film in the race.
-_FASTEST_RACE = 10.0
 # Distance of the camera at the start of a crowd, relative to that at its end.
 _FAR = 1.06
 # Lengths of the parts of the loop, s: of the title, and of the motion in each take. Words that
 # would be seen for less time are left out.
-_OF_TITLE, _OF_FIRST, _OF_LAST, _OF_RACE, _OF_CHAMPION = 1.2, 2.0, 1.7, 2.4, 2.6
+_OF_TITLE, _OF_FIRST, _OF_LAST, _OF_RACE, _OF_CHAMPION = 1.2, 3.0, 1.6, 2.8, 3.0
 _READABLE = 0.8
 
 
@@ -60,10 +60,10 @@ class Material(NamedTuple):
         aim: the animal's task in words, or empty for a task of the user's own.
         course: way of the champion.
         speed: speed of the film for the crowds.
-        race: speed of the film for the race.
         random: whether the first generation is random.
+        selects: whether only the best have children.
         crowds: numbers and animals of the shown generations, the best first.
-        earlier: generations and motion of earlier champions, if there are no crowds.
+        racers: generations and motion of earlier champions in the race.
     """
 
     panel: Panel
@@ -72,10 +72,16 @@ class Material(NamedTuple):
     aim: str
     course: Course
     speed: float
-    race: float
     random: bool
+    selects: bool
     crowds: list[tuple[int, CrowdMotion]]
-    earlier: list[tuple[int, Recording]]
+    racers: list[tuple[int, Recording]]
+
+    @property
+    def end(self) -> float:
+        """Instant at which the champion is at its goal, or the end of its trial, s."""
+        arrival = self.course.arrival
+        return float(self.panel.recording.time[-1]) if arrival is None else arrival
 
 
 class Story(NamedTuple):
@@ -105,17 +111,14 @@ def material_of(run: Path, which: Which) -> Material:
     length = 2 * animal_radius(creature, sample(recording, FPS))
     course = course_of(panel, length, task.heading == "forward")
     chosen = generations_of(opened.folder.newest, opened.champion.generation)
-    last = _WHOLE - sum(_lengths(len(chosen)))
-    start = _arrival(recording, last, course.finish)
     speed = _speed(recording, creature.root_index, length)
-    # The race ends where the champion's take begins.
-    race = min(max(start / (_RACE - EASE / 2), speed), _FASTEST_RACE)
-    crowds, earlier = _crowds(opened, which.trial, chosen, max(speed * _CROWD, race * _RACE)), []
-    if not crowds:
-        earlier = _earlier(opened, which.trial, chosen)
+    crowds = _crowds(opened, which.trial, chosen, speed * _FIRST)
     random = opened.folder.load_start() is None
+    selects = not isinstance(opened.experiment.strategy, RandomSearch)
     told = opened.champion.generation, task.heading, _aim(opened, recording, course)
-    return Material(panel, *told, course, speed, race, random, crowds, earlier)
+    found = Material(panel, *told, course, speed, random, selects, crowds, [])
+    racers = racers_of(opened, recording, which.trial, found.end, _APART * length)
+    return found._replace(racers=racers)
 
 
 def story_of(material: Material, title: str | None, aspect: float) -> Story:
@@ -131,13 +134,14 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
     )  # fmt: skip
     recording, root = panel.recording, panel.creature.root_index
     every = [crowd for _, crowd in material.crowds]
-    tank = tank_of(panel, course, every, speed * _CROWD, aspect)
+    tank = tank_of(panel, course, every, speed * _FIRST, aspect)
     takes: list[Take] = []
     captions: list[str] = []
 
     def add(animal: Recording, others: CrowdMotion, names: tuple[str, ...], race: bool) -> None:
         """Add a take of the lanes."""
-        first, moves = not takes, _RACE if race else _CROWD
+        first = not takes
+        moves = _RACE if race else _FIRST if first else _CROWD
         hold = _TITLE if first else DISSOLVE
         end, appear = hold + moves, None
         views = [(0.0, tank.wide._replace(distance=_FAR)), (end, tank.wide)]
@@ -146,42 +150,47 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
             appear = round(_TITLE * FPS), round((_TITLE + 0.6 * _LEAVE) * FPS)
         if race:
             begin = hold + (_LEAVE if first else _STAY)
-            last = tank.behind(animal, others, material.race * (moves - EASE / 2))
+            last = tank.behind(animal, others, material.end)
             views = [*views[:-1], (begin, tank.wide), (end if tank.near else begin + _FOLLOW, last)]
         staging = tank.staging(others.count)._replace(names=names, appear=appear)
         crowd = others if others.count else None
         seen = panel._replace(recording=animal, crowd=crowd, staging=staging)
         # The first take shares no frames with a take before it.
         seconds = hold + moves - DISSOLVE / 2 if first else moves
-        pace = material.race if race else speed
-        takes.append(Take(seen, seconds, 0.0, pace, views, hold, tank.goal))
+        # The winner is at the goal before the next take appears.
+        pace = material.end / (moves - EASE / 2 - DISSOLVE - _WON) if race else speed
+        stop = material.end if race else None
+        takes.append(Take(seen, seconds, 0.0, pace, views, hold, tank.goal, stop))
 
-    racers = material.earlier
     for generation, animals in material.crowds:
         leader, others = in_lanes(animals, root, material.heading, tank.others)
-        if generation < final:
-            racers = [*racers, (generation, leader)]
         add(leader, others, ("best",), race=False)
-        captions.append(_named(generation, material.random, len(captions) == 1))
-    if racers:
+        captions.append(_named(generation, material.random))
+    if racers := material.racers:
         names = [str(generation) for generation in (final, *(number for number, _ in racers))]
-        add(recording, _together([motion for _, motion in racers]), tuple(names), race=True)
+        add(recording, together([motion for _, motion in racers]), tuple(names), race=True)
         *some, last = *names[1:], names[0]
-        captions.append(f"A race: the best after {', '.join(some)} and {last} generations")
+        captions.append(f"A race of generations {', '.join(some)} and {last}")
     seconds = _WHOLE - sum(take.seconds for take in takes)
     alone = panel._replace(staging=tank.staging(0))
     # Without crowds, this take is longer.
-    start = _arrival(recording, seconds, course.finish)
+    before = seconds if course.arrival is None else seconds - _AFTER
+    start = max(material.end - _SLOW * before, float(recording.time[0]))
     shown = (recording.time >= start) & (recording.time <= start + _SLOW * seconds)
     below = recording.position[shown, ..., 2] < (panel.surface or 0.0)
     if panel.surface is not None and below.mean() > _SUBMERGED:
         alone = alone._replace(staging=tank.staging(0)._replace(under=True))
-    takes.append(Take(alone, seconds, start, _SLOW, goal=tank.goal))
+    takes.append(Take(alone, seconds, start, _SLOW, goal=tank.goal, stop=course.arrival))
     captions.append(f"After {_generations(final)}, in slow motion")
     ends = [float(end) for end in np.cumsum([take.seconds for take in takes])]
-    if (ending := _ending(panel, course, start, seconds)) is not None:
-        ends.insert(-1, _WHOLE - seconds + ending[0])
-        captions.append(ending[1])
+    if len(material.crowds) > 1 and material.selects:
+        ends.insert(0, _TITLE + _PART * _FIRST)
+        captions.insert(1, "Only the best have children")
+    if course.arrival is not None:
+        there = (course.arrival - start) / _SLOW
+        ends.insert(-1, _WHOLE - seconds + max(there, DISSOLVE + 1.0))
+        place = "the light" if course.finish is None else f"{course.finish:g} m"
+        captions.append(f"It reaches {place}.")
     words = [Words(title or _title(material), "title", -1.0, _TITLE)]
     if material.aim:
         words.append(Words(material.aim, "subtitle", -1.0, _TITLE))
@@ -219,7 +228,7 @@ def _crowds(
     except RunFolderError as error:
         warn(f"the story leaves out the first generations: {error}")
         return []
-    motion = compile_crowd_motion(experiment, seconds, 2 * FPS * _RACE / seconds, run, trial)
+    motion = compile_crowd_motion(experiment, seconds, 2 * FPS * _FIRST / seconds, run, trial)
     best = _best_until(opened, chosen)
     crowds = []
     with working("replaying the first generations"):
@@ -252,42 +261,9 @@ def _led_by(best: np.ndarray, genes: np.ndarray) -> np.ndarray:
 
 def _best_until(opened: OpenedChampion, generations: list[int]) -> dict[int, Champion]:
     """Return the champions after some generations that came before the final one."""
-    champion = opened.champion
-    try:
-        lineage = [one for one in opened.folder.load_lineage() if one.run == champion.run]
-    except RunFolderError:
-        return {}
-    found = {generation: champion_at(lineage, generation) for generation in generations}
-    return {
-        generation: one
-        for generation, one in found.items()
-        if one is not None and one.generation < champion.generation
-    }
-
-
-def _earlier(
-    opened: OpenedChampion, trial: int, generations: list[int]
-) -> list[tuple[int, Recording]]:
-    """Return the motion of earlier champions, or nothing if none is known or can be replayed."""
-    try:
-        opened.require_configured()
-    except RunFolderError:
-        return []
-    found = _best_until(opened, generations)
-    with working("replaying earlier champions"):
-        replays = opened.replay([*found.values()], trial) if found else []
-    return [(number, each.recording) for number, each in zip(found, replays, strict=True)]
-
-
-def _together(motions: list[Recording]) -> CrowdMotion:
-    """Return the motion of several animals as a crowd, until the first of them ends."""
-    count = min(len(each.time) for each in motions)
-    return CrowdMotion(
-        motions[0].time[:count],
-        np.stack([each.position[:count] for each in motions], 1),
-        np.stack([each.rotation[:count] for each in motions], 1),
-        motions[0].goal,
-    )
+    earlier = earlier_champions(opened)
+    found = {generation: champion_at(earlier, generation) for generation in generations}
+    return {generation: one for generation, one in found.items() if one is not None}
 
 
 def _speed(recording: Recording, root: int, length: float) -> float:
@@ -296,51 +272,8 @@ def _speed(recording: Recording, root: int, length: float) -> float:
     away = np.linalg.norm(path - path[0], axis=-1)
     there = int((away >= min(_LENGTHS * length, 0.9 * away.max())).argmax())
     # A short trial must not end before its take.
-    fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_RACE + DISSOLVE))
+    fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_FIRST + DISSOLVE))
     return float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
-
-
-def _arrival(recording: Recording, seconds: float, finish: tuple[float, float] | None) -> float:
-    """Return the instant at which the champion's take begins, s.
-
-    Args:
-        recording: motion of the champion.
-        seconds: length of the take, s.
-        finish: distance of the finish and the instant at which the champion passes it, or None.
-    """
-    end = min(_arrived(recording, finish) + _AFTER, recording.time[-1])
-    return float(max(end - _SLOW * seconds, recording.time[0]))
-
-
-def _arrived(recording: Recording, finish: tuple[float, float] | None) -> float:
-    """Return the instant at which the champion is at its goal, or the end of the trial, s."""
-    if np.isfinite(recording.goal).all():
-        away = recording.distance
-        near = away.min() + _ARRIVED * (away[0] - away.min())
-        return float(recording.time[(away <= near).argmax()])
-    return recording.time[-1] if finish is None else finish[1]
-
-
-def _lengths(crowds: int) -> list[float]:
-    """Return the lengths of the takes of crowds, and of the race, s."""
-    # The first take shares no frames with a take before it.
-    found = [*[_CROWD] * crowds, _RACE] if crowds else []
-    return [_TITLE - DISSOLVE / 2 + found[0], *found[1:]] if found else []
-
-
-def _ending(panel: Panel, course: Course, start: float, seconds: float) -> tuple[float, str] | None:
-    """Return the time in the champion's take at which it is at its goal, s, and a sentence."""
-    recording = panel.recording
-    at = (_arrived(recording, course.finish) - start) / _SLOW
-    text = "" if course.finish is None else f"It reaches {course.finish[0]:g} m."
-    if course.finish is None:
-        if course.target is None:
-            return None
-        away = np.linalg.norm(recording.position - course.target, axis=-1).min()
-        text = "It reaches the light."
-        if away > _REACHED * course.length:
-            return None
-    return (max(at, DISSOLVE + 1.0), text) if at < seconds - 0.5 else None
 
 
 def _loop(takes: list[Take], words: list[Words]) -> list[LoopPart]:
@@ -385,16 +318,16 @@ def _aim(opened: OpenedChampion, recording: Recording, course: Course) -> str:
     if opened.config.task.type == "custom":
         return ""
     far = "Its task: get as far as it can."
-    return far if course.finish is None else f"{far} Can it reach {course.finish[0]:g} m?"
+    return far if course.finish is None else f"{far} Can it reach {course.finish:g} m?"
 
 
 def _generations(count: int) -> str:
     return f"{count} generation" + ("s" if count != 1 else "")
 
 
-def _named(generation: int, random: bool, second: bool) -> str:
+def _named(generation: int, random: bool) -> str:
     if generation:
-        return f"After {_generations(generation)}" + ": children of the best" * second
+        return f"After {_generations(generation)}"
     return "The first generation" + (" moves at random" if random else "")
 
 

@@ -9,7 +9,7 @@ import pyvista as pv
 
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.view.offscreen import add_faded, write_depth
-from evo_cpg.view.shadows import Spots
+from evo_cpg.view.shadows import Spots, patch_opacity
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.textures import spot_texture
 
@@ -75,7 +75,9 @@ def add_ghosts(stage: Stage) -> Update:
         rgba[:, 3] = np.repeat(color[3] * np.clip(shown, 0.0, 1.0), first[-1])
         mesh["rgba"] = rgba
         if patches is not None:
-            patches.lay(place.mean(1)[:, :2].astype(float), axes)
+            middle = place.mean(1).astype(float)
+            height = middle[:, 2] - stage.ground.height(middle[:, :2])
+            patches.lay(middle[:, :2], axes, patch_opacity(height / stage.radius))
 
     return update
 

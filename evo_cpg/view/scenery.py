@@ -16,9 +16,12 @@ from evo_cpg.view.textures import spot_texture
 
 # Points along a side of the pool of light, and its height in radii of the animal.
 _POOL, _POOL_LIFT = 41, 0.02
-# Radius of a light, in radii of the animal. Width of the halo of a light of another lane in its
-# radius, and its opacity.
-_CORE, _LANE_HALO, _LANE_GLOW = 0.075, 9.0, 0.6
+LAMP = 0.075
+"""Radius of a light, in radii of the animal."""
+
+# Distance by which a light is drawn behind its place, in radii of the animal, so that it does not
+# swallow a head. Width of the halo of a light of another lane in its radius, and its opacity.
+_BEHIND, _LANE_HALO, _LANE_GLOW = 0.5, 9.0, 0.6
 # Number of specks in water, and their colour.
 _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 # Time in which the trail fades to a third, s, and its thickness in radii of the animal.
@@ -45,16 +48,16 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
     shine = spot_texture(look.halo, look.glow, sharpness=3.0)
     pool = Spots(plotter, shine, stage.ground, _POOL_LIFT * radius, 1, _POOL)
     pool.lay(goal[None, :2], 1.8 * radius * np.eye(2)[None])
-    core = _CORE * radius
+    core = LAMP * radius
     sphere = pv.Sphere(radius=core, center=goal, theta_resolution=32, phi_resolution=24)
-    plotter.add_mesh(sphere, color=look.light, lighting=False)
-    halos = []
+    ball, halos = plotter.add_mesh(sphere, color=look.light, lighting=False), []
     for size, strength, sharpness in ((1.6 * radius, look.glow, 3.6), (4.5 * core, 0.95, 2.4)):
         place = {"center": goal - 1.05 * core * stage.sight, "direction": -stage.sight}
         halo = pv.Plane(**place, i_size=size, j_size=size, i_resolution=1, j_resolution=1)
         texture = spot_texture(look.halo, strength, sharpness)
         halos.append(plotter.add_mesh(halo, texture=texture, lighting=False))
-        halos[-1].origin = tuple(goal)
+    for actor in (ball, *halos):
+        actor.origin = tuple(goal)
     lamp = pv.Light(position=goal, color=look.halo, intensity=0.9, light_type="scene light")
     lamp.positional = True
     lamp.cone_angle = 90
@@ -62,7 +65,11 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
     plotter.add_light(lamp)
 
     def face_viewer(shot: Shot) -> None:
-        for actor in halos:
+        ahead = goal - shot.eye
+        back = _BEHIND * radius / np.linalg.norm(ahead)
+        for actor in (ball, *halos):
+            # It is larger, so that it looks as large as at its place.
+            actor.position, actor.scale = tuple(back * ahead), 1 + back
             actor.orientation = (0.0, 0.0, float(np.degrees(shot.turned)))
 
     return face_viewer
@@ -75,7 +82,7 @@ def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "n 3"]) -> Update:
         stage: scene and camera.
         goals: places of the lights, m.
     """
-    plotter, look, core = stage.plotter, stage.look, _CORE * stage.radius
+    plotter, look, core = stage.plotter, stage.look, LAMP * stage.radius
     sphere = cast(pv.PolyData, pv.Sphere(radius=core, theta_resolution=16, phi_resolution=12))
     own, faces = np.asarray(sphere.points), sphere.regular_faces
     cores = plotter.add_mesh(_copies(own, faces, goals), color=look.light, lighting=False)

@@ -11,6 +11,9 @@ from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Level, Terrain
 from evo_cpg.view.textures import spot_texture
 
+# Height of a body at which the patch under it begins to fade, and at which it has gone, in radii of
+# the animal.
+_HIGH, _GONE = 1.0, 2.0
 # Opacity of the spot under a foot that touches the ground.
 _CONTACT = 0.85
 # Points along a side of a spot on uneven ground.
@@ -113,7 +116,7 @@ def add_shadows(stage: Stage, half_extents: np.ndarray) -> Update:
     def update(shot: Shot) -> None:
         gap = shot.position[:, 2] - stage.ground.height(shot.position[:, :2])
         under = [patch_under(*each) for each in zip(shot.rotation, half_extents, gap, strict=True)]
-        spots.lay(shot.position[:, :2], np.array(under))
+        spots.lay(shot.position[:, :2], np.array(under), patch_opacity(gap / stage.radius))
 
     return update
 
@@ -144,6 +147,11 @@ def add_contacts(stage: Stage) -> Update:
         spots.lay(middles, axes, opacities)
 
     return update
+
+
+def patch_opacity(height: np.ndarray) -> np.ndarray:
+    """Return opacities of patches under bodies, 0 to 1, by height in radii of the animal."""
+    return np.interp(height, (_HIGH, _GONE), (1.0, 0.0))
 
 
 def patch_under(turn: np.ndarray, half: np.ndarray, gap: float) -> np.ndarray:

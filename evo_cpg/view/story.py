@@ -38,6 +38,9 @@ DISSOLVE = 0.4
 EASE = 0.5
 """Time in which the motion of a take with a hold reaches its speed, s."""
 
+GLIDE = 0.2
+"""Recorded time in which the motion of a take comes to rest, s."""
+
 # Pixels rendered per pixel of the film, along a side.
 _OVERSAMPLING = 1.25
 # Qualities of a loop, from the best one.
@@ -78,6 +81,7 @@ class Take(NamedTuple):
             that follows the animal.
         hold: time in the film before the motion begins, s.
         goal: place that the arrow points to if there is no light, m, and its name.
+        stop: instant of the recording at which the motion begins to come to rest, s, or None.
     """
 
     panel: Panel
@@ -87,6 +91,7 @@ class Take(NamedTuple):
     views: Sequence[tuple[float, Overview | None]] = ((0.0, None),)
     hold: float = 0.0
     goal: tuple[Float[np.ndarray, "3"], str] | None = None
+    stop: float | None = None
 
 
 class StoryFrames:
@@ -160,7 +165,9 @@ class StoryFrames:
                 centre = clip.position.mean(1)
                 start = take.panel.recording.position[0].mean(0)
                 ahead = (take.goal[0] - centre) @ (take.goal[0] - start) > 0
-            tag = name_tags(camera, scene, self.rendered)
+            shared = round(DISSOLVE * FPS)
+            alone = shared * (number > 0), shared * (number < len(self._takes) - 1)
+            tag = name_tags(camera, scene, self.rendered, alone)
             show = set_scene(stage, add_bodies(plotter, take.panel.creature, scene.look.ambient))
 
             def draw(frame: int) -> np.ndarray:
@@ -191,10 +198,13 @@ def spans(seconds: Sequence[float]) -> list[tuple[int, int]]:
 
 
 def clip_of(take: Take, count: int) -> Clip:
-    """Return a take's recording at its frames. The motion starts gently after the hold."""
+    """Return a take's recording at its frames. The motion starts gently, and comes to rest."""
     moving = np.maximum(np.arange(count) / FPS - take.hold, 0.0)
     eased = np.where(moving < EASE, moving**2 / (2 * EASE), moving - EASE / 2)
     time = take.start + take.speed * (eased if take.hold else moving)
+    if take.stop is not None:
+        after = np.maximum(time - take.stop, 0.0)
+        time = np.minimum(time, take.stop) + GLIDE * (1 - np.exp(-after / GLIDE))
     recording = take.panel.recording
     return sample_at(recording, np.minimum(time, recording.time[-1]), FPS / take.speed)
 
