@@ -61,9 +61,9 @@ class Course(NamedTuple):
         aside: level unit vector to its left.
         corners: corners of the bodies at the start, m.
         length: length of the animal, m.
-        lane: width of a lane, m. It is 0 on uneven ground, where nothing can be moved aside.
+        lane: width of a lane, m. It is 0 among obstacles, where nothing can be moved aside.
         narrow: width of a lane that is seen from behind, m.
-        spacing: distance between the lines, m, or 0 without lines.
+        spacing: distance between the lines, m, or 0 on uneven ground, which has no lines.
         target: place of the light or of the finish, m, or None.
         finish: distance of the finish from the start, m. None with a light, or without lines.
         arrival: instant at which the champion touches the light or passes the finish, s, or None.
@@ -157,10 +157,11 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
     lane = max(_LANE * length, _ROOMY * np.ptp(across), _HIGH * np.ptp(corners[:, 2]))
     narrow = max(_NARROW * length, _ROOMY * np.ptp(across))
     progress, spacing = (path - start) @ ahead, mark_spacing(length)
-    if panel.ground is not None and not _flat(
-        panel.ground, start, ahead, aside, progress.max(), lane
-    ):
-        lane, narrow, spacing = 0.0, 0.0, 0.0
+    if (ground := panel.ground) is not None:
+        if ground.obstacles:
+            lane = narrow = spacing = 0.0
+        elif not _flat(ground, start, ahead, aside, progress.max(), lane):
+            spacing = 0.0
     target, finish, arrival = None, None, None
     if lit:
         target, arrival = goal, _touch(recording, box, length)
@@ -306,9 +307,7 @@ def _flat(
     far: float,
     lane: float,
 ) -> bool:
-    """Return whether ground has no obstacles, and the same height in all lanes up to a distance."""
-    if ground.obstacles:
-        return False
+    """Return whether ground has the same height in all lanes, up to a distance."""
     if ground.level is not None:
         return True
     along, across = np.linspace(0.0, far, 12), lane * np.arange(_WIDE)

@@ -15,6 +15,7 @@ from evo_cpg.view.ground import add_ground, add_numbers
 from evo_cpg.view.meshes import surfaces
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh
 from evo_cpg.view.offscreen import pixels, placed
+from evo_cpg.view.scene import moved_aside
 from evo_cpg.view.scenery import (
     add_goal_light,
     add_lane_lights,
@@ -97,7 +98,9 @@ def _add_environment(stage: Stage) -> list[Update]:
     if scene.goal is not None:
         updates.append(add_goal_light(stage, scene.goal))
         if staging is not None and staging.lanes.any():
-            updates.append(add_lane_lights(stage, scene.goal + staging.lanes))
+            goals = scene.goal + np.zeros((len(staging.lanes), 1, 3))
+            goals = moved_aside(goals, staging.lanes, scene.ground, scene.radius)
+            updates.append(add_lane_lights(stage, goals[:, 0]))
     # In a race, trails would cross the lines.
     if staging is None:
         updates.append(add_trail(stage))

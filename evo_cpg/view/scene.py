@@ -15,11 +15,13 @@ from evo_cpg.view.camera import course
 from evo_cpg.view.clip import Clip
 from evo_cpg.view.look import SHORE, STYLES, Look
 from evo_cpg.view.signals import Signals
-from evo_cpg.view.terrain import Terrain, make_terrain
+from evo_cpg.view.terrain import Terrain, heights, make_terrain
 from evo_cpg.view.textures import CELLS
 
 # The floor lies this many radii of the animal below the lowest point of its path through water.
 _FLOOR_DEPTH = 0.55
+# An animal walks if its lowest body is at most this many radii above the ground.
+_WALKS = 0.25
 # The surface is shown if land within this many radii of the path rises out of the water.
 _NEARBY = 4.0
 
@@ -269,9 +271,35 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
     if panel.crowd is not None:
         ghosts = ghosts_at(panel.crowd, clip)
         if staging is not None:
-            ghosts = ghosts._replace(position=ghosts.position + staging.lanes[:, None])
+            aside = moved_aside(ghosts.position, staging.lanes, ground, radius)
+            ghosts = ghosts._replace(position=aside)
     world = goal, ground, stands, surface, look
     return Scene(creature, clip, *world, radius, bearing, marks, ghosts, panel.numbers, staging)
+
+
+def moved_aside(
+    place: Float[np.ndarray, "*t n b 3"],
+    lanes: Float[np.ndarray, "n 3"],
+    ground: Ground,
+    radius: float,
+) -> Float[np.ndarray, "*t n b 3"]:
+    """Return places of bodies in the lanes of their animals, m. Walkers follow the ground there.
+
+    Args:
+        place: places of the bodies of each animal, m.
+        lanes: displacement of each animal, m.
+        ground: ground under the animals.
+        radius: radius of the animals, m.
+    """
+    moved = place + lanes[:, None]
+    if ground.level is not None:
+        return moved
+    here, there = (heights(ground.floor, each[..., :2]) for each in (place, moved))
+    rise, gap = (there - here).mean(-1), (place[..., 2] - here).min(-1)
+    # A swimmer keeps its height, but not within the ground.
+    walks = np.interp(gap / radius, (_WALKS, 2 * _WALKS), (1.0, 0.0))
+    moved[..., 2] += np.maximum(walks * rise, rise - gap / 2)[..., None]
+    return moved
 
 
 def ghosts_at(crowd: CrowdMotion, clip: Clip) -> Ghosts:

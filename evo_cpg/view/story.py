@@ -165,6 +165,10 @@ class StoryFrames:
                 centre = clip.position.mean(1)
                 start = take.panel.recording.position[0].mean(0)
                 ahead = (take.goal[0] - centre) @ (take.goal[0] - start) > 0
+            opening = take.views[0][1]
+            if aspect < 1 and opening is not None and opening.titled:
+                # The arrow would cross the title of a tall picture.
+                ahead &= np.arange(end - first) >= take.hold * FPS
             shared = round(DISSOLVE * FPS)
             alone = shared * (number > 0), shared * (number < len(self._takes) - 1)
             tag = name_tags(camera, scene, self.rendered, alone)
