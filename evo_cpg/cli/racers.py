@@ -68,10 +68,12 @@ def apart(progress: Float[np.ndarray, " n"], least: float, most: int) -> list[in
         least: least distance between two chosen animals, m.
         most: largest number of chosen animals. If more are apart, those at even distances stay.
     """
-    chosen = [len(progress) - 1]
-    for number in reversed(range(len(progress) - 1)):
-        if progress[chosen[0]] - progress[number] >= least:
-            chosen.insert(0, number)
+    chosen: list[int] = []
+    for number, own in enumerate(progress[:-1]):
+        ahead = not chosen or own >= progress[chosen[-1]] + least
+        if ahead and own <= progress[-1] - least:
+            chosen.append(number)
+    chosen.append(len(progress) - 1)
     if len(chosen) <= most:
         return chosen
     places = np.linspace(progress[chosen[0]], progress[chosen[-1]], most)

@@ -66,7 +66,7 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
 
     def face_viewer(shot: Shot) -> None:
         ahead = goal - shot.eye
-        back = _BEHIND * radius / np.linalg.norm(ahead)
+        back = _BEHIND * radius / float(np.linalg.norm(ahead))
         for actor in (ball, *halos):
             # It is larger, so that it looks as large as at its place.
             actor.position, actor.scale = tuple(back * ahead), 1 + back

@@ -9,25 +9,30 @@ import synthetic
 from PIL import Image, ImageSequence
 
 from evo_cpg.cli.lanes import course_of, in_lanes, tank_of
+from evo_cpg.cli.racers import apart
 from evo_cpg.cli.storyboard import Material, story_of
 from evo_cpg.physics.contact_model import Ground
-from evo_cpg.physics.terrain import Plane
+from evo_cpg.physics.terrain import Plane, Relief
 from evo_cpg.training.crowd_motion import CrowdMotion
 from evo_cpg.view.camera import CameraPath, between, overview, project
 from evo_cpg.view.clip import Clip, sample
 from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.legible import font, lettering
 from evo_cpg.view.look import STYLES
+from evo_cpg.view.name_tags import placed_tags
 from evo_cpg.view.output import picture_of
-from evo_cpg.view.scene import Panel
+from evo_cpg.view.scene import Panel, Staging, moved_aside, scene_of
 from evo_cpg.view.stage import bends_sideways
 from evo_cpg.view.story import (
+    DISSOLVE,
     FPS,
+    GLIDE,
     Loop,
     LoopPart,
     Overview,
     StoryFrames,
     Take,
+    camera_of,
     clip_of,
     spans,
 )
@@ -71,6 +76,14 @@ def test_the_motion_waits_and_then_starts_gently():
     pace = np.diff(time) * FPS
     assert pace[16] < 0.2 and pace[-1] == pytest.approx(1.0)
     np.testing.assert_allclose(clip_of(take(start=0.4), 3).time, 0.4 + np.arange(3) / FPS)
+
+
+def test_the_motion_comes_to_rest_after_the_arrival():
+    time = clip_of(take()._replace(stop=1.0), 90).time
+    np.testing.assert_allclose(time[:31], np.arange(31) / FPS)
+    pace = np.diff(time)[30:] * FPS
+    assert pace[0] > 0.9 and (np.diff(pace) < 0).all() and pace[-1] < 0.01
+    assert time[-1] == pytest.approx(1.0 + GLIDE, abs=0.01)
 
 
 @pytest.mark.parametrize("aspect", [16 / 9, 9 / 16])
@@ -171,11 +184,26 @@ def test_the_finish_is_the_last_line_that_the_champion_passes():
     course = course_of(PANEL, 0.5, forward=True)
     progress = WALK.position[:, 0, 0] - WALK.position[0, 0, 0]
     assert course.finish is not None and course.target is not None
-    distance, instant = course.finish
+    distance, instant = course.finish, course.arrival
+    assert instant is not None
     assert distance / course.spacing == pytest.approx(round(distance / course.spacing))
-    assert distance <= progress[WALK.time <= WALK.time[-1] - 0.75].max() < distance + course.spacing
+    assert (
+        distance <= progress[WALK.time <= WALK.time[-1] - GLIDE].max() < distance + course.spacing
+    )
     assert np.interp(instant, WALK.time, progress) >= distance
     np.testing.assert_allclose(course.target, WALK.position[0, 0] + [distance, 0, 0])
+
+
+def test_the_champion_arrives_when_a_body_touches_the_light():
+    """The trunk is 0.6 m long, and the light 0.4 m ahead of it."""
+    light = WALK.position[0, 0] + np.array([0.7, 0.0, 0.0])
+    lit = PANEL._replace(recording=WALK._replace(goal=light))
+    arrival = course_of(lit, 0.5, forward=False).arrival
+    assert arrival is not None
+    progress = np.interp(arrival, WALK.time, WALK.position[:, 0, 0] - WALK.position[0, 0, 0])
+    assert progress == pytest.approx(0.4, abs=0.04)
+    beside_it = WALK._replace(goal=light + np.array([0.0, 0.4, 0.0]))
+    assert course_of(PANEL._replace(recording=beside_it), 0.5, forward=False).arrival is None
 
 
 def test_a_light_is_the_goal_and_has_no_finish():
@@ -218,19 +246,32 @@ def test_a_story_has_crowds_a_race_and_an_arrival():
     crowds = [(number, beside(*range(5))) for number in (0, 2, 7)]
     course = course_of(PANEL, 0.5, forward=True)
     aim = "Its task: get as far as it can."
-    material = Material(PANEL, 20, "forward", aim, course, 1.0, 1.5, True, crowds, [])
+    racers = [(number, WALK) for number in (0, 7)]
+    material = Material(PANEL, 20, "forward", aim, course, 1.0, True, True, crowds, racers)
     story = story_of(material, None, 16 / 9)
     assert sum(take.seconds for take in story.takes) == pytest.approx(15.0)
     assert len(story.takes) == 5
     texts = [words.text for words in story.words]
-    assert texts[:3] == [
+    assert texts == [
         "Nobody taught it to walk.",
         aim,
         "The first generation moves at random",
+        "Only the best have children",
+        "After 2 generations",
+        "After 7 generations",
+        "A race of generations 0, 7 and 20",
+        "After 20 generations, in slow motion",
+        f"It reaches {course.finish:g} m.",
     ]
-    assert "A race: the best after 0, 2, 7 and 20 generations" in texts
-    staging = story.takes[3].panel.staging
-    assert staging is not None and staging.names == ("20", "0", "2", "7")
+    race, arrival = story.takes[3:]
+    staging = race.panel.staging
+    assert staging is not None and staging.names == ("20", "0", "7")
+    # The winner is at the goal before the next take appears, and the words come after it.
+    ended = clip_of(race, round((race.hold + race.seconds - DISSOLVE) * FPS)).time[-1]
+    assert course.arrival is not None and ended >= course.arrival
+    slow = clip_of(arrival, round((arrival.seconds + DISSOLVE / 2) * FPS)).time
+    there = 15.0 - arrival.seconds - DISSOLVE / 2 + (slow < course.arrival).sum() / FPS
+    assert there <= story.words[-1].start <= there + 0.5
     # No word appears before the one at the same place has gone.
     captions = [words for words in story.words if words.kind == "caption"]
     assert all(one.end <= two.start for one, two in itertools.pairwise(captions))
@@ -239,6 +280,15 @@ def test_a_story_has_crowds_a_race_and_an_arrival():
     first = story.loop[0]
     assert first.words[0].text == texts[0] and first.words[0].start < 0
     assert first.first < 1.7 * FPS
+
+
+def test_walkers_in_lanes_follow_the_ground_and_swimmers_keep_their_height():
+    """The ground rises to the left. The second animal is high above it, in water."""
+    slope = Ground(floor=Relief(np.array([[0.0, 1.0], [0.0, 1.0]]), spacing=2.0))
+    place = np.array([[[0.5, 0.2, 0.15]], [[0.5, 0.2, 1.5]]])
+    lanes = np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    moved = moved_aside(place, lanes, slope, 0.5)
+    np.testing.assert_allclose(moved[:, 0], [[0.5, 1.2, 0.65], [0.5, 1.2, 1.5]], atol=1e-6)
 
 
 def test_only_a_swimmer_that_bends_sideways_is_seen_from_above():
@@ -263,3 +313,45 @@ def test_the_leader_of_a_crowd_is_ahead():
     own = crowd.recording(1, 0)
     np.testing.assert_allclose(own.distance[0], 0)
     np.testing.assert_array_equal(own.position, crowd.position[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("progress", "chosen"),
+    [
+        ([0.0, 1.0, 2.0], [0, 1, 2]),
+        # Animals that are no better than an earlier one are left out.
+        ([0.0, 0.2, 1.5, 1.4, 2.0], [0, 2, 4]),
+        ([3.0, 2.5, 2.0], [2]),
+        # Of many, those at even distances stay.
+        ([0.0, 1.0, 2.0, 5.0, 6.0, 9.0], [0, 2, 4, 5]),
+    ],
+)
+def test_racers_are_clearly_apart(progress, chosen):
+    assert apart(np.array(progress), 0.5, 4) == chosen
+
+
+def staged(others, names):
+    """Return the scene and the camera of some animals beside the first one."""
+    crowd = beside(*others)
+    lanes = np.zeros((len(others), 3))
+    seen = PANEL._replace(crowd=crowd, staging=Staging(lanes, names=names))
+    shot = take()._replace(panel=seen)
+    scene = scene_of(seen, clip_of(shot, 30))
+    return camera_of(shot, scene, SIZE[0] / SIZE[1]), scene
+
+
+def test_no_word_crosses_another():
+    camera, scene = staged((0.05, 0.1, 0.15), ("100", "0", "2", "7"))
+    tags = placed_tags(camera, scene, SIZE)
+    assert tags[0].opacity.max() == 1.0
+    for one, two in itertools.combinations(tags, 2):
+        close = (np.abs(one.middle - two.middle) < one.half + two.half).all(-1)
+        assert not (close & (one.opacity > 0) & (two.opacity > 0)).any()
+
+
+def test_a_word_avoids_other_animals():
+    """The neighbour is above the first animal in the picture, so the word is below it."""
+    camera, scene = staged((0.3,), ("best",))
+    (tag,) = placed_tags(camera, scene, SIZE)
+    trunk = project(camera, scene.clip.position[:, :1], SIZE[0] / SIZE[1])[:, 0]
+    assert (tag.middle[:, 1] < (trunk[:, 1] + 1) / 2 * SIZE[1]).all()
