@@ -38,8 +38,9 @@ _IN_WATER, _ON_LAND = np.radians(24.0), np.radians(12.0)
 # Least part of the picture's width for the animal next to its goal, in the view of the title. Room
 # ahead of the animal for an arrow, and behind it or its goal, in lengths.
 _SMALLEST, _AHEAD, _BACK = 0.15, 0.6, 0.2
-# Lengths behind the first animal of a race that its last view shows, before it, and around animals.
-_TRAILING, _BEFORE, _AROUND = 4.5, 1.4, 0.2
+# Lengths behind the first animal of a race that its last view shows, before it, to its right, and
+# above animals.
+_TRAILING, _BEFORE, _RIGHT, _AROUND = 4.5, 1.4, 0.8, 0.2
 # The finish stands on the last line that the champion passes this long before the end, s.
 _BEFORE_END = GLIDE
 # Distance of a body from the light that counts as reaching it, in lengths of the animal.
@@ -123,7 +124,7 @@ class Tank(NamedTuple):
         along = (bodies - course.start) @ course.ahead
         front = along[: len(own)].max()
         seen = bodies[along >= front - _TRAILING * course.length]
-        room = course.length * np.array([_BEFORE * course.ahead, -_AROUND * course.aside])
+        room = course.length * np.array([_BEFORE * course.ahead, -_RIGHT * course.aside])
         upright = [0.0, 0.0, _AROUND * course.length]
         ahead = own[along[: len(own)].argmax()] + room[0]
         points = [*seen, *(seen + upright), ahead, ahead + room[1]]

@@ -10,7 +10,8 @@ from evo_cpg.files import make_folder
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.output import check_size, output_path
-from evo_cpg.view.story import Loop, story_film
+from evo_cpg.view.story import story_film
+from evo_cpg.view.story_loop import Loop
 
 # Sizes of the films, and the largest width and file of the loop, pixels and bytes.
 _WIDE, _TALL = (1920, 1080), (1080, 1920)

@@ -21,7 +21,8 @@ from evo_cpg.training.lineage import champion_at
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.clip import sample
 from evo_cpg.view.scene import Panel, animal_radius, panel_of
-from evo_cpg.view.story import DISSOLVE, EASE, FPS, LoopPart, Take, look_of, spans
+from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, look_of, spans
+from evo_cpg.view.story_loop import LoopPart
 from evo_cpg.view.story_text import Words
 
 # Lengths in the film, s: of the whole story, of the title before the first motion, of the motion of
@@ -31,7 +32,7 @@ _WHOLE, _TITLE, _FIRST, _CROWD, _RACE = 15.0, 1.7, 3.2, 1.8, 3.4
 _PAUSE, _PART = 0.1, 0.52
 # Time in which the camera leaves the title, time before it turns to the winner of the race, and
 # time in which it does, s.
-_LEAVE, _STAY, _FOLLOW = 1.2, 0.2, 1.6
+_LEAVE, _STAY, _FOLLOW = 1.2, 0.2, 1.2
 # A generation runs for as long as the champion takes for this many of its own lengths, in this much
 # film, s. Allowed speeds of the film.
 _LENGTHS, _RUN, _SLOWEST, _FASTEST = 4.0, 3.0, 1.0, 6.0
