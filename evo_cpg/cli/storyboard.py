@@ -21,7 +21,7 @@ from evo_cpg.training.lineage import champion_at
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.clip import sample
 from evo_cpg.view.scene import Panel, animal_radius, panel_of
-from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, look_of, spans
+from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, spans
 from evo_cpg.view.story_loop import LoopPart
 from evo_cpg.view.story_text import Words
 
@@ -29,7 +29,7 @@ from evo_cpg.view.story_text import Words
 # the first crowd and of each other one, and of the race. The champion takes the rest.
 _WHOLE, _TITLE, _FIRST, _CROWD, _RACE = 15.0, 1.7, 3.2, 1.8, 3.4
 # Time without words after the title, s. Part of the first crowd's motion before its second words.
-_PAUSE, _PART = 0.1, 0.52
+_PAUSE, _PART = 0.1, 0.45
 # Time in which the camera leaves the title, time before it turns to the winner of the race, and
 # time in which it does, s.
 _LEAVE, _STAY, _FOLLOW = 1.2, 0.2, 1.2
@@ -43,12 +43,8 @@ _SLOW, _AFTER = 0.5, 1.8
 _WON, _APART = 0.1, 0.45
 # Fraction of the bodies, over the champion's take, for a camera below the surface of the water.
 _SUBMERGED = 0.9
-# Distance of the camera at the start of a crowd, relative to that at its end.
-_FAR = 1.06
-# Lengths of the parts of the loop, s: of the title, and of the motion in each take. Words that
-# would be seen for less time are left out.
-_OF_TITLE, _OF_FIRST, _OF_LAST, _OF_RACE, _OF_CHAMPION = 1.2, 3.0, 1.6, 2.8, 3.0
-_READABLE = 0.8
+# Length of the title in the loop, s, and number of takes in the loop.
+_OF_TITLE, _IN_LOOP = 1.2, 4
 
 
 class Material(NamedTuple):
@@ -145,14 +141,15 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         moves = _RACE if race else _FIRST if first else _CROWD
         hold = _TITLE if first else DISSOLVE
         end, appear = hold + moves, None
-        views = [(0.0, tank.wide._replace(distance=_FAR)), (end, tank.wide)]
+        views = [(0.0, tank.wide)]
         if first:
             views = [(_TITLE - 0.2, tank.title), (_TITLE + _LEAVE, tank.wide)]
             appear = round(_TITLE * FPS), round((_TITLE + 0.6 * _LEAVE) * FPS)
         if race:
             begin = hold + (_LEAVE if first else _STAY)
             last = tank.behind(animal, others, material.end)
-            views = [*views[:-1], (begin, tank.wide), (end if tank.near else begin + _FOLLOW, last)]
+            turned = end if tank.near else begin + _FOLLOW
+            views = [*views[: 1 if first else 0], (begin, tank.wide), (turned, last)]
         staging = tank.staging(others.count)._replace(names=names, appear=appear)
         crowd = others if others.count else None
         seen = panel._replace(recording=animal, crowd=crowd, staging=staging)
@@ -278,38 +275,19 @@ def _speed(recording: Recording, root: int, length: float) -> float:
 
 
 def _loop(takes: list[Take], words: list[Words]) -> list[LoopPart]:
-    """Return the parts of the film that the loop shows: title, crowds, race, and champion."""
-    every, shared = spans([take.seconds for take in takes]), round(DISSOLVE * FPS)
-    last = len(takes) - 1
-
-    def part(number: int, seconds: float, title: float = 0.0) -> LoopPart:
-        first, end = every[number]
-        first += round((takes[number].hold - title) * FPS)
-        end -= shared if number < last else 0
-        count = round((title + seconds) * FPS)
-        if number >= last - 1 and number:
-            # The end of the race and the arrival count.
-            first = max(first, end - count)
-        end = min(first + count, end)
-        # No words are seen while one part dissolves into the next, except those of the title.
-        gone = (end - first - shared) / FPS
-        told = [
-            one._replace(start=max(start, begin), end=min(one.end - first / FPS, gone))
-            for one in words
-            for start in (one.start - first / FPS,)
-            for begin in (-1.0 if one.kind != "caption" else DISSOLVE,)
-        ]
-        told = [one for one in told if one.end - one.start > _READABLE]
-        return LoopPart(first, end, told, look_of(takes[number]))
-
-    found = [part(0, _OF_FIRST, _OF_TITLE if last else 0.0)]
-    if last > 2:
-        found.append(part(last - 2, _OF_LAST))
-    if last > 1:
-        found.append(part(last - 1, _OF_RACE))
-    if last > 0:
-        found.append(part(last, _OF_CHAMPION))
-    return found
+    """Return the parts of the film that the loop shows: all but most of the title and a crowd."""
+    every = spans([take.seconds for take in takes])
+    first, end = round((_TITLE - _OF_TITLE) * FPS), every[-1][1]
+    if len(takes) <= _IN_LOOP:
+        return [LoopPart(first, end, words)]
+    again = every[1 - _IN_LOOP][0] + round(takes[1 - _IN_LOOP].hold * FPS)
+    # The first words of the second part come after it has appeared.
+    late = again / FPS + DISSOLVE
+    told = [one._replace(start=max(one.start, late)) for one in words]
+    return [
+        LoopPart(first, every[0][1] - round(DISSOLVE * FPS), words),
+        LoopPart(again, end, told),
+    ]
 
 
 def _aim(opened: OpenedChampion, recording: Recording, course: Course) -> str:

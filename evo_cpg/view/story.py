@@ -52,7 +52,6 @@ class Overview(NamedTuple):
         points: the points, m.
         bearing: direction in which the animals go, from the x axis, rad.
         elevation: height of the camera above the horizon, rad.
-        distance: distance of the camera, relative to the least one that shows all points.
         titled: whether the upper part of the picture is left for a title.
         follows: whether the view moves with the animal, so that it shows the points in the last
             frame.
@@ -61,7 +60,6 @@ class Overview(NamedTuple):
     points: Float[np.ndarray, "n 3"]
     bearing: float
     elevation: float
-    distance: float = 1.0
     titled: bool = False
     follows: bool = False
 
@@ -231,7 +229,7 @@ def _path_of(view: Overview | None, scene: Scene, aspect: float) -> CameraPath:
     if view is None:
         return camera_path(scene, "follow", aspect, close=True)
     path = overview(view.points, view.bearing, view.elevation, aspect, view.titled)
-    focus, back = path.focus, view.distance * (path.position - path.focus)
+    focus, back = path.focus, path.position - path.focus
     if view.follows:
         centre = smooth(scene.clip.position.mean(1), SMOOTHING * scene.clip.rate)
         focus = focus + centre - centre[-1]
@@ -255,9 +253,14 @@ def blended(before: np.ndarray, after: np.ndarray, weight: float) -> np.ndarray:
     return (mixed + 0.5).astype(np.uint8)
 
 
-def look_of(take: Take) -> Look:
-    """Return the look of the world of a take."""
-    return scene_of(take.panel._replace(crowd=None), clip_of(take, round(take.seconds * FPS))).look
+def looks_of(takes: Sequence[Take]) -> Callable[[float], Look]:
+    """Return a function that returns the look of the world at a time of the film, s."""
+    ends = np.cumsum([take.seconds for take in takes])
+    looks = [
+        scene_of(take.panel._replace(crowd=None), clip_of(take, round(take.seconds * FPS))).look
+        for take in takes
+    ]
+    return lambda time: looks[min(int((ends <= time).sum()), len(looks) - 1)]
 
 
 def story_film(
@@ -287,8 +290,7 @@ def story_film(
     """
     check_size(size)
     make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
-    frames, settings = make(), [look_of(take) for take in takes]
-    ends = np.cumsum([take.seconds for take in takes])
+    frames, look_at = make(), looks_of(takes)
     with (
         drawn_frames(frames, make, drawing_processes(frames.count, processes)) as drawn,
         film_writer(path, frames.size, frames.rendered, FPS) as write,
@@ -299,9 +301,8 @@ def story_film(
             # A picture from another process cannot be changed.
             frame = bare if bare.flags.writeable else bare.copy()
             with lettering(frame) as draw:
-                look = settings[min(int((ends <= number / FPS).sum()), len(settings) - 1)]
                 for each in words:
-                    written(draw, each, number / FPS, look, frames.rendered)
+                    written(draw, each, number / FPS, look_at(number / FPS), frames.rendered)
             write(frame)
             if progress is not None:
                 progress(number + 1, frames.count)

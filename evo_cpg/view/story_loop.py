@@ -1,6 +1,6 @@
 """A loop for a web page: parts of a story that dissolve into each other, in a small file."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -22,14 +22,12 @@ class LoopPart(NamedTuple):
     Attributes:
         first: first frame.
         end: frame after the last one. The part dissolves into the next one before it.
-        words: texts of the part, with times of the film from its first frame.
-        look: look of the world.
+        words: texts of the part, with times of the film.
     """
 
     first: int
     end: int
     words: Sequence[Words]
-    look: Look
 
 
 class Loop:
@@ -40,6 +38,7 @@ class Loop:
 
     Args:
         parts: the parts.
+        look_at: function that returns the look of the world at a time of the film, s.
         size: width and height, pixels.
         file: empty scratch file for frames.
         every: frames of the film for each frame of the loop.
@@ -48,11 +47,12 @@ class Loop:
     def __init__(
         self,
         parts: Sequence[LoopPart],
+        look_at: Callable[[float], Look],
         size: tuple[int, int],
         file: IO[bytes],
         every: int = 2,
     ):
-        self._parts, self._size = parts, size
+        self._parts, self._look_at, self._size = parts, look_at, size
         self._file, self._every = file, every
         self._shared = round(DISSOLVE * FPS / every)
         self._numbers: dict[int, int] = {}
@@ -97,10 +97,11 @@ class Loop:
 
     def _worded(self, part: LoopPart, number: int) -> np.ndarray:
         """Return a frame of a part with its words, by its number in the part."""
-        frame = np.ascontiguousarray(self._kept(self._shown(part)[number])[::-1])
+        shown = self._shown(part)[number]
+        frame, time = np.ascontiguousarray(self._kept(shown)[::-1]), shown / FPS
         with lettering(frame) as draw:
             for words in part.words:
-                written(draw, words, number * self._every / FPS, part.look, self._size)
+                written(draw, words, time, self._look_at(time), self._size)
         return frame
 
     def _shown(self, part: LoopPart) -> range:

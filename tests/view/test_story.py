@@ -149,8 +149,8 @@ def test_a_long_title_is_broken_between_words():
 
 def test_the_end_of_a_loop_dissolves_into_its_start(tmp_path):
     """Frames of one colour: the number of the frame."""
-    parts = [LoopPart(0, 40, [], STYLES["water"]), LoopPart(60, 100, [], STYLES["water"])]
-    loop = Loop(parts, (16, 16), io.BytesIO())
+    parts = [LoopPart(0, 40, []), LoopPart(60, 100, [])]
+    loop = Loop(parts, lambda time: STYLES["water"], (16, 16), io.BytesIO())
     for number in range(120):
         loop.take(number, np.full((16, 16, 3), number, np.uint8))
     found = [int(frame[0, 0, 0]) for frame in loop.frames()]
@@ -275,8 +275,11 @@ def test_a_story_has_crowds_a_race_and_an_arrival():
     captions = [words for words in story.words if words.kind == "caption"]
     assert all(one.end <= two.start for one, two in itertools.pairwise(captions))
     assert captions[0].start >= story.words[0].end
-    # The loop begins with the title at full strength, before anything moves.
-    first = story.loop[0]
+    # The loop begins with the title at full strength, before anything moves. It leaves out the
+    # second crowd.
+    first, second = story.loop
+    (_, begin), (again, _) = spans([take.seconds for take in story.takes])[0:3:2]
+    assert first.end < begin and again < second.first and second.end == 15 * FPS
     assert first.words[0].text == texts[0] and first.words[0].start < 0
     assert first.first < 1.7 * FPS
 
