@@ -10,7 +10,7 @@ from evo_cpg.files import make_folder
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.output import check_size, output_path
-from evo_cpg.view.story import looks_of, story_film
+from evo_cpg.view.story import look_by_time, story_film
 from evo_cpg.view.story_loop import Loop
 
 # Sizes of the films, and the largest width and file of the loop, pixels and bytes.
@@ -53,7 +53,7 @@ def tell(
         with tempfile.TemporaryFile() as scratch:
             loop = None
             if looped and place == path:
-                loop = Loop(story.loop, looks_of(story.takes), small, scratch)
+                loop = Loop(story.loop, look_by_time(story.takes), small, scratch)
             with working("rendering", counted=True) as work:
                 story_film(
                     story.takes,

@@ -253,14 +253,14 @@ def blended(before: np.ndarray, after: np.ndarray, weight: float) -> np.ndarray:
     return (mixed + 0.5).astype(np.uint8)
 
 
-def looks_of(takes: Sequence[Take]) -> Callable[[float], Look]:
+def look_by_time(takes: Sequence[Take]) -> Callable[[float], Look]:
     """Return a function that returns the look of the world at a time of the film, s."""
     ends = np.cumsum([take.seconds for take in takes])
-    looks = [
+    every = [
         scene_of(take.panel._replace(crowd=None), clip_of(take, round(take.seconds * FPS))).look
         for take in takes
     ]
-    return lambda time: looks[min(int((ends <= time).sum()), len(looks) - 1)]
+    return lambda time: every[min(int((ends <= time).sum()), len(every) - 1)]
 
 
 def story_film(
@@ -290,7 +290,7 @@ def story_film(
     """
     check_size(size)
     make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
-    frames, look_at = make(), looks_of(takes)
+    frames, look_at = make(), look_by_time(takes)
     with (
         drawn_frames(frames, make, drawing_processes(frames.count, processes)) as drawn,
         film_writer(path, frames.size, frames.rendered, FPS) as write,
