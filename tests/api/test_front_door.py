@@ -17,6 +17,7 @@ import pytest
 import evo_cpg as evo
 from evo_cpg.api import fitness
 from evo_cpg.cli.main import main
+from evo_cpg.fusion.engine import EngineWarning
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from shared_programs import programs_of_its_own, remember_programs
 from tiny_run import CONFIG, PAIR, REPOSITORY, TINY, environment
@@ -364,3 +365,9 @@ def test_overrides_work_as_on_the_command_line():
     contents = given.config.model_dump(mode="json")
     assert evo.load(contents).config == given.config
     assert evo.load(contents, ["world.gravity=2"]).world.gravity == 2.0
+
+
+def test_loading_warns_if_jax_runs_on_a_gpu(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    with pytest.warns(EngineWarning, match="set the environment variable JAX_PLATFORMS=cpu"):
+        evo.load(CONFIG)

@@ -1,5 +1,6 @@
 """Cost of starting the program, and side effects of importing it."""
 
+import os
 import resource
 import statistics
 import subprocess
@@ -10,7 +11,7 @@ import pytest
 import typer
 
 import evo_cpg
-from evo_cpg.cli.main import COMMANDS, app
+from evo_cpg.cli.main import COMMANDS, app, main
 from tiny_run import CONFIG, LONG, REPOSITORY, environment
 
 IMPORT_EVERYTHING = """
@@ -111,3 +112,14 @@ def test_training_never_loads_vtk(finished_run, compiled, tmp_path):
     assert not {"vtk", "vtkmodules", "pyvista", "matplotlib", "imageio_ffmpeg"} & set(
         loaded.split()
     )
+
+
+@pytest.mark.parametrize("chosen, used", [(None, "cpu"), ("cuda,cpu", "cuda,cpu")])
+def test_commands_use_the_processor_unless_jax_platforms_says_otherwise(monkeypatch, chosen, used):
+    monkeypatch.setenv("JAX_PLATFORMS", chosen or "")
+    if chosen is None:
+        monkeypatch.delenv("JAX_PLATFORMS")
+    monkeypatch.setattr(sys, "argv", ["evo-cpg", "--version"])
+    with pytest.raises(SystemExit):
+        main()
+    assert os.environ["JAX_PLATFORMS"] == used
