@@ -64,9 +64,11 @@ def collect(run: Path) -> str:
     experiment, champion, meta = opened.experiment, opened.champion, opened.folder.read_meta()
     digest = _digest(opened.config)
     name = next((each for each in shipped_names() if config_digest(each) == digest), None)
-    if name is None or opened.recording is None:
+    if name is None:
         raise ValueError(f"{run}: not the champion of a shipped configuration as it is now")
-    panel = panel_of(experiment, opened.recording, "")
+    # Runs of a study keep no motion.
+    recording = opened.recording or opened.replay([champion], 0)[0].recording
+    panel = panel_of(experiment, recording, "")
     ANIMALS.mkdir(exist_ok=True)
     _write_scene(name, rounded(viewer_data(panel)))
     picture([panel], Film(_STILL)).save(ANIMALS / f"{name}.jpg", "JPEG", quality=_QUALITY)
