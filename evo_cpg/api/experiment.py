@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from evo_cpg.api.bodies import Bodies, Numbers
 from evo_cpg.api.environment import Environment
 from evo_cpg.api.fitness import JudgedBy, fitness_function
+from evo_cpg.api.machine import warn_of_gpu
 from evo_cpg.api.progress import working
 from evo_cpg.api.record import Record, as_record
 from evo_cpg.config.build import build_experiment
@@ -357,6 +358,7 @@ class Experiment:
         if program in self._compiled:
             return nullcontext()
         self._compiled.add(program)
+        warn_of_gpu()
         return working(f"compiling the {what} of {self.name!r} for {of} (first call only)")
 
     @functools.cached_property

@@ -1,11 +1,8 @@
 """Load an experiment from a file, a run folder or a dictionary."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-import jax
 
 from evo_cpg.api.experiment import Experiment
 from evo_cpg.api.opened import class_folders
@@ -14,7 +11,6 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import as_overrides, complete_config, load_config, load_run_config
 from evo_cpg.config.shipped import find_config
 from evo_cpg.config.trust import trusting
-from evo_cpg.fusion.engine import EngineWarning
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
 
@@ -67,13 +63,6 @@ def _load(
             source, read_file = source / "config.yaml", load_run_config
         read = read_file(source, changed)
     use_cores(cores)
-    if (backend := jax.default_backend()) != "cpu":
-        warnings.warn(
-            f"JAX runs on {backend}, so plain JAX computes everything. Native code on the CPU is "
-            "faster: set the environment variable JAX_PLATFORMS=cpu before you import JAX",
-            EngineWarning,
-            stacklevel=4,
-        )
     with working(f"building {read.name!r}"):
         return Experiment(build_experiment(read, source, folders), read, source)
 

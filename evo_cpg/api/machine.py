@@ -1,11 +1,14 @@
 """Fingerprint of the machine: processor, cores and versions, which affect the bits of a run."""
 
 import platform
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from evo_cpg.fusion.engine import Engine, described
+import jax
+
+from evo_cpg.fusion.engine import Engine, EngineWarning, described
 from evo_cpg.installation import version_of
 from evo_cpg.system import described_by
 
@@ -21,6 +24,17 @@ _ROUNDING = {
     "llvm": "LLVM",
 }
 _ROUNDING_PACKAGES = ("jax", "jaxlib", "numpy", "evo-cpg")
+
+
+def warn_of_gpu() -> None:
+    """Warn if JAX does not run on the processor, where native code is faster. This starts JAX."""
+    if (backend := jax.default_backend()) != "cpu":
+        warnings.warn(
+            f"JAX runs on {backend}, so plain JAX computes everything. Native code on the CPU is "
+            "faster: set the environment variable JAX_PLATFORMS=cpu before you import JAX",
+            EngineWarning,
+            stacklevel=2,
+        )
 
 
 def machine_fingerprint(engine: Engine, devices: int) -> dict[str, Any]:

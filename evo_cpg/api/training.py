@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 
 from evo_cpg.analysis.verdict import Check
 from evo_cpg.api.experiment import Experiment
-from evo_cpg.api.machine import machine_changes, machine_fingerprint
+from evo_cpg.api.machine import machine_changes, machine_fingerprint, warn_of_gpu
 from evo_cpg.api.opened import Opened
 from evo_cpg.api.progress import Generations, working
 from evo_cpg.api.warm_start import Start
@@ -116,6 +116,7 @@ def _train(
         seen.add(max(row["champion"] for row in rows))
         on_generation(rows)
 
+    warn_of_gpu()
     with Recorder(experiment.parts, folder, least) as recorder, compiling:
         compiling.enter_context(
             working(f"compiling the search of {experiment.name!r} (first call only)")

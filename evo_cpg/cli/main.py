@@ -192,7 +192,7 @@ def main() -> None:
 
     For an error of the user or the system, print a short message and exit with code 2.
     """
-    # Native code is 20 to 40 times faster than a GPU for 200 individuals (docs/faq.md).
+    # For 200 individuals, native code is 20 to 45 times as fast as a GPU (docs/faq.md).
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     try:
         with interrupts_delivered(), warnings.catch_warnings():

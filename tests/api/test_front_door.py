@@ -367,7 +367,17 @@ def test_overrides_work_as_on_the_command_line():
     assert evo.load(contents, ["world.gravity=2"]).world.gravity == 2.0
 
 
-def test_loading_warns_if_jax_runs_on_a_gpu(monkeypatch):
+def test_compiling_warns_if_jax_runs_on_a_gpu(monkeypatch):
+    loaded = evo.load(CONFIG)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     with pytest.warns(EngineWarning, match="set the environment variable JAX_PLATFORMS=cpu"):
-        evo.load(CONFIG)
+        loaded._compiling("trials", "one individual", ("trials", 1))
+
+
+def test_loading_does_not_start_jax(tmp_path):
+    """After JAX has started, `load` cannot change the number of cores."""
+    program = (
+        "import evo_cpg; from jax._src import xla_bridge; evo_cpg.load('iwadate2010_swimmer'); "
+        "assert not xla_bridge.backends_are_initialized()"
+    )
+    subprocess.run([sys.executable, "-c", program], env=environment(tmp_path), check=True)
