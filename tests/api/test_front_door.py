@@ -374,10 +374,11 @@ def test_compiling_warns_if_jax_runs_on_a_gpu(monkeypatch):
         loaded._compiling("trials", "one individual", ("trials", 1))
 
 
-def test_loading_does_not_start_jax(tmp_path):
-    """After JAX has started, `load` cannot change the number of cores."""
+def test_the_last_loading_sets_the_number_of_cores(tmp_path):
+    """Loading does not start JAX, after which the number would be fixed."""
     program = (
-        "import evo_cpg; from jax._src import xla_bridge; evo_cpg.load('iwadate2010_swimmer'); "
-        "assert not xla_bridge.backends_are_initialized()"
+        "import evo_cpg, jax; evo_cpg.load('iwadate2010_swimmer', cores=2); "
+        "evo_cpg.load('iwadate2010_swimmer', cores=3); assert jax.local_device_count() == 3"
     )
-    subprocess.run([sys.executable, "-c", program], env=environment(tmp_path), check=True)
+    own = {k: v for k, v in environment(tmp_path).items() if k != "XLA_FLAGS"}
+    subprocess.run([sys.executable, "-c", program], env=own, check=True)
