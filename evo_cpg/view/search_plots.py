@@ -74,8 +74,10 @@ def generations_figure(
     axes.set_ylim(bottom=0)
     count_in_whole_numbers(axes)
     axes.grid()
-    runs = max(best.shape[1] for best in bests.values())
-    axes.legend(title=f"median of {runs} runs, half of them in the band" if runs > 1 else None)
+    counts = [best.shape[1] for best in bests.values()]
+    least, most = min(counts), max(counts)
+    runs = f"{most} runs" if least == most else f"{least} to {most} runs"
+    axes.legend(title=f"median of {runs}, half of them in the band" if most > 1 else None)
     return figure
 
 

@@ -244,7 +244,10 @@ def test_generations_have_a_line_and_a_band_for_each_setting():
     median = next(line for line in axes.get_lines() if line.get_label() == "a")
     assert median.get_ydata().tolist() == [0, 2, 4, 6, 8]
     assert len(axes.collections) == 1
-    assert axes.get_legend().get_title().get_text() == "median of 3 runs, half of them in the band"
+    assert axes.get_legend().get_title().get_text().startswith("median of 1 to 3 runs, half of")
+    equal = generations_figure({"a": bests["a"]}, "best (m)").axes[0]
+    title = "median of 3 runs, half of them in the band"
+    assert equal.get_legend().get_title().get_text() == title
 
 
 def test_a_pair_of_groups_has_one_colour_and_the_second_is_filled():
