@@ -288,9 +288,9 @@ class Experiment:
         """Return the animal without its controller, for reinforcement learning.
 
         Args:
-            actions: quantity that an action sets: ``rates`` of the joints for the motors to follow
-                (rad/s), ``angles`` for the motors' springs to pull to (rad), ``torques`` of the
-                torque motors (N m), or ``activations`` of the muscles (0 to 1).
+            actions: quantity that an action sets. Motors follow ``rates`` of the joints (rad/s), and
+                their springs pull to ``angles`` (rad). Torque motors exert ``torques`` (N m).
+                Muscles have ``activations`` (0 to 1).
             trial: number of the trial, from 0, which sets the start and the place of the light.
 
         Raises:
