@@ -288,8 +288,8 @@ class Experiment:
         """Return the animal without its controller, for reinforcement learning.
 
         Args:
-            actions: quantity that an action sets. Motors follow ``rates`` of the joints (rad/s), and
-                their springs pull to ``angles`` (rad). Torque motors exert ``torques`` (N m).
+            actions: quantity that an action sets. Motors follow ``rates`` of the joints (rad/s).
+                Their springs pull to ``angles`` (rad). Torque motors exert ``torques`` (N m).
                 Muscles have ``activations`` (0 to 1).
             trial: number of the trial, from 0, which sets the start and the place of the light.
 
