@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from benchmarks.exercise import Exercise
 from benchmarks.mujoco_peer import Kind, Motion
-from benchmarks.ours import Program, compile_motion, full_lanes
+from benchmarks.ours import compile_motion, full_lanes
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 
@@ -30,11 +30,13 @@ FINER = 16
 LANES = 16
 
 
-def our_error(exercise: Exercise, program: Program, mesh: Mesh) -> float:
-    """Return the error of a compiled motion with at least `LANES` lanes, in body lengths."""
+def our_error(exercise: Exercise, mesh: Mesh) -> float:
+    """Return the error of our motion in float32, in body lengths."""
     steps = steps_until_compared(exercise)
+    lanes = exercise.lanes(full_lanes(LANES, mesh))
+    coarse = compile_motion(exercise, lanes, mesh).run(steps)[:, :LANES]
     exact = our_places(exercise, mesh, steps, FINER)
-    return typical_distance(program.run(steps)[:, :LANES], exact) / body_length(exercise)
+    return typical_distance(coarse, exact) / body_length(exercise)
 
 
 def our_places(exercise: Exercise, mesh: Mesh, steps: int, finer: int) -> Float[np.ndarray, "3 n"]:

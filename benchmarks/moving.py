@@ -100,16 +100,13 @@ def measure(animal: Animal, plan: Plan, peak: float) -> Iterator[Row]:
     mesh, sizes = population_mesh(), plan.sizes_or(*animal.sizes)
     guest_size = min(sizes, key=lambda size: abs(size - animal.sizes[0]))
     rows: list[Row] = []
-    errors: dict[str, float | None] = {}
+    plan.say(f"{animal.case}: accuracy")
+    errors = _errors(animal.exercise, mesh, plan.cores)
     for size in sorted(sizes):
         plan.say(f"{animal.case}, {size} individuals: compiling")
         program = compile_motion(
             animal.exercise, animal.exercise.lanes(full_lanes(size, mesh)), mesh
         )
-        if not errors:
-            # Every population begins with equal individuals, so that one measurement is enough.
-            plan.say(f"{animal.case}: accuracy")
-            errors = _errors(animal.exercise, program, mesh, plan.cores)
         guests = animal.guests if size == guest_size else ()
         with entered(guests, animal.exercise, size, plan) as entries:
             found = _at_size(animal, size, program, errors, entries, mesh, plan, peak)
@@ -118,15 +115,13 @@ def measure(animal: Animal, plan: Plan, peak: float) -> Iterator[Row]:
     yield from _growth(animal.case, rows)
 
 
-def _errors(
-    exercise: Exercise, program: Program, mesh: Mesh, threads: int
-) -> dict[str, float | None]:
+def _errors(exercise: Exercise, mesh: Mesh, threads: int) -> dict[str, float | None]:
     """Return the errors of MuJoCo's kinds by name, and ours under the empty name.
 
     Errors are in body lengths, None if they are not finite.
     """
     theirs = {kind.name: finite(mujoco_error(exercise, kind, threads)) for kind in kinds(exercise)}
-    return {"": finite(our_error(exercise, program, mesh)), **theirs}
+    return {"": finite(our_error(exercise, mesh)), **theirs}
 
 
 def _at_size(

@@ -7,7 +7,6 @@ import pytest
 
 from benchmarks.accuracy import (
     FINER,
-    LANES,
     body_length,
     mujoco_error,
     mujoco_places,
@@ -18,7 +17,6 @@ from benchmarks.accuracy import (
 from benchmarks.exercise import Wave
 from benchmarks.moving import PHYSICS, WHOLE, Animal, measure
 from benchmarks.mujoco_peer import WET
-from benchmarks.ours import compile_motion, full_lanes
 from benchmarks.plan import Plan, experiment_of
 from evo_cpg.training.devices import population_mesh
 from tiny_run import TINY
@@ -64,11 +62,9 @@ def test_the_error_falls_with_the_step(places):
 
 def test_errors_are_in_body_lengths(chain, places):
     """The float32 motion at the step itself has about the error that its float64 twin has."""
-    mesh = population_mesh()
-    program = compile_motion(chain, chain.lanes(full_lanes(LANES, mesh)), mesh)
     twin = typical_distance(places("ours", 1), places("ours", FINER)) / body_length(chain)
     # Rounding is about a tenth of this small error.
-    assert our_error(chain, program, mesh) == pytest.approx(twin, rel=0.2)
+    assert our_error(chain, population_mesh()) == pytest.approx(twin, rel=0.2)
     peer = typical_distance(places("MuJoCo", 1), places("MuJoCo", FINER)) / body_length(chain)
     assert mujoco_error(chain, WET[0], 1) == pytest.approx(peer)
 
@@ -82,7 +78,7 @@ def test_a_chains_body_length_is_from_centre_to_centre(chain):
 @pytest.mark.slow
 def test_an_animal_is_measured_at_every_size(chain):
     """Both parts have a row for every kind of water, and a row for the largest population."""
-    animal, plan = Animal("chain", chain, (200, 208), flops=1000), Plan(2, None, 0.01, 2)
+    animal, plan = Animal("chain", chain, (1, 200, 208), flops=1000), Plan(2, None, 0.01, 2)
     rows = list(measure(animal, plan, 1e11))
     for size in animal.sizes:
         for part in (PHYSICS, WHOLE):
@@ -91,7 +87,7 @@ def test_an_animal_is_measured_at_every_size(chain):
             assert all(row.rate > 0 and row.peer_rate and row.ratio for row in own)
             assert all(row.note is None for row in own)
         physics = [row for row in rows if (row.size, row.part) == (size, PHYSICS)]
-        assert all(0 < row.error < 0.1 and 0 < row.peer_error < 0.1 for row in physics)
+        assert all(0 < row.error < 0.2 * row.peer_error < 0.02 for row in physics)
         assert all(row.flops == pytest.approx(1000 * row.rate) for row in physics)
     large = [row for row in rows if row.part.endswith(", large")]
     assert [row.size for row in large] == [208, 208]
