@@ -258,7 +258,7 @@ def test_a_killed_lead_ends_the_job(compiled, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_interrupted_lead_prints_how_to_continue(compiled, tmp_path):
+def test_an_interrupted_lead_prints_how_to_continue(compiled, tmp_path, interruptible):
     run = tmp_path / "run"
     with Hosts(compiled, tmp_path, "train", CONFIG, *ENDLESS, "--out", run) as hosts:
         while generations_done(run) < 1:

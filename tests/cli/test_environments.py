@@ -155,7 +155,6 @@ def test_watch_without_permission_to_write_draws_no_picture(cli, finished_run, m
     def refuse(self, champion, now):
         raise OutputError("cannot write watch.png (Permission denied)")
 
-    monkeypatch.setattr(watch, "lower_priority", lambda: None)
     monkeypatch.setattr(watch._Pictures, "_make", refuse)
     code, out, err = cli("watch", finished_run, "--once")
     assert code == 0 and out.count(" generations  champion") == 30

@@ -10,15 +10,9 @@ import pytest
 from evo_cpg.cli import interrupts, main
 from evo_cpg.cli.interrupts import interrupts_delivered
 
+pytestmark = pytest.mark.usefixtures("interruptible")
+
 LONG = 20.0  # s. An interrupt takes 0.01 s.
-
-
-@pytest.fixture(autouse=True)
-def python_as_it_starts():
-    """Restore Python's handler, because tests in the background of a shell ignore control-C."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 def assert_interrupted_afterwards(key):

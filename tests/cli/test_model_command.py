@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from urllib.parse import urlsplit
 
 import pytest
@@ -15,14 +14,6 @@ from evo_cpg.drawing.document import Document
 from evo_cpg.drawing.page.server import DrawingServer
 from evo_cpg.view.page import server as page_server
 from tiny_run import REPOSITORY
-
-
-@pytest.fixture
-def interruptible() -> Iterator[None]:
-    """Interrupts arrive, also in processes started here, even if a shell ignores them."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 def test_a_page_is_served_until_an_interrupt(tmp_path, interruptible):

@@ -37,6 +37,8 @@ LIFTING = (
     "creature.bodies.1.shape.size.1=0.02",
     "world.water.surface=0.02",
     "world.water.viscosity=0.001",
+    "world.water.law=null",
+    "world.water.skin_drag=null",
     "world.water.lift=true",
 )
 STEPS, INDIVIDUALS = 3, 2
@@ -44,8 +46,9 @@ STEPS, INDIVIDUALS = 3, 2
 # Roundings differ by 2e-16 in every operation, and contact multiplies that by thousands. Measured
 # differences were up to 1e-14 of the largest number in water and 9e-13 on the ground. The residual
 # of solved equations is itself such a difference. Its scale is the equations' terms, which are 1.
+# The cosine of an animal that swims level is a rounding, too.
 TOLERANCE = 1e-11
-RESIDUALS = ("solved_residual", "coulomb_residual")
+OF_SCALE_1 = ("solved_residual", "coulomb_residual", "sense.vertical_cosine")
 
 
 def trial(name, overrides, engine):
@@ -77,7 +80,7 @@ def test_native_code_and_jax_give_the_same_trial(x64, name, overrides):
     assert found.keys() == expected.keys()
     assert np.abs(np.diff(expected["joint_angle"], axis=0)).max() > 1e-6
     for key, values in expected.items():
-        size = 1.0 if key in RESIDUALS else np.abs(values).max(initial=0.0)
+        size = 1.0 if key in OF_SCALE_1 else np.abs(values).max(initial=0.0)
         np.testing.assert_allclose(
             found[key], values, rtol=0, atol=TOLERANCE * size, strict=True, err_msg=key
         )
