@@ -19,6 +19,7 @@ from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
+from tiny_run import VISCOUS
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 # The robust configs have the creatures of other configs.
@@ -36,9 +37,7 @@ LIFTING = (
     "creature.bodies.1.repeat=1",
     "creature.bodies.1.shape.size.1=0.02",
     "world.water.surface=0.02",
-    "world.water.viscosity=0.001",
-    "world.water.law=null",
-    "world.water.skin_drag=null",
+    *VISCOUS,
     "world.water.lift=true",
 )
 STEPS, INDIVIDUALS = 3, 2

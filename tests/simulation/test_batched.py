@@ -14,7 +14,7 @@ from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.spatial.numerics import is_number
-from tiny_run import REPOSITORY, TINY
+from tiny_run import REPOSITORY, TINY, VISCOUS
 
 SWIMMER = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
 WALKER = REPOSITORY / "configs" / "fukui2003_model1.yaml"
@@ -48,7 +48,7 @@ CASES = {
 }
 CASES["viscous swimmer"] = (
     SWIMMER,
-    (*TINY, "world.water.viscosity=0.001"),
+    (*TINY, *VISCOUS),
     (*CASES["swimmer"][2], "world.water.viscosity"),
 )
 # The hopper is the walker's torso with the upper half of one leg: two bodies to compile, not nine.
