@@ -190,13 +190,34 @@ def _combine(
             pairs = every
             common, *simulations = build(pairs)
         try:
-            return batch(common, simulations, like), layout
+            return _with_whole_floor(batch(common, simulations, like)), layout
         except LayoutError as error:
             problem = str(error)
         except ValueError as error:
             problem = str(error)
             break
     raise ConfigError(source, (), f"{named}: {problem}")
+
+
+def _with_whole_floor(batched: BatchedSimulation) -> BatchedSimulation:
+    """Make all heights of a floor inputs if some are.
+
+    JAX refuses arrays of known and traced numbers where contact looks for the first touch.
+    """
+    leaves = jax.tree_util.tree_leaves_with_path(batched.common)
+    inputs = batched.inputs
+    floors = [".ground.floor." in jax.tree_util.keystr(leaves[i][0]) for i in inputs.places]
+    if not any(floors):
+        return batched
+    elements = tuple(
+        np.arange(np.size(leaves[place][1])) if floor else own
+        for place, own, floor in zip(inputs.places, inputs.elements, floors, strict=True)
+    )
+    inputs = inputs._replace(elements=elements)
+    each = (inputs.of(batched[individual]) for individual in range(batched.size))
+    return batched._replace(
+        inputs=inputs, values=tuple(np.stack(x, axis=-1) for x in zip(*each, strict=True))
+    )
 
 
 def _pairs(simulation: Simulation) -> PlanPairs:

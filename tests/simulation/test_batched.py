@@ -57,6 +57,14 @@ CASES["hopper"] = (
     ("simulation.steps=6", "evolution.mutated_genes=[2,20]"),
     CASES["walker"][2],
 )
+CASES["hopper on hills"] = (
+    WALKER,
+    (
+        *CASES["hopper"][1],
+        "world.ground.floor={type: hills, seed: 1, height: 0.2, length: 1, clearing: 0.2}",
+    ),
+    (*CASES["hopper"][2], "world.ground.floor.height"),
+)
 BODIES = 3
 
 
@@ -64,7 +72,7 @@ def configured(case):
     """Return a case's configuration, the path of its file, and the keys that differ."""
     path, overrides, keys = CASES[case]
     config = load_config(path, list(overrides))
-    if case == "hopper":
+    if case.startswith("hopper"):
         creature = config.creature.model_copy(update={"bodies": config.creature.bodies[:2]})
         config = config.model_copy(update={"creature": creature})
     return config, path, keys
@@ -91,6 +99,7 @@ def genes_of(simulation, dtype):
     [
         ("swimmer", np.float32, 1e-5),
         ("hopper", np.float64, 1e-10),
+        ("hopper on hills", np.float64, 1e-10),
         ("walker", np.float64, 1e-10),
         ("viscous swimmer", np.float32, 1e-5),
         ("swimmer", np.float64, 1e-10),
@@ -141,9 +150,12 @@ def test_a_part_of_every_array_may_be_traced(name, overrides):
     path = REPOSITORY / "configs" / f"{name}.yaml"
     config = load_config(path, ["simulation.steps=2", *overrides])
     simulation = build_experiment(config, path).simulation
-    leaves = jax.tree.leaves(simulation)
-    places = [i for i, leaf in enumerate(leaves) if is_number(leaf) and np.size(leaf) > 1]
-    inputs = Inputs(tuple(places), (np.zeros(1, int),) * len(places))
+    leaves = jax.tree_util.tree_leaves_with_path(simulation)
+    places = [i for i, (_, leaf) in enumerate(leaves) if is_number(leaf) and np.size(leaf) > 1]
+    # `build_batch` always traces whole floors.
+    floors = [".floor." in jax.tree_util.keystr(leaves[i][0]) for i in places]
+    sizes = [np.size(leaves[i][1]) if floor else 1 for i, floor in zip(places, floors, strict=True)]
+    inputs = Inputs(tuple(places), tuple(map(np.arange, sizes)))
 
     def trial(values, genes, keys, situation):
         return rollout(inputs.put(simulation, values), genes, keys, situation).terms
@@ -151,7 +163,7 @@ def test_a_part_of_every_array_may_be_traced(name, overrides):
     key = jax.random.key_data(jax.random.key(0))
     found = jax.eval_shape(
         trial,
-        [jax.ShapeDtypeStruct((1,), np.float32)] * len(places),
+        [jax.ShapeDtypeStruct((size,), np.float32) for size in sizes],
         jax.ShapeDtypeStruct((simulation.controller.gene_count,), np.float32),
         jax.ShapeDtypeStruct(key.shape, key.dtype),
         jax.ShapeDtypeStruct((), np.int32),
@@ -167,10 +179,15 @@ def test_a_traced_build_equals_a_numpy_build(case):
     given = numbers(config, keys)
     plan = BodyPlan(config, path, {key: values[:1] for key, values in given.items()})
     found, fits = plan.build(given)
-    assert fits.all() and not plan.hindrance
-    built = build_batch(config, path, given, like=plan.batched)
+    assert fits.sum() >= 2 and not plan.hindrance
+    built = build_batch(config, path, {k: v[fits] for k, v in given.items()}, like=plan.batched)
     for values, own in zip(found, built.values, strict=True):
-        np.testing.assert_allclose(values, own, rtol=1e-12, atol=1e-14 * np.abs(own).max())
+        atol = 1e-14 * np.abs(own).max()
+        np.testing.assert_allclose(values[:, fits], own, rtol=1e-12, atol=atol)
+    if not fits.all():
+        # Limbs of one walker can touch that cannot touch in the others.
+        with pytest.raises(ConfigError, match="cannot touch in the other bodies"):
+            build_batch(config, path, {k: v[~fits] for k, v in given.items()}, like=plan.batched)
 
 
 def test_a_compiled_program_serves_other_bodies():

@@ -182,4 +182,4 @@ def test_a_quick_card_of_a_cheap_question_has_numbers(tmp_path):
     page, picture = shop.make("nerves")
     assert picture.is_file()
     text = page.read_text()
-    assert text.count("`evo-cpg lab eel ") == 3 and "| yes |" in text
+    assert text.count("`evo-cpg lab eel ") == 4 and "| yes |" in text
