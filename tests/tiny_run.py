@@ -26,7 +26,7 @@ TINY = (
 # Two bodies on a hinge, for tests of commands. Programs and compilation times are half as large.
 PAIR = (*TINY, "creature.bodies.1.repeat=1", "creature.bodies.1.joint.axes=[z]")
 
-# Water with a viscosity. The swimmer's own water has a law and a coefficient instead.
+# A viscosity has a drag law of its own. The swimmer names another law, and a coefficient.
 VISCOUS = ("world.water.viscosity=0.001", "world.water.law=null", "world.water.skin_drag=null")
 
 # Enough generations of enough length to stop a run in the middle, on a busy machine too.

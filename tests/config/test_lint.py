@@ -10,7 +10,7 @@ from evo_cpg.config.build import build_creature
 from evo_cpg.config.lint import lint, single_fields
 from evo_cpg.config.lint.rule import RULES, Case
 from evo_cpg.config.load import load_config
-from tiny_run import CONFIG, REPOSITORY
+from tiny_run import CONFIG, REPOSITORY, VISCOUS
 
 CONFIGS = REPOSITORY / "configs"
 WALKER = CONFIGS / "iwadate2010_salamander_land.yaml"
@@ -23,9 +23,6 @@ LEVEL = "world.ground.floor={type: plane, height: -1}"
 
 # A ridge of two rows, on a grid with 0.1 m spacing.
 RIDGE = [[0.25 if 20 <= i < 22 else 0.0] * 40 for i in range(40)]
-
-# A viscosity has a drag law of its own. The swimmer names another one.
-NO_LAW = ["world.water.law=null", "world.water.skin_drag=null"]
 
 # File, settings with the mistake, key of the warning, and a part of its message.
 MISTAKES = {
@@ -73,7 +70,7 @@ MISTAKES = {
     ),
     "viscosity in mPa s": (
         CONFIG,
-        ["world.water.viscosity=1", *NO_LAW],
+        [*VISCOUS, "world.water.viscosity=1"],
         "world.water.viscosity",
         "If it is in mPa s, write 0.001",
     ),
@@ -328,7 +325,7 @@ MISTAKES = {
     ),
     "lift of a chain": (
         CONFIG,
-        ["world.water.viscosity=0.001", "world.water.lift=true", *NO_LAW],
+        [*VISCOUS, "world.water.lift=true"],
         "world.water.lift",
         "no body has lift; it needs a body that is thinner than",
     ),
