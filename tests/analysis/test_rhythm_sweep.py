@@ -110,8 +110,8 @@ def unscaled(constants):
 
 
 @pytest.mark.parametrize("constants", ["swapped", "as_printed"])
-@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
-@pytest.mark.parametrize("drive", [1e-30, 1.0, 1e30])
+@pytest.mark.parametrize("scale", [1e-3, pytest.param(1.0, marks=pytest.mark.slow), 1e3])
+@pytest.mark.parametrize("drive", [1e-30, pytest.param(1.0, marks=pytest.mark.slow), 1e30])
 def test_drive_and_time_scale_only_scale_the_rhythm(constants, scale, drive):
     """The period scales with the time scale, and the amplitude with the drive, to rounding."""
     plain = unscaled(constants)
@@ -218,7 +218,9 @@ def drawn(seed: int) -> tuple[MatsuokaNetwork, float, np.ndarray]:
     return network, between(0.3, 50.0), drive * uneven
 
 
-@pytest.mark.parametrize("seed", [1, 11, 12, 34, 51])
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (11, 12, 34)), 51]
+)
 def test_five_random_networks_agree_with_simulation(seed):
     is_what_simulation_shows(*drawn(seed))
 

@@ -374,6 +374,7 @@ def test_compiling_warns_if_jax_runs_on_a_gpu(monkeypatch):
         loaded._compiling("trials", "one individual", ("trials", 1))
 
 
+@pytest.mark.slow
 def test_the_last_loading_sets_the_number_of_cores(tmp_path):
     """Loading does not start JAX, after which the number would be fixed."""
     program = (

@@ -201,6 +201,7 @@ def glider(here, monkeypatch):
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 def test_a_force_law_trains_replays_and_balances_energy(glider):
     """Lift changes the swimming of a fluke, the replay is exact, and energy is balanced."""
     with_lift = evo.load("glider.yaml")

@@ -27,6 +27,7 @@ def test_a_failed_worker_reports_its_error():
         worker.answer(60)
 
 
+@pytest.mark.slow
 def test_an_ended_worker_reports_its_last_line():
     with started("memory") as worker:
         with pytest.raises(WorkerError, match=r"ended with code 1: ValueError: not enough values"):

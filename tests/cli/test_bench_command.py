@@ -75,6 +75,7 @@ def test_measured_rows_are_kept_if_the_next_case_fails(cli, monkeypatch, tmp_pat
     assert [path.name for path in tmp_path.iterdir()] == ["bench.json"]
 
 
+@pytest.mark.slow
 def test_rates_are_written_and_compared(cli, tmp_path):
     """A hundredth of the earlier rate is slower, and a hundredfold rate is not."""
     kept, drawn = tmp_path / "new" / "bench.json", tmp_path / "bench.png"

@@ -46,6 +46,7 @@ def test_terms_are_shown_with_their_units():
     )
 
 
+@pytest.mark.slow
 def test_a_film_is_captioned_with_its_cell(cli, mapped, monkeypatch):
     run, cell, found = mapped
     shown = []

@@ -183,6 +183,7 @@ def test_cores_are_counted_if_the_affinity_is_hidden(monkeypatch):
 # No working folder
 
 
+@pytest.mark.slow
 @posix
 def test_without_a_working_folder_full_paths_work(cli, finished_run, tmp_path):
     folder = tmp_path / "run"

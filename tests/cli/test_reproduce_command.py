@@ -154,6 +154,7 @@ def test_runs_of_another_configuration_are_refused(made, tmp_path):
     assert (folder / "ends.md").read_text() != (made / "ends.md").read_text()
 
 
+@pytest.mark.slow
 def test_quick_results_are_marked_and_kept_apart(made, tmp_path):
     with pytest.raises(RunFolderError, match=r"holds full results of part 'ends'\. Choose another"):
         make(TWIN, ["ends"], made, True, False, 2)

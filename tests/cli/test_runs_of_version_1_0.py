@@ -73,6 +73,7 @@ def test_run_of_1_0_loads(name):
     assert newest is not None and newest.generation == 2
 
 
+@pytest.mark.slow
 def test_a_resumed_swimmer_has_the_fitness_of_1_0(cli, copied):
     """The next generation is compared. Selection amplifies other rounding afterwards."""
     folder = resumed("swimmer", cli, copied)

@@ -47,6 +47,7 @@ def test_the_best_champion_is_verified_exactly_under_noise(noisy_run, cli):
     assert out.endswith("is as recorded (exactly)\n")
 
 
+@pytest.mark.slow
 def test_resume_chooses_a_champion_that_is_not_yet_chosen(noisy_run, cli, tmp_path):
     code, _, err = cli("resume", noisy_run)
     assert code == 0 and f"{noisy_run} is finished: all 2 generations are done" in err

@@ -255,6 +255,7 @@ def test_thresholds_start_at_the_median_of_the_first_finite_fitness():
     assert np.isnan(state.cells["threshold_min"]) and state.cells["count"] == 0
 
 
+@pytest.mark.slow
 def test_genes_are_clipped_after_the_draw():
     populations, state = search(made(gene_bound=0.4), 20)
     assert np.abs(populations[-1]).max() == np.float32(0.4)

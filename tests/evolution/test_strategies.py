@@ -96,10 +96,11 @@ def made(name):
     return STRATEGIES[name]()
 
 
-# The fast tests run one algorithm of evosax with a distribution and one with a population.
+# The fast tests run one algorithm of evosax with a distribution and one with a population, and
+# islands and a map around one search.
+SLOW = "LM_MA_ES", "Open_ES", "islands of climbers", "genetics with a map"
 NAMES = [
-    pytest.param(name, marks=[pytest.mark.slow] if name in ("LM_MA_ES", "Open_ES") else [])
-    for name in STRATEGIES
+    pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in STRATEGIES
 ]
 
 

@@ -202,7 +202,10 @@ def _with_friction(text: str, friction: float) -> str:
     return f'{head} friction="{friction}{tail[tail.index(chr(34)) :]}'
 
 
-@pytest.mark.parametrize("text", [OTHERS, HUNG], ids=["cat", "crane"])
+@pytest.mark.parametrize(
+    "text",
+    [pytest.param(OTHERS, id="cat"), pytest.param(HUNG, id="crane", marks=pytest.mark.slow)],
+)
 def test_foreign_models_accelerate_as_in_mujoco(write, text):
     """Random states and controls. The largest error is 1e-13."""
     assert largest_difference(write(text), states=20) < 1e-10

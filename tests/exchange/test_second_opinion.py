@@ -43,6 +43,7 @@ def test_missing_mujoco_raises(swimmer, monkeypatch):
         second_opinion(experiment.simulation, experiment.creature, steps)
 
 
+@pytest.mark.slow
 def test_both_programs_agree_in_water(swimmer):
     """Our steps are 1/240 s, and MuJoCo's 1/2000 s."""
     experiment, genes, steps = swimmer

@@ -134,7 +134,7 @@ def natively(function, x, instructions="host"):
 
 
 @pytest.mark.parametrize("instructions", SETS)
-@pytest.mark.parametrize("count", [1, 3, 40])
+@pytest.mark.parametrize("count", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3)), 40])
 def test_many_waiting_values_are_kept(count, instructions):
     """Each of a hundred products is used twice, far apart."""
 

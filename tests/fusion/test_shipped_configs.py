@@ -117,6 +117,7 @@ def nudged(animal, generator):
     return animal._replace(state=jax.tree.map(nudge, animal.state))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", cases(IN_WATER))
 def test_a_second_in_water_agrees(config, trials):
     """Compare with changed last digits in every step. Walkers diverge, so they are absent."""
@@ -133,7 +134,7 @@ def test_a_second_in_water_agrees(config, trials):
     "config",
     [
         *cases(EVERY),
-        pytest.param(FEELING, id="stretch"),
+        pytest.param(FEELING, id="stretch", marks=pytest.mark.slow),
         pytest.param(ALL_SENSES, id="all feedback", marks=pytest.mark.slow),
     ],
 )

@@ -30,9 +30,12 @@ def test_the_page_on_water_shows_every_picture(script):
 
 @pytest.mark.parametrize(
     "name",
-    ["friction", "lift"]
-    + [
-        pytest.param(x, marks=pytest.mark.slow) for x in ("form_drag", "shelter", "reactive_thrust")
+    [
+        "lift",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("friction", "form_drag", "shelter", "reactive_thrust")
+        ),
     ],
 )
 def test_a_picture_of_water_is_drawn(script, name, tmp_path):

@@ -94,7 +94,7 @@ def relative_errors(number: int, dtype, stiffer: float = 1.0) -> list[float]:
 @pytest.mark.parametrize(
     "number",
     [
-        pytest.param(number, marks=[] if number in (0, 3, 5) else pytest.mark.slow)
+        pytest.param(number, marks=[] if number in (0, 3) else pytest.mark.slow)
         for number in range(len(STRUCTURES))
     ],
 )

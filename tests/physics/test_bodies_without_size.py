@@ -88,7 +88,7 @@ def forces(world: World, velocity: np.ndarray) -> dict[str, list[np.ndarray]]:
     ("name", "surface"),
     [
         ("box", 0.0),
-        ("capsule", None),
+        pytest.param("capsule", None, marks=pytest.mark.slow),
         pytest.param("ellipsoid", 0.0, marks=pytest.mark.slow),
     ],
 )

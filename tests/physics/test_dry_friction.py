@@ -62,7 +62,7 @@ def moved(world: World, torque: float, rate: float, count: int):
     return [np.concatenate(pair) for pair in zip(first, rest, strict=True)]
 
 
-@pytest.mark.parametrize("armature", [0.0, 0.02])
+@pytest.mark.parametrize("armature", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
 def test_a_coasting_wheel_slows_steadily_and_stops(armature):
     """Rate w - F t / I until it stops at w I / F, after an angle of I w^2 / 2 F."""
     world, inertia = wheel(armature)

@@ -25,8 +25,7 @@ GRAVITY = 9.81
 @pytest.fixture(
     scope="module",
     params=[
-        STRUCTURES[1],
-        pytest.param(STRUCTURES[3], marks=pytest.mark.slow),
+        *(pytest.param(STRUCTURES[i], marks=pytest.mark.slow) for i in (1, 3)),
         STRUCTURES[5],
     ],
     ids=str,

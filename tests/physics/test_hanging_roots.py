@@ -94,7 +94,7 @@ def test_a_massless_fixed_root_stops_limbs():
 @pytest.mark.parametrize(
     "kinds",
     [
-        pytest.param((), id="fixed"),
+        pytest.param((), id="fixed", marks=pytest.mark.slow),
         pytest.param(("turn",), id="hinge", marks=pytest.mark.slow),
         pytest.param(("turn",) * 3, id="three hinges", marks=pytest.mark.slow),
         pytest.param(("slide", "slide", "turn"), id="planar"),

@@ -147,7 +147,10 @@ def test_limbs_clap_without_passing_through(x64, shape, axes):
     assert (energy.max(-1) / energy[..., 0]).max() < 1.01
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    "shape",
+    ["capsules", *(pytest.param(s, marks=pytest.mark.slow) for s in ("boxes", "ellipsoids"))],
+)
 def test_fast_limbs_stay_shallow(x64, shape):
     """At 14 rad/s an arm's path bends by millimetres in a step, but limbs are at most 2 mm deep.
 

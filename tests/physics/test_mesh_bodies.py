@@ -204,6 +204,7 @@ def test_the_lowest_corner_always_counts(mesh):
     assert lowest_height(single(mesh)) == pytest.approx(mesh.points[:, 2].min(), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_box_stands_on_its_four_corners():
     """Each corner carries a quarter of the weight, for any turn about the vertical."""
     world = alone(box_mesh(SIZE))

@@ -18,7 +18,7 @@ from on_ground import alone, released
         (Capsule(0.03, 0.3), 1 / 240),
         pytest.param(Ellipsoid((0.15, 0.06, 0.03)), 1 / 240, marks=pytest.mark.slow),
         (Box((0.3, 0.12, 0.06)), 1 / 240),
-        (Capsule(0.03, 0.3), 1 / 60),
+        pytest.param(Capsule(0.03, 0.3), 1 / 60, marks=pytest.mark.slow),
     ],
 )
 def test_a_tumbling_body_keeps_its_energy_and_momentum(x64, shape, h):

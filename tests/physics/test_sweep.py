@@ -120,7 +120,7 @@ def test_a_small_margin_stops_bodies_too():
     ("name", "floor"),
     [
         ("ball", "hills"),
-        ("box", "cliff"),
+        pytest.param("box", "cliff", marks=pytest.mark.slow),
         pytest.param("ball", "slope", marks=pytest.mark.slow),
         pytest.param("ball", "cliff", marks=pytest.mark.slow),
         pytest.param("box", "level", marks=pytest.mark.slow),

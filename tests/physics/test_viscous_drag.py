@@ -261,6 +261,7 @@ def test_friction_grows_along_a_chain_from_the_nose():
     np.testing.assert_allclose(found[:, 1], -found[::-1, 0], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_no_jumps_from_creeping_flow_to_turbulence():
     """The slope of log C over log Re changes smoothly from -1 to 0 for every kind of body."""
     reynolds = np.geomspace(1e-2, 1e6, 801)

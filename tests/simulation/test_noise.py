@@ -124,6 +124,7 @@ def test_noise_of_a_trial_does_not_depend_on_other_trials(simulation):
     assert len(np.unique(np.asarray(together.q))) > COUNT - 10
 
 
+@pytest.mark.slow
 def test_programs_without_noise_equal_programs_without_keys(simulation):
     genes, keys = jnp.ones((2, 3)), jnp.asarray(KEYS[:, :3])
 

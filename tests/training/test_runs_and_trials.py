@@ -86,8 +86,7 @@ def test_first_genomes_equal_the_single_runs():
     [
         pytest.param(REAL, 1, marks=pytest.mark.slow),
         (REAL, 3),
-        (BITS, 1),
-        pytest.param(BITS, 3, marks=pytest.mark.slow),
+        *(pytest.param(BITS, trials, marks=pytest.mark.slow) for trials in (1, 3)),
     ],
 )
 def test_breeding_several_runs_equals_breeding_each_alone(genetics, trials):

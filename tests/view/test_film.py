@@ -401,6 +401,7 @@ def test_a_sheet_shows_moments_from_the_first_to_the_last(creature, recording, t
         )
 
 
+@pytest.mark.slow
 def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
     creature, recording, tmp_path, monkeypatch
 ):

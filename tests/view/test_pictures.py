@@ -74,7 +74,13 @@ def test_a_preview_shows_the_body(tmp_path):
 STONES = (Boulder((1.5, 0.8, 0.0), 0.3), Block((-2.0, -1.2, 0.0), (0.2, 0.3, 0.4), 0.5))
 
 
-@pytest.mark.parametrize("floor", [Plane(), Plane((0.0, 0.0995, 0.995))], ids=["level", "slope"])
+@pytest.mark.parametrize(
+    "floor",
+    [
+        pytest.param(Plane(), id="level", marks=pytest.mark.slow),
+        pytest.param(Plane((0.0, 0.0995, 0.995)), id="slope"),
+    ],
+)
 def test_a_preview_shows_near_stones(tmp_path, floor):
     """Stones are grey. Each stone adds grey to the picture. Stones far away are counted."""
     creature = synthetic.swimmer()
@@ -113,6 +119,7 @@ def test_a_preview_under_water_is_blue(tmp_path):
         assert seen(surface=surface).mean() > 0.8
 
 
+@pytest.mark.slow
 def test_a_preview_shows_the_surface_of_the_water(tmp_path):
     """The surface ends at land that rises out of it, and tints bodies below it."""
     creature = synthetic.swimmer()
