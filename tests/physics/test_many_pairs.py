@@ -133,7 +133,15 @@ def test_loops_measure_the_same_gaps(x64, loops, shape):
     expected = quick_jit(measure)(state)
     loops(True)
     got = jax.jit(measure)(state)
+    # Near two corners the gap is less than the distance, and rounding chooses the points.
+    determined = np.full(expected.gap.shape, True)
+    for found in (expected, got):
+        distance = np.linalg.norm(np.subtract(found.second, found.first), axis=0)
+        determined &= distance < np.abs(found.gap) + 1e-9
+    assert determined.mean() > 0.95
     for name, one, other in zip(expected._fields, got, expected, strict=True):
+        if name in ("first", "second"):
+            one, other = (np.asarray(each)[:, determined] for each in (one, other))
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
