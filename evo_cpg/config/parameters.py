@@ -9,7 +9,7 @@ near.
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,10 @@ _ROUNDING = 16 * np.finfo(float).eps
 
 # Attribute of force laws that contains the wetted surfaces.
 _PATCHES = jax.tree_util.GetAttrKey("patches")
+
+# Attributes of force laws that contain the root of a distance from the end of a chain. At the end
+# itself JAX has no derivative of the root, although the elements change smoothly.
+_ROOTS = jax.tree_util.GetAttrKey("forward"), jax.tree_util.GetAttrKey("backward")
 
 # Mask of the elements that depend on a number, by the index of the leaf that holds the elements.
 Change = dict[int, np.ndarray]
@@ -195,11 +199,18 @@ def parametrise(
             building = Building(config, layout="separate")
             found = changes()
             experiment = build_experiment(config, source, folders, layout="separate")
-        followed = _followed(building, config, found)
+        followed = _without(_hindrance, building, config, found)
         for key in found:
             if key not in followed:
                 problem = _hindrance(building, config, {key: found[key]})
                 raise KeyProblem(parts_of(key), f"{problem}, so it has no derivative")
+        finite = _without(_infinity, building, config, found)
+        for key in found:
+            if key not in finite:
+                problem = _infinity(building, config, {key: found[key]})
+                if smooth:
+                    raise KeyProblem(parts_of(key), problem)
+                kinks[key] = problem
     every = found.values()
     places = sorted({place for change in every for place in change})
     moves = [np.any([c[place] for c in every if place in c], axis=0) for place in places]
@@ -239,7 +250,8 @@ def all_parameters(
                 continue
             if surfaces or not wet & set(change):
                 changes[key] = change
-        found += _followed(building, config, changes)
+        followed = _without(_hindrance, building, config, changes)
+        found += _without(_infinity, building, config, {key: changes[key] for key in followed})
     return tuple(key for key in number_keys(config) if key in found)
 
 
@@ -312,17 +324,20 @@ def _neighbours(
     raise KeyProblem(parts_of(key), f"has no allowed values on either side of {value:g}")
 
 
-def _followed(
-    building: Building, config: ExperimentConfig, changes: dict[str, Change]
+def _without(
+    problem: Callable[[Building, ExperimentConfig, dict[str, Change]], str],
+    building: Building,
+    config: ExperimentConfig,
+    changes: dict[str, Change],
 ) -> list[str]:
-    """Return the keys of the numbers whose changes of leaves JAX can trace."""
-    if not changes or not _hindrance(building, config, changes):
+    """Return the keys of the numbers that do not have a problem, alone or together."""
+    if not changes or not problem(building, config, changes):
         return list(changes)
     if len(changes) == 1:
         return []
     pairs, middle = list(changes.items()), len(changes) // 2
     halves = dict(pairs[:middle]), dict(pairs[middle:])
-    return [key for half in halves for key in _followed(building, config, half)]
+    return [key for half in halves for key in _without(problem, building, config, half)]
 
 
 def _hindrance(building: Building, config: ExperimentConfig, changes: dict[str, Change]) -> str:
@@ -342,6 +357,27 @@ def _hindrance(building: Building, config: ExperimentConfig, changes: dict[str, 
         return ""
     names = ", ".join(f"`{building.name(place)}`" for place in constant)
     return f"changes {names} in a way that JAX cannot trace"
+
+
+def _infinity(building: Building, config: ExperimentConfig, changes: dict[str, Change]) -> str:
+    """Return why leaves have no derivative by some numbers, or empty if they have one."""
+    every = sorted({place for change in changes.values() for place in change})
+    places = [place for place in every if building.own.paths[place][-1] in _ROOTS]
+    if not places:
+        return ""
+
+    def trace(numbers: Array) -> list[Array]:
+        leaves = building.traced(config, dict(zip(changes, numbers, strict=True)))
+        return [jnp.asarray(leaves[place]) for place in places]
+
+    values = jnp.array([number_at(config, key) for key in changes])
+    _, slopes = jax.jit(lambda x: jax.jvp(trace, (x,), (jnp.ones_like(x),)))(values)
+    if all(np.isfinite(slope).all() for slope in slopes):
+        return ""
+    return (
+        "changes the distances along a chain of bodies in water with a viscosity, which have no "
+        "derivative in this version"
+    )
 
 
 def _is_searched(building: Building, place: int) -> bool:

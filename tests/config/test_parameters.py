@@ -12,7 +12,7 @@ from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.numbers import number_keys
 from evo_cpg.config.parameters import all_parameters, parametrise
 from evo_cpg.simulation.rollout import rollout
-from tiny_run import CONFIG, TINY
+from tiny_run import CONFIG, REPOSITORY, TINY
 
 SWIMMING = (
     "world.gravity",
@@ -185,6 +185,28 @@ def test_invalid_parameter_is_rejected_with_its_key(key, words):
     with pytest.raises(ConfigError, match=words) as refusal:
         parametrise(swimmer(), CONFIG, [key])
     assert key in str(refusal.value)
+
+
+@pytest.mark.slow
+def test_lengths_of_a_chain_in_viscous_water_have_values_but_no_derivative():
+    """The derivative of the root of a distance from the nose is infinite at the nose."""
+    path = REPOSITORY / "configs" / "worm.yaml"
+    worm, key = load_config(path), "creature.bodies.1.shape.length"
+    with pytest.raises(ConfigError, match=r"bodies\.1\.shape\.length: changes the distances along"):
+        parametrise(worm, path, [key])
+    parameters = parametrise(worm, path, [key], smooth=False)
+
+    def area(values):
+        return sum(
+            patch.wetted.form.sum() for patch in parameters.simulation(values).world.forces[0].patches
+        )
+
+    longer = 1.1 * parameters.values
+    assert quick_jit(area)(jnp.asarray(longer)) > quick_jit(area)(jnp.asarray(parameters.values))
+    with pytest.raises(ConfigError, match="no derivative in this version"):
+        jax.eval_shape(jax.jacfwd(area), longer)
+    # Other numbers of the same animal have derivatives.
+    parametrise(worm, path, ["creature.materials.flesh.density", "world.water.viscosity"])
 
 
 def test_duplicate_parameter_is_rejected():
