@@ -198,7 +198,8 @@ def test_lengths_of_a_chain_in_viscous_water_have_values_but_no_derivative():
 
     def area(values):
         return sum(
-            patch.wetted.form.sum() for patch in parameters.simulation(values).world.forces[0].patches
+            patch.wetted.form.sum()
+            for patch in parameters.simulation(values).world.forces[0].patches
         )
 
     longer = 1.1 * parameters.values
