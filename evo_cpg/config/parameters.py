@@ -233,7 +233,8 @@ def all_parameters(
         surfaces: whether to include numbers that change the wetted surfaces, which make programs
             large and slow to compile.
     """
-    found = []
+    found: list[str] = []
+    infinite: set[str] = set()
     experiment = build_experiment(config, source, folders)
     paths = jax.tree_util.tree_flatten_with_path(experiment.simulation)[0]
     wet = {i for i, (path, _) in enumerate(paths) if _PATCHES in path}
@@ -242,7 +243,7 @@ def all_parameters(
         building = Building(config, layout)
         changes = {}
         for key in number_keys(config):
-            if key in found:
+            if key in found or key in infinite:
                 continue
             try:
                 change = _change(building, config, key)
@@ -251,7 +252,9 @@ def all_parameters(
             if surfaces or not wet & set(change):
                 changes[key] = change
         followed = _without(_hindrance, building, config, changes)
-        found += _without(_infinity, building, config, {key: changes[key] for key in followed})
+        finite = _without(_infinity, building, config, {key: changes[key] for key in followed})
+        infinite |= set(followed) - set(finite)
+        found += finite
     return tuple(key for key in number_keys(config) if key in found)
 
 
