@@ -52,9 +52,14 @@ _ROUNDING = 16 * np.finfo(float).eps
 # Attribute of force laws that contains the wetted surfaces.
 _PATCHES = jax.tree_util.GetAttrKey("patches")
 
-# Attributes of force laws that contain the root of a distance from the end of a chain. At the end
-# itself JAX has no derivative of the root, although the elements change smoothly.
+# Attributes of wetted surfaces that contain the root of a distance from the end of a chain. At the
+# end itself JAX has no derivative of the root, although the elements change smoothly. A `where`
+# around the root in `evo_cpg.physics.viscous_bodies` would make `_finite` unnecessary.
 _ROOTS = jax.tree_util.GetAttrKey("forward"), jax.tree_util.GetAttrKey("backward")
+_INFINITE = (
+    "changes the distances along a chain of bodies in water with a viscosity, which have no "
+    "derivative in this version"
+)
 
 # Mask of the elements that depend on a number, by the index of the leaf that holds the elements.
 Change = dict[int, np.ndarray]
@@ -199,18 +204,17 @@ def parametrise(
             building = Building(config, layout="separate")
             found = changes()
             experiment = build_experiment(config, source, folders, layout="separate")
-        followed = _without(_hindrance, building, config, found)
+        followed = _followed(building, config, found)
         for key in found:
             if key not in followed:
                 problem = _hindrance(building, config, {key: found[key]})
                 raise KeyProblem(parts_of(key), f"{problem}, so it has no derivative")
-        finite = _without(_infinity, building, config, found)
+        finite = _finite(building, config, found)
         for key in found:
             if key not in finite:
-                problem = _infinity(building, config, {key: found[key]})
                 if smooth:
-                    raise KeyProblem(parts_of(key), problem)
-                kinks[key] = problem
+                    raise KeyProblem(parts_of(key), _INFINITE)
+                kinks[key] = _INFINITE
     every = found.values()
     places = sorted({place for change in every for place in change})
     moves = [np.any([c[place] for c in every if place in c], axis=0) for place in places]
@@ -251,8 +255,8 @@ def all_parameters(
                 continue
             if surfaces or not wet & set(change):
                 changes[key] = change
-        followed = _without(_hindrance, building, config, changes)
-        finite = _without(_infinity, building, config, {key: changes[key] for key in followed})
+        followed = _followed(building, config, changes)
+        finite = _finite(building, config, {key: changes[key] for key in followed})
         infinite |= set(followed) - set(finite)
         found += finite
     return tuple(key for key in number_keys(config) if key in found)
@@ -327,20 +331,24 @@ def _neighbours(
     raise KeyProblem(parts_of(key), f"has no allowed values on either side of {value:g}")
 
 
-def _without(
-    problem: Callable[[Building, ExperimentConfig, dict[str, Change]], str],
-    building: Building,
-    config: ExperimentConfig,
-    changes: dict[str, Change],
+def _followed(
+    building: Building, config: ExperimentConfig, changes: dict[str, Change]
 ) -> list[str]:
-    """Return the keys of the numbers that do not have a problem, alone or together."""
-    if not changes or not problem(building, config, changes):
-        return list(changes)
-    if len(changes) == 1:
+    """Return the keys of the numbers whose changes of leaves JAX can trace."""
+    return _passing(
+        list(changes),
+        lambda keys: not _hindrance(building, config, {key: changes[key] for key in keys}),
+    )
+
+
+def _passing(keys: list[str], test: Callable[[list[str]], bool]) -> list[str]:
+    """Return the keys that pass a test, which a list of keys passes if each of them does."""
+    if not keys or test(keys):
+        return keys
+    if len(keys) == 1:
         return []
-    pairs, middle = list(changes.items()), len(changes) // 2
-    halves = dict(pairs[:middle]), dict(pairs[middle:])
-    return [key for half in halves for key in _without(problem, building, config, half)]
+    middle = len(keys) // 2
+    return _passing(keys[:middle], test) + _passing(keys[middle:], test)
 
 
 def _hindrance(building: Building, config: ExperimentConfig, changes: dict[str, Change]) -> str:
@@ -362,25 +370,28 @@ def _hindrance(building: Building, config: ExperimentConfig, changes: dict[str, 
     return f"changes {names} in a way that JAX cannot trace"
 
 
-def _infinity(building: Building, config: ExperimentConfig, changes: dict[str, Change]) -> str:
-    """Return why leaves have no derivative by some numbers, or empty if they have one."""
+def _finite(building: Building, config: ExperimentConfig, changes: dict[str, Change]) -> list[str]:
+    """Return the keys of the numbers by which all changing roots have a finite derivative.
+
+    The roots are those that change with any of the numbers. Another number, such as the angle of a
+    joint, may make their derivative infinite without changing them.
+    """
     every = sorted({place for change in changes.values() for place in change})
-    places = [place for place in every if building.own.paths[place][-1] in _ROOTS]
-    if not places:
-        return ""
+    paths = building.own.paths
+    roots = [i for i in every if _PATCHES in paths[i] and paths[i][-1] in _ROOTS]
+    if not roots:
+        return list(changes)
 
-    def trace(numbers: Array) -> list[Array]:
-        leaves = building.traced(config, dict(zip(changes, numbers, strict=True)))
-        return [jnp.asarray(leaves[place]) for place in places]
+    def is_finite(keys: list[str]) -> bool:
+        def trace(numbers: Array) -> list[Array]:
+            leaves = building.traced(config, dict(zip(keys, numbers, strict=True)))
+            return [jnp.asarray(leaves[place]) for place in roots]
 
-    values = jnp.array([number_at(config, key) for key in changes])
-    _, slopes = jax.jit(lambda x: jax.jvp(trace, (x,), (jnp.ones_like(x),)))(values)
-    if all(np.isfinite(slope).all() for slope in slopes):
-        return ""
-    return (
-        "changes the distances along a chain of bodies in water with a viscosity, which have no "
-        "derivative in this version"
-    )
+        values = jnp.array([number_at(config, key) for key in keys])
+        _, slopes = jax.jit(lambda x: jax.jvp(trace, (x,), (jnp.ones_like(x),)))(values)
+        return all(np.isfinite(slope).all() for slope in slopes)
+
+    return _passing(list(changes), is_finite)
 
 
 def _is_searched(building: Building, place: int) -> bool:

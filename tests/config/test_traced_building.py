@@ -259,7 +259,7 @@ def test_rest_on_the_water_is_differentiable():
 
 
 # Endings of the names of configurations whose body and world another configuration has.
-VARIANTS = "_robust", "_open_es", "_gaits", "_tripod", "_trot"
+VARIANTS = "_robust", "_open_es", "_gaits"
 
 
 @pytest.mark.slow  # minutes: every number of every animal

@@ -79,7 +79,7 @@ def test_masses_and_inertias_equal_mujocos(compiled, number):
 @pytest.mark.parametrize(
     ("number", "kind"),
     [
-        pytest.param(number, kind, marks=[] if number in (0, 4) else pytest.mark.slow)
+        pytest.param(number, kind, marks=[] if number in (0, 2, 4) else pytest.mark.slow)
         for number, kind in zip(range(6), 2 * list(MOTORS), strict=True)
     ],
 )
