@@ -258,11 +258,16 @@ def test_rest_on_the_water_is_differentiable():
     check_elements(shapes({"start_pose": "settled"}, water={"surface": 0.3}), keys, accuracy=1e-9)
 
 
-# Endings of the names of configurations whose body and world another configuration has.
-VARIANTS = "_robust", "_open_es", "_gaits"
+# Endings of the names of configurations whose body another configuration has in a like world.
+VARIANTS = (
+    *("_robust", "_open_es", "_gaits", "_model2", "_tripod"),
+    *("_salamander_land", "salamander_boulders", "salamander_swim", "salamander_trot"),
+)
+# Animals with so many surfaces that finding the numbers of all takes minutes.
+FORMED = "eel", "fish", "iwadate2010_salamander_water", "salamander_amphibious"
 
 
-@pytest.mark.slow  # minutes: every number of every animal
+@pytest.mark.slow  # a minute or two each
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
     "name",
@@ -275,4 +280,6 @@ VARIANTS = "_robust", "_open_es", "_gaits"
 def test_elements_of_the_shipped_experiments(name):
     path = REPOSITORY / "configs" / f"{name}.yaml"
     config = load_config(path)
-    check_elements(config, all_parameters(config, path), accuracy=1e-9)
+    keys = all_parameters(config, path, surfaces=name not in FORMED)
+    some = np.random.default_rng(0).permutation(len(keys))[:25]
+    check_elements(config, [keys[i] for i in sorted(some)], accuracy=1e-9)
