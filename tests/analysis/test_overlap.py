@@ -59,7 +59,7 @@ def test_distance_of_ellipsoids_equals_minimisation():
     rng = np.random.default_rng(4)
     found = 0
     for _ in range(12):
-        turn = Rotation.random(rng=rng).as_matrix()
+        turn = Rotation.random(None, rng).as_matrix()
         other = Ellipsoid(tuple(rng.uniform(0.03, 0.2, 3)))
         offset = rng.normal(size=3)
         offset *= 0.35 / np.linalg.norm(offset)

@@ -9,6 +9,7 @@ import pytest
 import evo_cpg as evo
 from tiny_run import REPOSITORY
 
+pytest.importorskip("myst_parser", reason="docs/tools needs what the documentation is built with")
 sys.path.insert(0, str(REPOSITORY / "docs" / "tools"))
 import notebook_pages
 
