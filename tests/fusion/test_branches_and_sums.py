@@ -48,7 +48,8 @@ def choose(x):
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_long_branches_agree_with_jax(count, texts):
-    assert_agrees(choose, sample((6, count)), rtol=1e-5, atol=1e-6)
+    # A branch stretches rounding up to 1.1 * 1.2 * ... * 1.8 = 18 times, and two may be taken.
+    assert_agrees(choose, sample((6, count)), rtol=1e-5, atol=18**2 * 2**-24)
     assert any("icmp slt i32 %round" in text and "%body" in text for text in texts)
 
 
