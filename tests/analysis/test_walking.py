@@ -23,7 +23,7 @@ def test_recovery_of_two_sinusoids(shift, known):
 def test_recovery_of_many_settings():
     shifts = np.radians([0.0, 90.0, 180.0])
     other = np.sin(BEAT[:, None] + shifts)
-    found = recovery(np.sin(BEAT)[:, None], other)
+    found = recovery(np.broadcast_to(np.sin(BEAT)[:, None], other.shape), other)
     np.testing.assert_allclose(found, 1 - np.abs(np.cos(shifts / 2)), atol=1e-4)
     assert np.isnan(recovery(np.ones(5), np.ones(5)))
 
@@ -47,11 +47,11 @@ def test_tripod_strength_of_swings_that_follow_each_other(late, expected):
     first, second = [0, late, 2 * late], [50, 50 + late, 50 + 2 * late]
     # L1, R2, L3 swing first.
     legs = swings([first[0], second[1], first[2], second[0], first[1], second[2]])
-    assert tripod_strength(legs) == pytest.approx(expected)
+    assert tripod_strength(legs[..., None]) == pytest.approx(expected)
 
 
 def test_legs_that_stand_have_no_tripod():
-    assert np.isnan(tripod_strength(np.ones((100, 6), bool)))
+    assert np.isnan(tripod_strength(np.ones((100, 6, 1), bool)))
 
 
 def test_relative_slip_of_feet():

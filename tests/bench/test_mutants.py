@@ -1,5 +1,6 @@
 """Every mutant of `make test-mutants` still fits the code."""
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,20 @@ def test_a_mutant_applies_and_its_tests_exist(mutant):
     changed = mutated(mutant, text)
     assert changed != text
     compile(changed, mutant.file, "exec")
-    for name in mutant.tests.split():
-        assert (ROOT / "tests" / name).is_file()
+    files = [(ROOT / "tests" / name).read_text() for name in mutant.tests.split()]
+    # `make test-mutants` runs only the fast tests.
+    assert any(has_fast_test(text) for text in files)
+
+
+def has_fast_test(text: str) -> bool:
+    """Return whether a file of tests has a test without the mark of the slow ones."""
+    tests = [node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)]
+    marks = {
+        test.name: [ast.unparse(mark) for mark in test.decorator_list]
+        for test in tests
+        if test.name.startswith("test_")
+    }
+    return any("pytest.mark.slow" not in found for found in marks.values())
 
 
 def test_a_mutant_of_missing_code_is_refused():

@@ -314,10 +314,11 @@ def test_reset_brings_every_phase_to_one(degrees):
     gain, count = 5.0, 24
     network, period, states = on_the_orbit(gain, count)
     gains, every = jnp.full((1, count), gain), jnp.ones((1, count), bool)
-    changed = phase.with_phase(network, states, gains, np.deg2rad(degrees), every)
+    wanted = jnp.full((1, 1), np.deg2rad(degrees))
+    changed = phase.with_phase(network, states, gains, wanted, every)
     cosine, sine = phase.phasor(network, changed, gains)
     np.testing.assert_allclose(np.degrees(np.arctan2(sine, cosine)) % 360, degrees, atol=1e-6)
-    kept = phase.with_phase(network, states, gains, 1.0, ~every)
+    kept = phase.with_phase(network, states, gains, jnp.ones((1, 1)), ~every)
     np.testing.assert_array_equal(kept.potential, states.potential)
 
     def still(state, gains, index):

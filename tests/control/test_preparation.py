@@ -73,7 +73,7 @@ def test_parts_of_a_cut_cord_are_cords_of_their_own(chain, feedback):
     found = outputs(prepared, surgery.flat().astype(float), observed)
     for one, u in ((0, 0.9), (1, 0.4)):
         own = np.flatnonzero(side == one)
-        network = sub_network(animal.network, tuple(own))
+        network = sub_network(animal.network, tuple(own.tolist()))
         state = matsuoka.initial_state(network, (), float)
         gains = jnp.full(len(own), 3.0)
         advance = jax.jit(functools.partial(matsuoka.advance, network, h=1 / 60))
