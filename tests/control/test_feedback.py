@@ -314,8 +314,8 @@ def test_reset_brings_every_phase_to_one(degrees):
     gain, count = 5.0, 24
     network, period, states = on_the_orbit(gain, count)
     gains, every = jnp.full((1, count), gain), jnp.ones((1, count), bool)
-    wanted = jnp.full((1, 1), np.deg2rad(degrees))
-    changed = phase.with_phase(network, states, gains, wanted, every)
+    given = jnp.full((1, 1), np.deg2rad(degrees))
+    changed = phase.with_phase(network, states, gains, given, every)
     cosine, sine = phase.phasor(network, changed, gains)
     np.testing.assert_allclose(np.degrees(np.arctan2(sine, cosine)) % 360, degrees, atol=1e-6)
     kept = phase.with_phase(network, states, gains, jnp.ones((1, 1)), ~every)
