@@ -99,7 +99,7 @@ class Bodies(NamedTuple):
         away = np.linalg.norm(self.position - centre[:, None], axis=-1)
         return float((away + np.linalg.norm(self.half_extents, axis=-1)).max())
 
-    def corners(self) -> Float[np.ndarray, "frames 8b 3"]:
+    def corners(self) -> Float[np.ndarray, "frames corners 3"]:
         """Return the corners of the boxes, m."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         own = signs * self.half_extents[:, None]
@@ -396,13 +396,13 @@ def course(
 
 
 def project(
-    path: CameraPath, points: Float[np.ndarray, "frames n 3"], aspect: float
+    path: CameraPath, points: Float[np.ndarray, "#frames n 3"], aspect: float
 ) -> Float[np.ndarray, "frames n 2"]:
     """Return the places of points in the picture.
 
     Args:
         path: the camera of every frame.
-        points: points in the world ``(frames, n, 3)``, m.
+        points: points in the world ``(frames, n, 3)``, m, or ``(1, n, 3)`` if they rest.
         aspect: width of the picture over its height.
 
     Returns:
@@ -439,8 +439,8 @@ def level_axes(sight: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
     return np.cross(ahead, [0.0, 0.0, 1.0]), ahead
 
 
-def smooth(path: Float[np.ndarray, "frames 3"], width: float) -> Float[np.ndarray, "frames 3"]:
-    """Return the Gaussian average of a path ``(frames, 3)`` without lag.
+def smooth(path: Float[np.ndarray, "frames k"], width: float) -> Float[np.ndarray, "frames k"]:
+    """Return the Gaussian average of a path ``(frames, k)`` without lag.
 
     Args:
         path: one point for each frame.

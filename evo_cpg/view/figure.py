@@ -9,7 +9,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -110,7 +110,7 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
 
 def draw_runs(
     axes: Axes,
-    x: Float[np.ndarray, " n"],
+    x: Real[np.ndarray, " n"],
     runs: Float[np.ndarray, "runs n"],
     color: str,
     label: str = "",

@@ -13,7 +13,7 @@ import multiprocessing
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from typing import Protocol
 
 import jax
@@ -100,7 +100,7 @@ def drawn_frames(
             pool.shutdown(cancel_futures=True)
 
 
-def _in_order(pool: ProcessPoolExecutor, count: int, ahead: int) -> Iterator[np.ndarray]:
+def _in_order(pool: Executor, count: int, ahead: int) -> Iterator[np.ndarray]:
     numbers = iter(range(count))
     awaited = deque(pool.submit(_draw, number) for number in itertools.islice(numbers, ahead))
     while awaited:

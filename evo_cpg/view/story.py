@@ -236,7 +236,7 @@ def _path_of(view: Overview | None, scene: Scene, aspect: float) -> CameraPath:
     return path._replace(position=focus + back, focus=focus)
 
 
-def eased(part: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def eased(part: Float[np.ndarray, " *n"]) -> Float[np.ndarray, " *n"]:
     """Return numbers from 0 to 1 that start and end gently, for parts from 0 to 1."""
     part = np.clip(part, 0.0, 1.0)
     return part * part * (3 - 2 * part)

@@ -65,7 +65,7 @@ def test_all_kinds_of_joints_and_shapes_are_drawn():
 
 def test_a_part_is_added_to_a_body_that_hangs_on_the_world():
     data = parse_yaml(TEXT)
-    assert add_part(data, HERE, "cart", [0.1, 0, 0], [1, 0, 0], name="nose") == "nose"
+    assert add_part(data, HERE, "cart", (0.1, 0, 0), (1, 0, 0), name="nose") == "nose"
     here = posed(data, HERE)
     np.testing.assert_allclose(here.origins[here.index("nose")], [0.1875, 0, 0])
 

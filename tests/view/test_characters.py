@@ -103,7 +103,7 @@ def test_an_arm_narrows_from_plate_to_plate_to_a_round_tip():
     assert (row[0].start, row[-1].end) == (0, pytest.approx(1))
     for one, two in itertools.pairwise(row):
         assert one.end == two.start
-    widths = [float(fin.section(np.array(fin.end))[1]) for fin in row]
+    widths = [float(fin.section(np.array([fin.end]))[1][0]) for fin in row]
     assert 1 > widths[0] > widths[1] > 10 * widths[2]
 
 
