@@ -21,13 +21,12 @@ def test_a_mutant_applies_and_its_tests_exist(mutant):
 
 def has_fast_test(text: str) -> bool:
     """Return whether a file of tests has a test without the mark of the slow ones."""
-    tests = [node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)]
-    marks = {
-        test.name: [ast.unparse(mark) for mark in test.decorator_list]
-        for test in tests
-        if test.name.startswith("test_")
-    }
-    return any("pytest.mark.slow" not in found for found in marks.values())
+    return any(
+        isinstance(node, ast.FunctionDef)
+        and node.name.startswith("test_")
+        and "pytest.mark.slow" not in map(ast.unparse, node.decorator_list)
+        for node in ast.parse(text).body
+    )
 
 
 def test_a_mutant_of_missing_code_is_refused():
