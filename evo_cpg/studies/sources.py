@@ -1,7 +1,8 @@
 """Digests of the source code that a part of a study ran through.
 
 A result is up to date while the code that made it is the same. The digest of a module leaves out
-comments, docstrings and layout. Only packages that compute count. Drawing and messages change how a
+comments, docstrings, layout, and annotations that only describe: those of functions and the shapes
+of arrays. Only packages that compute count. Drawing and messages change how a
 result looks, but not what it says. The code that reads configurations is left out, too: a run
 records the configuration that it produced.
 """
@@ -28,6 +29,9 @@ _COUNTED = (
 )
 _RECORDS = tuple(f"evo_cpg.studies.{name}" for name in ("catalogue", "provenance", "sources"))
 _DIGITS = 10
+
+# Kinds of arrays in annotations, whose shapes do not count.
+_ARRAYS = ("Bool", "Complex", "Float", "Int", "Shaped", "UInt8", "UInt32")
 
 Sources = dict[str, str]
 
@@ -86,7 +90,7 @@ def _digest_of(name: str) -> str | None:
 
 
 def digest(code: str) -> str:
-    """Return the digest of a module's code without comments, docstrings and layout."""
+    """Return the digest of a module's code, without the parts that compute nothing."""
     plain = repr(_plain(ast.parse(code)))
     return hashlib.sha256(plain.encode()).hexdigest()[:_DIGITS]
 
@@ -103,6 +107,8 @@ def _plain(node: Any) -> Any:
 def _fields(node: ast.AST) -> Iterator[tuple[str, Any]]:
     described = isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
     for name, value in ast.iter_fields(node):
+        if _only_describes(node, name):
+            continue
         if described and name == "body" and ast.get_docstring(node, clean=False) is not None:
             value = value[1:]
         if isinstance(node, ast.JoinedStr):
@@ -111,3 +117,10 @@ def _fields(node: ast.AST) -> Iterator[tuple[str, Any]]:
         # Later versions of Python have more fields, which are empty in old code.
         if value is not None and value != []:
             yield name, _plain(value)
+
+
+def _only_describes(node: ast.AST, field: str) -> bool:
+    """Return whether a field of a syntax tree is an annotation that computes nothing."""
+    if isinstance(node, ast.Subscript):
+        return field == "slice" and getattr(node.value, "id", None) in _ARRAYS
+    return field == "returns" or (isinstance(node, ast.arg) and field == "annotation")
