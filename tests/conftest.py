@@ -27,6 +27,9 @@ import pytest
 # `make test-shapes` takes a tenth longer. It checks all layers but two. `fusion` handles scalars
 # without shapes, in half a million calls for one gradient. Typer makes the arguments of `cli`.
 if os.environ.get("EVO_CPG_TESTS_SHAPES"):
+    # What the checker imports is not checked: checking it would need the checker.
+    import runtime_checks  # noqa: F401
+
     _PACKAGE = Path(__file__).parents[1] / "evo_cpg"
     _CHECKED = [f"evo_cpg.{path.parent.name}" for path in _PACKAGE.glob("*/__init__.py")]
     _CHECKED = sorted(set(_CHECKED) - {"evo_cpg.fusion", "evo_cpg.cli"})

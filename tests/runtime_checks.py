@@ -1,10 +1,13 @@
 """Type checker that `conftest` applies to every function and class of the package.
 
-It checks shapes and kinds of numbers. Like the package, it takes an array of NumPy or a number of
-NumPy in place of one of JAX or Python.
+It checks shapes and kinds of numbers. Like the package, it takes an array of NumPy or one with some
+traced elements in place of one of JAX, and a number of NumPy in place of one of Python.
 """
 
 import collections.abc
+import functools
+import operator
+import types
 import typing
 
 import beartype
@@ -13,8 +16,7 @@ import jaxtyping
 import numpy as np
 from typing_extensions import is_protocol
 
-# Dimensions that the package states too narrowly.
-_DIMENSIONS = {"3 b *#n": "3 #b *#n"}
+from evo_cpg.spatial.mixed_array import MixedArray
 
 _check = beartype.beartype(
     conf=beartype.BeartypeConf(
@@ -35,11 +37,12 @@ def typechecker(checked):
 
 def _relaxed(hint):
     """Return what the package takes where it says so."""
+    if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
+        return functools.reduce(operator.or_, map(_relaxed, typing.get_args(hint)))
     if is_protocol(hint):
         return typing.runtime_checkable(hint)
     if isinstance(hint, type) and issubclass(hint, jaxtyping.AbstractArray):
-        dims = _DIMENSIONS.get(hint.dim_str, hint.dim_str)
-        return hint.dtype[jax.Array | np.ndarray | np.generic, dims]
+        return hint.dtype[jax.Array | MixedArray | np.ndarray | np.generic, hint.dim_str]
     if typing.get_origin(hint) is collections.abc.Sequence:
         return hint | np.ndarray
     # The package refuses other words itself.

@@ -351,7 +351,7 @@ class Box(Shape):
 
     @property
     @override
-    def corners(self) -> np.ndarray:
+    def corners(self) -> Numbers:
         return np.array(list(itertools.product((-1, 1), repeat=3))) * self.half_extents
 
     @override

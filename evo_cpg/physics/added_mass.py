@@ -164,7 +164,7 @@ def _is_oblong(difference: Number, total: Number) -> Condition:
 def carried_water(
     inertia: Float[Array, "6 6 b *#n"],
     velocity: Float[Array, "6 b *n"],
-    stream: Float[Array, "3 b *#n"],
+    stream: Float[Array, "3 #b *#n"],
 ) -> Float[Array, "6 b *n"]:
     """Return the wrench of the carried water on bodies that do not accelerate, in body axes.
 

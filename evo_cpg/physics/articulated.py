@@ -64,7 +64,7 @@ def solve(
     inertia: Inertia,
     bias: Wrench,
     torque: Float[Array, "d *n"],
-    torque_derivative: Float[Array, "d *n"],
+    torque_derivative: Float[Array, "d *#n"],
     held: bool = False,
 ) -> Accelerations:
     """Return the accelerations of the root and of all joints.

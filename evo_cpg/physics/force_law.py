@@ -63,7 +63,7 @@ class Bodies:
     h: float
     kin: Kinematics
     velocity: Float[Array, "6 b *n"]
-    stream: Float[Array, "3 b *#n"]
+    stream: Float[Array, "3 #b *#n"]
     pose: Float[Array, "4 b *n"] | None
     displaced: Displacement | None
 

@@ -58,7 +58,7 @@ def joints_of(
     group: Group,
     S: Subspace,
     torque: Float[Array, "d *n"],
-    torque_derivative: Float[Array, "d *n"],
+    torque_derivative: Float[Array, "d *#n"],
 ) -> "Joints | Chain":
     """Return the joints of a group (see `evo_cpg.physics.articulated.solve`).
 

@@ -74,7 +74,7 @@ def moved(
     position: Float[Array, "3 *n"],
     orientation: Float[Array, "4 *n"],
     velocity: Float[Array, "6 *n"],
-    h: float,
+    h: float | Float[Array, ""],
 ) -> tuple[Float[Array, "3 *n"], Float[Array, "4 *n"]]:
     """Return the pose after h seconds (negative: before) at a constant velocity."""
     return (
@@ -134,7 +134,7 @@ def solved(inertia: Inertia, bias: Wrench) -> Motion:
 
 
 def vector(
-    part: Motion | Wrench, joints: Sequence[Float[Array, "k *n"]] = ()
+    part: Motion | Wrench, joints: Sequence[Float[Array, "_ *n"]] = ()
 ) -> Float[Array, "v *n"]:
     """Return the generalized vector of the root's acceleration or wrench, then the joints'."""
     return jnp.concatenate([*part, *joints])

@@ -69,7 +69,7 @@ def quaternion_product(
 
 
 def integrate_quaternion(
-    q: Float[Array, "4 *rest"], omega: Float[Array, "3 *rest"], h: float
+    q: Float[Array, "4 *rest"], omega: Float[Array, "3 *rest"], h: float | Float[Array, ""]
 ) -> Float[Array, "4 *rest"]:
     """Turn ``q`` for the time ``h`` (s) at the constant world angular velocity ``omega`` (rad/s).
 

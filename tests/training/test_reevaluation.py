@@ -2,14 +2,13 @@
 
 import csv
 import dataclasses
-from typing import cast
 
 import jax
 import numpy as np
 import pytest
 
 from evo_cpg.api.sweep import Member
-from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.load import load_config
 from evo_cpg.config.settings import Setting
 from evo_cpg.live.standing import Standing
 from evo_cpg.simulation.noise import Noise
@@ -24,6 +23,7 @@ from evo_cpg.training.loop import train
 from evo_cpg.training.reevaluation import EVALUATIONS, FIRST_ROUND, Choice, Contest
 from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from tiny_run import REPOSITORY
 from trials import experiment
 
 NOISE = Noise(joint_angle=0.1, tilt=0.05, push=0.2)
@@ -217,10 +217,10 @@ def test_sweeps_and_watchers_wait_for_the_choice(evolved, tmp_path):
     waiting = Standing(done._replace(chosen=()), 2, True, None)
     assert not waiting.finished and Standing(done, 2, True, None).finished
     assert waiting._replace(choosing=False).finished
+    worm = REPOSITORY / "configs" / "worm.yaml"
     for checkpoint, finished in ((done._replace(chosen=()), False), (done, True)):
         folder.save(checkpoint)
-        config, source = cast(ExperimentConfig, None), tmp_path / "any.yaml"
-        member = Member(folder, config, NOISY, Setting("any", {}), source)
+        member = Member(folder, load_config(worm), NOISY, Setting("any", {}), worm)
         assert (member.generation, member.finished) == (2, finished)
 
 

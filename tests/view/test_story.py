@@ -1,7 +1,7 @@
 """Stories: takes that dissolve, crowds of ghosts, words, and a loop without a seam."""
 
-import io
 import itertools
+import tempfile
 
 import numpy as np
 import pytest
@@ -150,20 +150,21 @@ def test_a_long_title_is_broken_between_words():
 def test_the_end_of_a_loop_dissolves_into_its_start(tmp_path):
     """Frames of one colour: the number of the frame."""
     parts = [LoopPart(0, 40, []), LoopPart(60, 100, [])]
-    loop = Loop(parts, lambda time: STYLES["water"], (16, 16), io.BytesIO())
-    for number in range(120):
-        loop.take(number, np.full((16, 16, 3), number, np.uint8))
-    found = [int(frame[0, 0, 0]) for frame in loop.frames()]
-    # Two parts of 20 frames share 6 frames in the middle. The last 6 turn into the first frame.
-    assert len(found) == 20 + 20 - 6
-    assert found[:14] == [*range(0, 28, 2)] and found[20:28] == [*range(72, 88, 2)]
-    assert found[28:] == sorted(found[28:], reverse=True) and found[-1] < 6
-    assert loop.write(tmp_path / "a.webp", 10**6) == 75
-    assert loop.write(tmp_path / "b.webp", 1) == 36
-    with Image.open(tmp_path / "a.webp") as picture:
-        # The encoder joins frames that look the same.
-        assert (picture.size, picture.info["loop"]) == ((16, 16), 0)
-        assert len([*ImageSequence.Iterator(picture)]) > 5
+    with tempfile.TemporaryFile() as file:
+        loop = Loop(parts, lambda time: STYLES["water"], (16, 16), file)
+        for number in range(120):
+            loop.take(number, np.full((16, 16, 3), number, np.uint8))
+        found = [int(frame[0, 0, 0]) for frame in loop.frames()]
+        # Two parts of 20 frames share 6 frames in the middle. The last 6 turn into the first frame.
+        assert len(found) == 20 + 20 - 6
+        assert found[:14] == [*range(0, 28, 2)] and found[20:28] == [*range(72, 88, 2)]
+        assert found[28:] == sorted(found[28:], reverse=True) and found[-1] < 6
+        assert loop.write(tmp_path / "a.webp", 10**6) == 75
+        assert loop.write(tmp_path / "b.webp", 1) == 36
+        with Image.open(tmp_path / "a.webp") as picture:
+            # The encoder joins frames that look the same.
+            assert (picture.size, picture.info["loop"]) == ((16, 16), 0)
+            assert len([*ImageSequence.Iterator(picture)]) > 5
 
 
 def test_a_moving_camera_scales_the_picture_about_a_point():
