@@ -4,7 +4,8 @@ The search goes downhill in potential energy, like a motion so slow that inertia
 Feet slip only where friction cannot hold them.
 
 1. *Descent.* Each step is a Newton step with the absolute eigenvalues of the stiffness, so it goes
-   down where the energy is concave, too. The step is shortened while the energy rises again.
+   down where the energy is concave, too. The step is shortened while the energy rises again. The
+   largest step shrinks whenever the creature turns back.
 2. *Last digits.* `optimistix.fixed_point` solves with the stiffness found last (the chord method).
 3. *Saddles.* A negative eigenvalue of the stiffness marks a saddle, such as a square log that
    floats on a flat side. Tip the creature in that direction and search again.
@@ -61,6 +62,10 @@ _ROUNDS = 20
 # Largest displacement of the root in one step, with ground and without ground, in radii of
 # gyration. Largest change of an angle in one step, rad.
 _FARTHEST_ON_GROUND, _FARTHEST, _LARGEST_TURN = 0.1, 10.0, 0.2
+
+# The largest step shrinks by this factor each time that a step turns back. Otherwise a creature
+# whose feet all slide may go to and fro forever.
+_SHORTER = 0.8
 
 # Largest force, in units of the weight, at which the descent ends, and in the solution.
 _NEARLY, _EXACT = 1e-6, 1e-9
@@ -259,6 +264,7 @@ class Settling:
 
     def _descend(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
         """Go downhill until the forces are small."""
+        reach, before = 1.0, np.zeros(len(self.free))
         for _ in range(_STEPS):
             here = self._at(np.zeros(len(self.free)), state, friction)
             if not np.isfinite(here.force).all():
@@ -272,8 +278,11 @@ class Settling:
             stay = np.diag(largest * self.stay)
             y = np.linalg.solve((modes * stiff) @ modes.T + stay, here.force)
             far = np.abs(y) / np.where(self.free < root.LENGTHS, self.farthest, _LARGEST_TURN)
-            y = y / max(1.0, far.max())
+            y = y / max(1.0, far.max() / reach)
             y = y * self._step_length(y, here, state, friction)
+            if y @ before < 0:
+                reach *= _SHORTER
+            before = y
             state, friction = self._move(y, state, friction)
         raise NoRestError(f"it slides, rolls or drifts away (no rest within {_STEPS} steps)")
 

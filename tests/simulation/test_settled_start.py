@@ -151,6 +151,19 @@ def test_a_box_rests_on_level_ground_and_on_a_moderate_slope(slope):
     assert displacement == pytest.approx(0.25 * creep, rel=0.05, abs=1e-8)
 
 
+@pytest.mark.parametrize("slope", [20.0, 25.0])
+def test_a_box_lands_on_a_slope_from_any_height(slope):
+    """Friction of 0.5 holds it up to 26.6 degrees. Its feet slide to and fro before they stick."""
+    a = np.deg2rad(slope)
+    normal = (-float(np.sin(a)), 0.0, float(np.cos(a)))
+    world = on_ground(alone(Box((0.4, 0.3, 0.1)), 300.0), Plane(normal=normal))
+    settling = Settling(world, H)
+    for height in (0.2, 0.207, 0.214):
+        start = resting_state(world.tree, (), jnp.float64, position=(0.0, 0.0, height))
+        rest = settling.rest(start)
+        assert np.array(rest.state.position) @ normal == pytest.approx(0.05, abs=1e-4)
+
+
 def legged(stiffness: float, legs, length: float = 0.2) -> Creature:
     """Return a slab on straight legs with springs at the hips."""
     flesh = Material(500.0, static_friction=0.8, dynamic_friction=0.8)
