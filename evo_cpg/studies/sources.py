@@ -1,10 +1,10 @@
 """Digests of the source code that a part of a study ran through.
 
 A result is up to date while the code that made it is the same. The digest of a module leaves out
-comments, docstrings, layout, and annotations that only describe: those of functions and the shapes
-of arrays. Only packages that compute count. Drawing and messages change how a
-result looks, but not what it says. The code that reads configurations is left out, too: a run
-records the configuration that it produced.
+comments, docstrings and layout. It also leaves out what annotations say of functions and of the
+shapes of arrays. Only packages that compute count. Drawing and messages change how a result looks,
+but not what it says. The code that reads configurations is left out, too: a run records the
+configuration that it produced.
 """
 
 import ast
