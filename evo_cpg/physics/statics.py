@@ -15,10 +15,12 @@ stiffness. The joint of a root that hangs on the world bears F and M, which then
 The ground has the stiffness of a resting contact in a step of the simulation
 (`resting_stiffness`). The simulation therefore finds no motion in an equilibrium found here.
 Friction is Coulomb's law. A spring of that stiffness holds a sticking point where it touched down.
-A point beyond the friction cone slides under a constant force.
+A point beyond the friction cone slides, with the largest force of its friction against the slip.
 
 Differs from the simulation, whose friction is a velocity law. A point with the tangential force f
-creeps there at ``f / c`` (see `evo_cpg.physics.contact`). Here it stays.
+creeps there at ``f / c`` (see `evo_cpg.physics.contact`). Here it stays. Both laws have the same
+balances: a slip s here has the force of the speed ``s / (5 h)`` there, because a fifth of a
+penetration is undone in a step of h.
 """
 
 import dataclasses
@@ -50,9 +52,6 @@ from evo_cpg.physics.weight import weight
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
 
-# Least displacement (m) of a sliding point that changes the direction of its friction.
-_LEAST_DISPLACEMENT = 1e-12
-
 
 class FrictionState(NamedTuple):
     """Friction state of every contact point.
@@ -60,16 +59,15 @@ class FrictionState(NamedTuple):
     Attributes:
         point: the body's contact point in the base pose, in body axes, m.
         place: position of the contact point in the base pose, in the world, m.
-        slip: displacement from where the point touched down, m. It counts only for sticking points.
-        held: 1 for a sticking point, 0 for a sliding point.
-        drag: friction force of a sliding point, N.
+        slip: displacement from where the point touched down, m.
+        limit: slip at which friction is largest, m. It belongs to the normal force in the base
+            pose. Friction therefore has a potential.
     """
 
     point: Float[Array, "3 p"]
     place: Float[Array, "3 p"]
     slip: Float[Array, "3 p"]
-    held: Float[Array, " p"]
-    drag: Float[Array, "3 p"]
+    limit: Float[Array, " p"]
 
 
 class Touch(NamedTuple):
@@ -80,14 +78,14 @@ class Touch(NamedTuple):
         place: position of the contact point in the world, m.
         normal_force: normal force, N.
         slip: displacement from where the point touched down, m.
-        displacement: tangential displacement from the base pose, m.
+        limit: slip at which friction is largest with this normal force, m.
     """
 
     point: Float[Array, "3 p"]
     place: Float[Array, "3 p"]
     normal_force: Float[Array, " p"]
     slip: Float[Array, "3 p"]
-    displacement: Float[Array, "3 p"]
+    limit: Float[Array, " p"]
 
 
 def static_forces(
@@ -114,7 +112,7 @@ def static_forces(
         if not law.of_water:
             wrench = wrench + law.wrench(still)
     moment, force = matvec(kin.rotation, wrench[:3]), matvec(kin.rotation, wrench[3:])
-    touch = Touch(*friction[:2], friction.held, friction.slip, friction.slip)
+    touch = Touch(*friction[:2], friction.limit, *friction[2:])
     if world.contact_model is not None:
         force_on, touch = _ground(world.contact_model, h, kin, friction)
         owner = np.array(world.contact_model.bodies)[:, None] == np.arange(tree.body_count)
@@ -140,41 +138,6 @@ def _carried(tree: Tree) -> Float[np.ndarray, "b d"]:
     for i in range(1, tree.body_count):
         chains[i] += chains[tree.parents[i]]
     return chains[:, list(tree.dof_bodies)]
-
-
-def next_friction(
-    contact_model: ContactModel, h: float, friction: FrictionState, touch: Touch
-) -> FrictionState:
-    """Return the friction state after a displacement: Coulomb's law with static friction alone.
-
-    A point slides if friction cannot hold it. A sliding point that turns back sticks again.
-
-    Args:
-        contact_model: the contact points.
-        h: step of the simulation, s.
-        friction: friction state before the displacement.
-        touch: state of the contact points after it.
-    """
-    stiffness = expand_dims_like(resting_stiffness(contact_model, h), friction.held)
-    limit = expand_dims_like(contact_model.static_friction, friction.held) * touch.normal_force
-    pull = -stiffness[None] * touch.slip
-    size = jnp.sqrt(dot(pull, pull))
-    sticks = friction.held > 0
-    over = sticks & (size > limit)
-    back = ~sticks & (dot(touch.displacement, friction.drag) >= 0)
-    # Friction opposes the displacement, if the displacement is large enough to have a direction.
-    length = jnp.sqrt(dot(touch.displacement, touch.displacement))
-    onward = ~sticks & ~back & (length > _LEAST_DISPLACEMENT)
-    along = jnp.where(
-        onward[None], -touch.displacement, jnp.where(sticks[None], pull, friction.drag)
-    )
-    norm = jnp.sqrt(dot(along, along))
-    drag = (limit / jnp.where(norm > 0, norm, 1.0))[None] * along
-    held = ((sticks & ~over) | back) & (touch.normal_force > 0) | (touch.normal_force <= 0)
-    slip = jnp.where((sticks & ~over)[None], touch.slip, -drag / stiffness[None])
-    slip = jnp.where(touch.normal_force[None] > 0, slip, 0.0)
-    drag = jnp.where(held[None], 0.0, drag)
-    return FrictionState(touch.point, touch.place, slip, held.astype(slip.dtype), drag)
 
 
 def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
@@ -209,17 +172,21 @@ def _ground(
 ) -> tuple[Float[Array, "3 p"], Touch]:
     """Return the force on every contact point, N, and the state of the contact points."""
     bodies = np.array(contact_model.bodies)
-    stiffness = expand_dims_like(resting_stiffness(contact_model, h), friction.held)
     offset, _, gap, normal, *_ = contact_points(contact_model, kin)
+    stiffness = expand_dims_like(resting_stiffness(contact_model, h), gap)
     point, place = _on_body(contact_model, kin, offset)
-    normal_force = stiffness * jnp.maximum(-gap, 0.0)
+    depth = jnp.maximum(-gap, 0.0)
     now = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), friction.point)
-    displacement = now - friction.place
-    displacement = displacement - dot(displacement, normal)[None] * normal
-    slip = friction.slip + displacement
-    tangential = jnp.where(friction.held[None] > 0, -stiffness[None] * slip, friction.drag)
-    push = normal_force[None] * normal + jnp.where(normal_force[None] > 0, tangential, 0.0)
-    return push, Touch(point, place, normal_force, slip, displacement)
+    slip = friction.slip + now - friction.place
+    slip = slip - dot(slip, normal)[None] * normal
+    limit = expand_dims_like(contact_model.static_friction, gap) * depth
+    square, most = dot(slip, slip), friction.limit
+    slides = square > most * most
+    # A square root has no derivative at 0.
+    size = jnp.sqrt(jnp.where(slides, square, 1.0))
+    tangential = jnp.where(slides, most / size, 1.0)[None] * slip
+    push = stiffness[None] * (depth[None] * normal - jnp.where(gap < 0, tangential, 0.0))
+    return push, Touch(point, place, stiffness * depth, slip, limit)
 
 
 def _on_body(

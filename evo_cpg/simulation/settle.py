@@ -1,14 +1,14 @@
 """Find the pose in which a creature rests: no net forces, and stable against small pushes.
 
-The search goes downhill in potential energy, like a motion so slow that inertia does not matter.
-Feet slip only where friction cannot hold them.
-
-1. *Descent.* Each step is a Newton step with the absolute eigenvalues of the stiffness, so it goes
-   down where the energy is concave, too. The step is shortened while the energy rises again. The
-   largest step shrinks whenever the creature turns back.
-2. *Last digits.* `optimistix.fixed_point` solves with the stiffness found last (the chord method).
+1. *Fall.* The creature moves by the steps of the simulation, strongly damped, until it is quiet.
+   The simulation therefore decides where feet land, slip and stick.
+2. *Balance.* The quiet pose is nearly in balance. Newton steps with the absolute eigenvalues of the
+   stiffness go downhill in potential energy to the exact pose, so that rounding decides nothing.
+   Friction has a potential if its cones are fixed. Each round has the cones of the last one.
 3. *Saddles.* A negative eigenvalue of the stiffness marks a saddle, such as a square log that
-   floats on a flat side. Tip the creature in that direction and search again.
+   floats on a flat side. Tip the creature in that direction and balance again.
+4. *Release.* The creature stays in the pose for a second without damping, except for the creep of
+   contact. If it does not stay, or there is no balance near by, it falls on, at most for 20 s.
 
 A root that hangs on the world moves only by its own joint.
 
@@ -26,21 +26,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 from jaxtyping import Array, Float, Int
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics import root
+from evo_cpg.physics.contact import BAUMGARTE_FRACTION
+from evo_cpg.physics.contact_model import STIFFNESS
 from evo_cpg.physics.hanging import Base
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.statics import (
-    FrictionState,
-    Touch,
-    next_friction,
-    radius_of_gyration,
-    static_forces,
-)
+from evo_cpg.physics.statics import FrictionState, Touch, radius_of_gyration, static_forces
+from evo_cpg.physics.step import first_warmstart, step
+from evo_cpg.physics.water import Current
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.plans import Programs, WorldPlan
 from evo_cpg.simulation.situation import Situation
@@ -48,27 +45,40 @@ from evo_cpg.spatial.decisions import Undecidable, chosen, searched
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import axis_rotation, integrate_quaternion, quaternion_to_matrix
 
-# Largest number of steps of a descent. Largest number of poses of balance that a search tries. It
-# leaves each pose that is a saddle.
-_STEPS, _SADDLES = 1000, 8
+# Longest time of the fall, and time before the first balance, which doubles after each failure, s.
+# Number of quiet steps before a balance.
+_SECONDS, _PAUSE, _QUIET_STEPS = 20.0, 0.25, 30
 
-# Largest number of step lengths tried for one descent step, and of steps of the chord method.
-_HALVINGS, _CHORDS = 60, 100
+# Damping of the fall in units of sqrt(g / r), with the radius of gyration r. It is beyond critical,
+# so that the creature is let down and not thrown.
+_DAMPING = 4.0
 
-# Largest number of descents to one pose of balance. Another is needed if a foot begins or ceases to
-# slide.
-_ROUNDS = 20
+# Speed below which a creature is quiet, in units of sqrt(g r). In addition, it may creep on a slope
+# at up to ``g h / STIFFNESS`` (`evo_cpg.physics.contact`).
+_QUIET = 0.8e-3
+
+# Time after the release in which the creature has to stay, s.
+_RELEASE = 1.0
+
+# Damping of a joint that stays fixed during the fall, in units of m r^2 sqrt(g / r).
+_LOCK = 1e9
+
+# Largest number of steps of a descent, which begins near the balance, and largest number of poses
+# of balance that a search tries. It leaves each pose that is a saddle.
+_STEPS, _SADDLES = 50, 8
+
+# Largest number of step lengths tried for one descent step.
+_HALVINGS = 20
+
+# Largest number of descents to one pose of balance. Each has the cones of friction of the last one.
+_ROUNDS = 50
 
 # Largest displacement of the root in one step, with ground and without ground, in radii of
 # gyration. Largest change of an angle in one step, rad.
 _FARTHEST_ON_GROUND, _FARTHEST, _LARGEST_TURN = 0.1, 10.0, 0.2
 
-# The largest step shrinks by this factor each time that a step turns back. Otherwise a creature
-# whose feet all slide may go to and fro forever.
-_SHORTER = 0.8
-
-# Largest force, in units of the weight, at which the descent ends, and in the solution.
-_NEARLY, _EXACT = 1e-6, 1e-9
+# Largest force in the solution, in units of the weight.
+_EXACT = 1e-9
 
 # Stiffnesses in units of weight over radius of gyration. Sizes below the first count as zero. A
 # direction with a stiffness below minus the second is unstable: with an animal of 1 m, a deviation
@@ -169,11 +179,17 @@ class Settling:
         self.stay = np.where(np.isin(self.free, root.SYMMETRIES), _STAY, 0.0)
         self.farthest = _FARTHEST if world.contact_model is None else _FARTHEST_ON_GROUND
         moment = self.weight * self.size
-        search, numbers = _searches.of(world, self.free, h)
+        # Without gravity only springs move the creature. The scale of time is then arbitrary.
+        gravity = abs(world.gravity) or 9.81
+        frequency = np.sqrt(gravity / self.size)
+        self.quiet = _QUIET * self.size * frequency + gravity * h / STIFFNESS
+        self.slower = np.exp(-_DAMPING * frequency * h)
+        lock = _LOCK * tree.mass.sum() * self.size**2 * frequency
+        search, numbers = _searches.of(_in_still_water(world), self.free, h)
         given = numbers, self.scale, moment
+        self._fall = functools.partial(search.fall, numbers, (lock, self.size, self.quiet))
         self._evaluate = functools.partial(search.evaluate, given)
         self._go = functools.partial(search.go, given)
-        self._chord = functools.partial(search.chord, given)
 
     def settle(self, situation: Situation) -> "_Settled":
         """Return the pose in which the creature rests.
@@ -209,43 +225,66 @@ class Settling:
         Raises:
             NoRestError: the creature finds no rest, or falls over.
         """
-        state, friction = start, self._first_friction(start)
+        state, left, pause = start, round(_SECONDS / self.h), round(_PAUSE / self.h)
+        while left > 0:
+            state, taken = self._fall(state, self.slower, min(pause, left), left)
+            left, pause = left - int(taken), 2 * pause
+            if not np.isfinite(state.position).all():
+                raise NoRestError(f"its fall diverges with physics steps of {self.h:.2g} s")
+            self._require_upright(start, state)
+            found = self._balanced(state)
+            if found is not None and self._stays(found.state):
+                self._require_upright(start, found.state)
+                if self.world.tree.hanging is None and _is_alike_everywhere(self.world):
+                    state, friction = _put_back(start, found.state, found.friction)
+                    found = found._replace(state=state, friction=friction)
+                return found
+        raise NoRestError(f"it slides, rolls or drifts away (no rest within {_SECONDS:g} s)")
+
+    def _stays(self, state: State) -> bool:
+        """Return whether the creature stays in a pose when it is released there."""
+        steps = round(_RELEASE / self.h)
+        later, _ = self._fall(state, 1.0, steps, steps)
+        return bool(np.linalg.norm(later.position - state.position) < self.quiet * _RELEASE)
+
+    def _balanced(self, state: State) -> Rest | None:
+        """Return the stable balance near a quiet pose, or None if there is none."""
+        friction = self._friction(state)
+        state = dataclasses.replace(
+            state, velocity=jnp.zeros_like(state.velocity), qd=jnp.zeros_like(state.qd)
+        )
         for _ in range(_SADDLES):
-            state, friction = self._root(state, friction)
+            found = self._root(state, friction)
+            if found is None:
+                return None
+            state, friction = found
             here = self._at(np.zeros(len(self.free)), state, friction)
             values, modes = np.linalg.eigh(here.stiffness)
             if values[0] > -_UNSTABLE:
-                break
+                self._require_hold(here.total)
+                stiff = np.abs(values) > _SOFTEST
+                give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
+                return Rest(state, np.asarray(here.touch.normal_force), values, friction, give)
             direction = modes[:, 0] * np.sign(modes[np.abs(modes[:, 0]).argmax(), 0])
             state, friction = self._move(_KICK * direction, state, friction)
-        else:
-            raise NoRestError(f"all {_SADDLES} poses of balance were unstable")
-        self._require_hold(here.total)
-        stiff = np.abs(values) > _SOFTEST
-        give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
-        if self.world.tree.hanging is None and _is_alike_everywhere(self.world):
-            state, friction = _put_back(start, state, friction)
-        tilt = _tilt(start, state)
-        if tilt > _LARGEST_TILT:
-            raise NoRestError(
-                f"it falls over (it would rest at a tilt of {np.rad2deg(tilt):.0f} degrees)"
-            )
-        return Rest(state, np.asarray(here.touch.normal_force), values, friction, give)
+        return None
 
     def _at(self, y: np.ndarray, state: State, friction: FrictionState) -> _Here:
         """Return forces and stiffness in the pose with the coordinates y."""
         derivative, (force, total, touch) = self._evaluate(jnp.asarray(y), state, friction)
-        derivative = np.asarray(derivative)
-        return _Here(np.asarray(force), np.asarray(total), touch, -(derivative + derivative.T) / 2)
+        stiffness = -np.asarray(derivative + derivative.T) / 2
+        return _Here(np.asarray(force), np.asarray(total), touch, stiffness)
 
-    def _first_friction(self, start: State) -> FrictionState:
-        """Return the state of friction before any contact."""
+    def _friction(self, state: State) -> FrictionState:
+        """Return the friction of a quiet pose, which follows from the creep of its points."""
         places = 0 if self.world.contact_model is None else len(self.world.contact_model.bodies)
-        none, nothing = jnp.zeros((3, places)), jnp.zeros(places)
-        touch = self._at(
-            np.zeros(len(self.free)), start, FrictionState(none, none, none, nothing, none)
-        ).touch
-        return FrictionState(touch.point, touch.place, none, jnp.ones(places), none)
+        none, x = jnp.zeros((3, places)), np.zeros(len(self.free))
+        touch = self._at(x, state, FrictionState(none, none, none, none[0])).touch
+        friction = FrictionState(touch.point, touch.place, none, touch.limit)
+        # The slip whose force is that of the present speed.
+        later = state.moved(self.world.tree, self.h / BAUMGARTE_FRACTION)
+        slip = self._at(x, later, friction).touch.slip
+        return friction._replace(slip=jnp.where(touch.normal_force > 0, slip, 0.0))
 
     def _move(
         self, y: np.ndarray, state: State, friction: FrictionState
@@ -253,38 +292,42 @@ class Settling:
         """Return the pose with the coordinates y, and the state of friction in it."""
         return self._go(jnp.asarray(y), state, friction, self._at(y, state, friction).touch)
 
-    def _root(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
-        """Search downhill for a pose in which all forces balance."""
-        for _ in range(_ROUNDS):
-            state, friction = self._polish(*self._descend(state, friction))
+    def _root(self, state: State, friction: FrictionState) -> tuple[State, FrictionState] | None:
+        """Search downhill for a pose in which all forces balance, with friction within its cone."""
+        for round_ in range(_ROUNDS):
+            lower = self._descend(state, friction)
+            if lower is None:
+                return None
+            state, friction = lower
+            touch = self._at(np.zeros(len(self.free)), state, friction).touch
+            # Later rounds take the mean, because new cones alone may alternate between two poses.
+            older = 0.0 if round_ < _ROUNDS // 5 else 0.5
+            limit = older * friction.limit + (1 - older) * touch.limit
+            friction = friction._replace(limit=limit)
             here = self._at(np.zeros(len(self.free)), state, friction)
             if np.abs(here.force).max() < _EXACT:
                 return state, friction
-        raise NoRestError("its feet keep sliding, so the forces never balance")
+        return None
 
-    def _descend(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
-        """Go downhill until the forces are small."""
-        reach, before = 1.0, np.zeros(len(self.free))
+    def _descend(self, state: State, friction: FrictionState) -> tuple[State, FrictionState] | None:
+        """Go downhill until the forces are small. Return None if they do not become small."""
         for _ in range(_STEPS):
             here = self._at(np.zeros(len(self.free)), state, friction)
-            if not np.isfinite(here.force).all():
-                break
-            if np.abs(here.force).max() < _NEARLY:
+            largest = np.abs(here.force).max()
+            if largest < _EXACT:
                 return state, friction
+            if not np.isfinite(largest):
+                return None
             values, modes = np.linalg.eigh(here.stiffness)
             # Directions with little stiffness follow the force, at most by the radius of gyration.
-            largest = np.abs(here.force).max()
             stiff = np.maximum(np.abs(values), largest)
             stay = np.diag(largest * self.stay)
             y = np.linalg.solve((modes * stiff) @ modes.T + stay, here.force)
             far = np.abs(y) / np.where(self.free < root.LENGTHS, self.farthest, _LARGEST_TURN)
-            y = y / max(1.0, far.max() / reach)
+            y = y / max(1.0, far.max())
             y = y * self._step_length(y, here, state, friction)
-            if y @ before < 0:
-                reach *= _SHORTER
-            before = y
             state, friction = self._move(y, state, friction)
-        raise NoRestError(f"it slides, rolls or drifts away (no rest within {_STEPS} steps)")
+        return None
 
     def _step_length(
         self, y: np.ndarray, here: _Here, state: State, friction: FrictionState
@@ -305,13 +348,11 @@ class Settling:
             fraction = (low + high) / 2
         return fraction
 
-    def _polish(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
-        """Solve for the nearby pose of balance, up to rounding errors."""
-        stiffness = self._at(np.zeros(len(self.free)), state, friction).stiffness
-        values, modes = np.linalg.eigh(stiffness)
-        values = np.where(values < 0, -1.0, 1.0) * np.maximum(np.abs(values), _SOFTEST)
-        y = self._chord(state, friction, jnp.asarray((modes / values) @ modes.T))
-        return self._move(np.asarray(y), state, friction)
+    def _require_upright(self, start: State, state: State) -> None:
+        """Check that the creature has not fallen over."""
+        tilt = _tilt(start, state)
+        if tilt > _LARGEST_TILT:
+            raise NoRestError(f"it falls over (its tilt reaches {np.rad2deg(tilt):.0f} degrees)")
 
     def _require_hold(self, total: np.ndarray) -> None:
         """Check that motors without a spring can hold their joints."""
@@ -327,6 +368,11 @@ class Settling:
 class _Search:
     """Steps of a search for rest, compiled for all animals of a plan.
 
+    The fall takes the damping of fixed joints, the radius of gyration and the quiet speed, then the
+    state, the factor by which each step slows the motion, and the least and largest number of
+    steps. It returns the state with the mean velocity of the last steps, because a foot may chatter
+    on an edge, and the number of its steps.
+
     Args:
         plan: plan of the animals.
         free: indices of the free coordinates.
@@ -334,6 +380,40 @@ class _Search:
     """
 
     def __init__(self, plan: WorldPlan, free: Int[np.ndarray, " k"], h: float):
+        def fall(
+            numbers: list, scale: tuple, state: State, slower: float, least: int, most: int
+        ) -> tuple[State, int | Array]:
+            world, (lock, radius, quiet_speed) = plan.world(numbers), scale
+            tree = world.tree
+            fixed = ~np.isin(np.arange(tree.dof_count), free - root.ROOT_DOFS)
+            tree = dataclasses.replace(tree, damping=jnp.where(fixed, lock, tree.damping))
+            world = dataclasses.replace(world, tree=tree)
+
+            def advance(carry: tuple) -> tuple:
+                state, warmstart, mean, index, quiet = carry
+                state, effort = step(world, state, jnp.zeros_like(state.q), h, warmstart)
+                velocity = jnp.concatenate([state.velocity, state.qd])
+                mean = mean + (velocity - mean) / _QUIET_STEPS
+                is_quiet = jnp.abs(length * mean).max() < quiet_speed
+                state = dataclasses.replace(
+                    state, velocity=slower * state.velocity, qd=slower * state.qd
+                )
+                return state, effort.warmstart, mean, index + 1, jnp.where(is_quiet, quiet + 1, 0)
+
+            def goes_on(carry: tuple) -> Array:
+                state, _, _, index, quiet = carry
+                moves = (quiet < _QUIET_STEPS) | (index < least)
+                return (index < most) & moves & jnp.isfinite(state.position).all()
+
+            mean = jnp.zeros(root.size_of(tree.dof_count))
+            length = jnp.full_like(mean, radius).at[root.LENGTHS : root.ROOT_DOFS].set(1.0)
+            start = state, first_warmstart(world, (), state.q.dtype), mean, 0, 0
+            state, _, mean, taken, _ = jax.lax.while_loop(goes_on, advance, start)
+            qd = jnp.where(fixed, 0.0, root.joint_part(mean))
+            q = jnp.where(fixed, 0.0, state.q)
+            state = dataclasses.replace(state, velocity=root.root_part(mean), q=q, qd=qd)
+            return state.placed(tree), taken
+
         def force(
             y: Array, given: tuple, base: State, friction: FrictionState
         ) -> tuple[Array, tuple[Array, Array, Touch]]:
@@ -353,20 +433,13 @@ class _Search:
             numbers, length, _ = given
             world = plan.world(numbers)
             if world.contact_model is not None:
-                friction = next_friction(world.contact_model, h, friction, touch)
+                slip = jnp.where(touch.normal_force > 0, touch.slip, 0.0)
+                friction = FrictionState(touch.point, touch.place, slip, friction.limit)
             x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
             return base.displaced(world.tree, x), friction
 
-        def chord(given: tuple, base: State, friction: FrictionState, give: Array) -> Array:
-            return optimistix.fixed_point(
-                lambda y, _: y + give @ force(y, given, base, friction)[0],
-                optimistix.FixedPointIteration(rtol=1e-13, atol=1e-13),
-                jnp.zeros(len(free)),
-                max_steps=_CHORDS,
-                throw=False,
-            ).value
-
-        self.evaluate, self.go, self.chord = quick_jit(evaluate), quick_jit(go), quick_jit(chord)
+        self.fall, self.evaluate = quick_jit(fall), quick_jit(evaluate)
+        self.go = quick_jit(go)
 
 
 _searches = Programs(_Search)
@@ -466,6 +539,13 @@ def _require_support(world: World) -> None:
         raise NoRestError(f"it rises, because the water has no surface ({weights})")
 
 
+def _in_still_water(world: World) -> World:
+    """Return the world without a current, which would carry the creature away."""
+    if world.water is None:
+        return world
+    return dataclasses.replace(world, water=dataclasses.replace(world.water, streams=(Current(),)))
+
+
 def _is_alike_everywhere(world: World) -> bool:
     """Return whether all places and headings are equivalent: without ground, or on level ground."""
     return world.ground is None or world.ground.level is not None
@@ -497,8 +577,7 @@ def _carried(
         position=position,
         orientation=integrate_quaternion(state.orientation, about_z, 1.0),
     )
-    turned = {name: rotation @ getattr(friction, name) for name in ("slip", "drag")}
-    return carried, friction._replace(place=place, **turned)
+    return carried, friction._replace(place=place, slip=rotation @ friction.slip)
 
 
 def _heading(state: State) -> Array:

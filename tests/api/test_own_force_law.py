@@ -167,7 +167,7 @@ def test_a_law_acts_on_a_creature_at_rest(plate):
     base = resting_state(plate.tree, dtype=jnp.float64)
     offset = jnp.array([0.2, 0.0, -0.1, 0.3, 0.0, 0.0])
     none = jnp.zeros((3, 0))
-    friction = FrictionState(none, none, none, none[0], none)
+    friction = FrictionState(none, none, none, none[0])
     force, _ = quick_jit(lambda x: static_forces(leash, 0.01, base, friction, x))(offset)
     apparent = (DENSITY - WATER) * AREA * THICKNESS * G
     expected = [-stiffness * 0.2, 0.0, stiffness * 0.1 - apparent, 0.0, 0.0, 0.0]

@@ -1,5 +1,7 @@
 """A released creature rests where Archimedes', Coulomb's and Newton's laws place it."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,11 +13,16 @@ from creatures import AXES, coast, in_water
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.step import first_warmstart, step
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
 from evo_cpg.simulation import settle
+from evo_cpg.simulation.plans import Programs
 from evo_cpg.simulation.settle import NoRestError, Settling
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.spatial.rotation import quaternion_to_matrix
@@ -151,22 +158,9 @@ def test_a_box_rests_on_level_ground_and_on_a_moderate_slope(slope):
     assert displacement == pytest.approx(0.25 * creep, rel=0.05, abs=1e-8)
 
 
-@pytest.mark.parametrize("slope", [20.0, 25.0])
-def test_a_box_lands_on_a_slope_from_any_height(slope):
-    """Friction of 0.5 holds it up to 26.6 degrees. Its feet slide to and fro before they stick."""
-    a = np.deg2rad(slope)
-    normal = (-float(np.sin(a)), 0.0, float(np.cos(a)))
-    world = on_ground(alone(Box((0.4, 0.3, 0.1)), 300.0), Plane(normal=normal))
-    settling = Settling(world, H)
-    for height in (0.2, 0.207, 0.214):
-        start = resting_state(world.tree, (), jnp.float64, position=(0.0, 0.0, height))
-        rest = settling.rest(start)
-        assert np.array(rest.state.position) @ normal == pytest.approx(0.05, abs=1e-4)
-
-
-def legged(stiffness: float, legs, length: float = 0.2) -> Creature:
+def legged(stiffness: float, legs, length: float = 0.2, friction: float = 0.8) -> Creature:
     """Return a slab on straight legs with springs at the hips."""
-    flesh = Material(500.0, static_friction=0.8, dynamic_friction=0.8)
+    flesh = Material(500.0, static_friction=friction, dynamic_friction=friction)
     bodies = [Body("torso", Box((0.5, 0.3, 0.1)), flesh)]
     for i, (x, y) in enumerate(legs):
         hip = Joint(
@@ -202,6 +196,101 @@ def test_four_legs_stand_and_carry_the_weight():
     assert np.ptp(height[:, 1]) > 0.1
 
 
+def of_one_body(shape):
+    def made(friction: float) -> Creature:
+        material = Material(300.0, static_friction=friction, dynamic_friction=friction)
+        return Creature("body", (Body("body", shape, material),))
+
+    return made
+
+
+THREE, CROSS = [(0.2, 0), (-0.2, -0.12), (-0.2, 0.12)], [(0.2, 0), (-0.2, 0), (0, -0.12), (0, 0.12)]
+STARTS = {
+    "box": of_one_body(Box((0.4, 0.3, 0.1))),
+    "capsule": of_one_body(Capsule(0.05, 0.3)),
+    "quadruped": lambda friction: legged(100.0, FOUR, friction=friction),
+    "tripod": lambda friction: legged(150.0, THREE, friction=friction),
+    "cross": lambda friction: legged(100.0, CROSS, friction=friction),
+}
+
+
+class _Run:
+    """Simulate a creature whose velocities shrink by a factor in each step."""
+
+    def __init__(self, plan):
+        def run(numbers, state, steps, factor):
+            world = plan.world(numbers)
+
+            def advance(carry):
+                state, warmstart, index, quiet = carry
+                state, effort = step(world, state, jnp.zeros_like(state.q), H, warmstart)
+                fastest = jnp.abs(jnp.concatenate([state.velocity, state.qd])).max()
+                slowed = factor * state.velocity, factor * state.qd
+                state = dataclasses.replace(state, velocity=slowed[0], qd=slowed[1])
+                return state, effort.warmstart, index + 1, jnp.where(fastest < 1e-3, quiet + 1, 0)
+
+            warmstart = first_warmstart(world, (), jnp.float64)
+            carry = state, warmstart, 0, 0
+            end = jax.lax.while_loop(lambda carry: carry[2] < steps, advance, carry)
+            return end[0], end[3]
+
+        self.run = quick_jit(run)
+
+
+_runs = Programs(_Run)
+
+
+def simulated(world, state, seconds, factor):
+    """Return the state at the end, and the steps for which the motion was slow until then."""
+    program, numbers = _runs.of(world)
+    return program.run(numbers, state, round(seconds / H), factor)
+
+
+def random_start(name: str, rng) -> tuple[World, State]:
+    """Return a creature up to 0.1 m above a slope of 0 to 97 % of its friction limit."""
+    friction = rng.uniform(0.2, 1.0)
+    angle = np.arctan(rng.uniform(0.0, 0.97) * friction)
+    creature = STARTS[name](friction)
+    tree = build_tree(creature)
+    floor = Plane(normal=(-float(np.sin(angle)), 0.0, float(np.cos(angle))))
+    ground = Ground(static_friction=friction, dynamic_friction=friction, floor=floor)
+    model = make_contact_model(creature, tree, ground)
+    half = rng.uniform(-np.pi, np.pi) / 2
+    turned = float(np.cos(half)), 0.0, 0.0, float(np.sin(half))
+    high = resting_state(tree, (), jnp.float64, (0.0, 0.0, 1.0), turned)
+    gap = float(clearance(model, kinematics(tree, high)).min()) - rng.uniform(0.0, 0.1)
+    height = 1.0 - gap / float(np.cos(angle))
+    start = resting_state(tree, (), jnp.float64, (0.0, 0.0, height), turned)
+    return World(tree, 9.81, contact_model=model), start
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [("box", 12)] + [pytest.param(name, 40, marks=pytest.mark.slow) for name in STARTS],
+)
+def test_starts_rest_where_the_simulation_rests(name, count):
+    """An accepted start stays for a second. A refused one moves on in 20 s of damped motion.
+
+    One start in 40 may differ, because a creature that lands on an edge may tip either way.
+    """
+    rng = np.random.default_rng(70)
+    differ = []
+    for i in range(count):
+        world, start = random_start(name, rng)
+        try:
+            rest = Settling(world, H).rest(start).state
+        except NoRestError as error:
+            end, quiet = simulated(world, start, 20.0, 0.9)
+            tilt = settle._tilt(start, end)
+            if quiet >= 30 and tilt < np.deg2rad(60.0):
+                differ.append((i, str(error)))
+        else:
+            end, _ = simulated(world, rest, 1.0, 1.0)
+            if np.linalg.norm(end.position - rest.position) > 2e-3:
+                differ.append((i, "moves"))
+    assert len(differ) <= count // 40, differ
+
+
 def test_creatures_that_cannot_rest_are_refused():
     stone = alone(Box((0.2, 0.2, 0.2)), 2000.0)
     cork = alone(Box((0.2, 0.2, 0.2)), 500.0)
@@ -220,18 +309,16 @@ def test_creatures_that_cannot_rest_are_refused():
 
 def test_a_slab_on_one_leg_falls_over():
     world = on_ground(legged(2000.0, [(0.1, 0.0)], length=1.0))
-    with pytest.raises(NoRestError, match=r"it falls over \(it would rest at a tilt of"):
+    with pytest.raises(NoRestError, match=r"it falls over \(its tilt reaches \d\d degrees"):
         settled(world, (0.0, 0.0, 1.05))
 
 
-@pytest.mark.parametrize("steps", [100, pytest.param(1000, marks=pytest.mark.slow)])
-def test_a_box_on_too_steep_a_slope_slides_away(steps, monkeypatch):
+def test_a_box_on_too_steep_a_slope_slides_away():
     """The slope exceeds the angle of friction, 26.6 degrees."""
-    monkeypatch.setattr(settle, "_STEPS", steps)
-    a = np.deg2rad(40.0)
+    a = np.deg2rad(28.0)
     slope = Plane(normal=(-float(np.sin(a)), 0.0, float(np.cos(a))))
     world = on_ground(alone(Box((0.4, 0.3, 0.1)), 300.0), slope)
-    with pytest.raises(NoRestError, match=f"no rest within {steps} steps"):
+    with pytest.raises(NoRestError, match="no rest within 20 s"):
         settled(world, (0.0, 0.0, 0.2))
 
 
