@@ -86,6 +86,7 @@ class Imported(NamedTuple):
         experiment: keys of the experiment.
         left_out: names of parts of the file that are left out without harm.
         dropped: sentences about refused parts whose loss the user accepted.
+        changed: sentences about values that differ from the file's, with both values.
         joints: MuJoCo's numbers of the joints of each body, by its name, in the order of its axes.
         exported: whether the file is our own export, whose meshes are exact.
         warnings: sentences about what a user may have to change before training.
@@ -95,6 +96,7 @@ class Imported(NamedTuple):
     experiment: dict[str, Any]
     left_out: tuple[str, ...]
     dropped: tuple[str, ...]
+    changed: tuple[str, ...]
     joints: dict[str, tuple[int, ...]]
     exported: bool
     warnings: tuple[str, ...]
@@ -155,6 +157,7 @@ def read_model(
         data,
         tuple(refusals.left_out),
         tuple(refusals.dropped),
+        tuple(refusals.changed),
         joints,
         bool(custom),
         tuple(_warnings(compiled, root, bool(every_motor))),
