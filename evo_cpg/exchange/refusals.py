@@ -53,6 +53,7 @@ class Refusals:
         drop: whether the user accepts the loss of refused elements.
         found: faults in the order of their discovery.
         lost: elements that lose something without harm, by its name and their kind.
+        warnings: warnings of MuJoCo.
         changes: elements that get another value, with both values in place of the problem.
     """
 
@@ -60,6 +61,7 @@ class Refusals:
     drop: bool = False
     found: list[Refusal] = dataclasses.field(default_factory=list)
     lost: dict[tuple[str, str], list[str]] = dataclasses.field(default_factory=dict)
+    warnings: list[str] = dataclasses.field(default_factory=list)
     changes: list[Refusal] = dataclasses.field(default_factory=list)
 
     def add(self, refusal: Refusal) -> None:
