@@ -9,7 +9,6 @@ the import must name the body or the joint. The command fails if a difference is
 """
 
 import argparse
-import contextlib
 import dataclasses
 import os
 import sys
@@ -174,12 +173,18 @@ def compare(path: Path, file: Reading, drop: bool) -> tuple[list[str], list[str]
 
 
 def models(folder: Path) -> Iterator[tuple[Path, Reading]]:
-    """Yield the files in a folder with at least two moving bodies, and their readings."""
+    """Yield the files in a folder with at least two moving bodies, and their readings.
+
+    The reading of a file with faults is empty, so that only a refusal is right.
+    """
     for path in sorted(folder.rglob("*.urdf")):
-        with contextlib.suppress(ValueError):
+        try:
             file = read_urdf(path.read_text(errors="replace"))
-            if len(file.bodies) > 1:
-                yield path, file
+        except ValueError:
+            yield path, Reading()
+            continue
+        if len(file.bodies) > 1:
+            yield path, file
 
 
 def report(folder: Path, drop: bool, write: Callable[[str], object] = print) -> Counter[str]:
