@@ -5,20 +5,20 @@ gravity is tilted, the whole world is turned until gravity points down. A level 
 slope.
 """
 
+import contextlib
 import importlib
 import os
 import re
-import stat
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 
+from evo_cpg.exchange.inertials import restore_inertials, set_inertials_aside
 from evo_cpg.exchange.refusals import ExchangeError, Refusal, Refusals, RefusedError
-from evo_cpg.exchange.urdf import read_urdf
+from evo_cpg.exchange.urdf import is_urdf, read_urdf, read_xml
 from evo_cpg.installation import command_for
 
 # Largest relative difference of values that count as equal, and number of digits that are written.
@@ -145,25 +145,26 @@ def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compile
     Raises:
         ExchangeError: MuJoCo is missing or cannot load the file, or not all of it is text.
     """
+    content = _content(path)
     try:
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
         raise ExchangeError(
             f"reading a model needs MuJoCo. Install it with `{command_for('mujoco')}`"
         ) from None
-    urdf = _is_urdf(path)
     refusals = Refusals(path, drop)
     try:
-        with warnings.catch_warnings():
-            # MuJoCo warns about attributes that it will drop.
-            warnings.simplefilter("ignore")
+        text = read_xml(content)
+        urdf = is_urdf(text)
+        with _collected_warnings(mujoco, refusals):
             if urdf:
-                given = read_urdf(path, refusals)
+                given = read_urdf(text, path, refusals)
                 spec = mujoco.MjSpec.from_string(given.text, assets=given.meshes)
             else:
                 spec = mujoco.MjSpec.from_file(os.fsdecode(path))
             if free:
                 _release(spec, path)
+            inertials = set_inertials_aside(spec, refusals) if urdf else {}
             model = spec.compile()
         bytes(model.names).decode()
     except UnicodeDecodeError as error:
@@ -175,6 +176,8 @@ def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compile
         raise ExchangeError(
             f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}"
         ) from None
+    if urdf:
+        restore_inertials(mujoco, model, inertials, refusals)
     tilt = _set_upright(mujoco, model)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -259,23 +262,35 @@ def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
     return lines
 
 
-def _is_urdf(path: Path) -> bool:
-    """Return whether a file is a URDF. Check that it is readable, in clearer words than MuJoCo."""
+def _content(path: Path) -> bytes:
+    """Return the bytes of a file.
+
+    Raises:
+        ExchangeError: there is no such file, or it cannot be read.
+    """
     try:
-        mode = path.stat().st_mode
         # Reading a pipe or a device might never end.
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        if not (path.is_file() or path.is_dir()) and path.stat():
             raise OSError(None, "is no ordinary file")
-        with path.open("rb") as file:
-            _, first = next(ElementTree.iterparse(file, ["start"]), (None, None))
+        return path.read_bytes()
     except FileNotFoundError:
         raise ExchangeError(f"{path}: no such file") from None
     except OSError as error:
         raise ExchangeError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ElementTree.ParseError, LookupError, ValueError):
-        # MuJoCo reports the fault.
-        return False
-    return first is not None and first.tag == "robot"
+
+
+@contextlib.contextmanager
+def _collected_warnings(mujoco: Any, refusals: Refusals) -> Iterator[None]:
+    """Report MuJoCo's warnings. MuJoCo would print them, and write them to a file."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda words: refusals.warnings.append(printed(words)))
+    try:
+        with warnings.catch_warnings():
+            # MuJoCo's Python module warns about attributes that it will drop.
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def printed(text: str) -> str:

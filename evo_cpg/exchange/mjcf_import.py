@@ -37,6 +37,7 @@ from evo_cpg.creature.creature import CreatureError, lowest_height
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.compiled import WORLD, Compiled, compile_model, printed, tidy, tidy_vector
+from evo_cpg.exchange.inertials import mass_properties
 from evo_cpg.exchange.mjcf_contact import (
     read_color,
     read_ground,
@@ -86,6 +87,7 @@ class Imported(NamedTuple):
         experiment: keys of the experiment.
         left_out: names of parts of the file that are left out without harm.
         dropped: sentences about refused parts whose loss the user accepted.
+        changed: sentences about values that differ from the file's, with both values.
         joints: MuJoCo's numbers of the joints of each body, by its name, in the order of its axes.
         exported: whether the file is our own export, whose meshes are exact.
         warnings: sentences about what a user may have to change before training.
@@ -95,6 +97,7 @@ class Imported(NamedTuple):
     experiment: dict[str, Any]
     left_out: tuple[str, ...]
     dropped: tuple[str, ...]
+    changed: tuple[str, ...]
     joints: dict[str, tuple[int, ...]]
     exported: bool
     warnings: tuple[str, ...]
@@ -155,6 +158,7 @@ def read_model(
         data,
         tuple(refusals.left_out),
         tuple(refusals.dropped),
+        tuple(refusals.changed),
         joints,
         bool(custom),
         tuple(_warnings(compiled, root, bool(every_motor))),
@@ -216,6 +220,7 @@ def _check_joint(compiled: Compiled, own: Placed, keys: dict[str, Any]) -> None:
 
 def _warnings(compiled: Compiled, root: Placed, driven: bool) -> Iterator[str]:
     """Yield sentences about what a user may have to change before training."""
+    yield from (f"MuJoCo warns: {words}" for words in compiled.refusals.warnings)
     if compiled.tilt:
         angle = np.rad2deg(compiled.tilt)
         yield f"the world is turned by {angle:.3g} degrees, so that gravity points down"
@@ -286,7 +291,8 @@ def _substance(
         custom: numbers of our export.
         materials: names of the materials so far, which grow.
     """
-    mass, centre, inertia = _mass_properties(compiled, own)
+    mass, centre, inertia = mass_properties(compiled.model, compiled.data, own.rigid.members)
+    centre, inertia = own.turn.T @ (centre - own.centre), own.turn.T @ inertia @ own.turn
     density = None
     if len(shapes) == 1 and own.own_shape:
         exact = own.solids[0].shape["type"] != "mesh"
@@ -313,25 +319,6 @@ def _substance(
         keys["centre_of_mass"] = tidy_vector(centre)
         keys["inertia"] = _inertia_keys(inertia)
     return keys
-
-
-def _mass_properties(compiled: Compiled, own: Placed) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return mass (kg), centre of mass (m) and inertia about it (kg m^2), in the body's frame."""
-    model, data = compiled.model, compiled.data
-    members = list(own.rigid.members)
-    masses = np.array(model.body_mass[members], float)
-    mass = float(masses.sum())
-    if not mass:
-        return 0.0, np.zeros(3), np.zeros((3, 3))
-    places = np.array(data.xipos[members]).reshape(-1, 3)
-    centre = masses @ places / mass
-    inertia = np.zeros((3, 3))
-    for member, own_mass, place in zip(members, masses, places, strict=True):
-        axes = np.array(data.ximat[member]).reshape(3, 3)
-        arm = place - centre
-        inertia += axes @ np.diag(model.body_inertia[member]) @ axes.T
-        inertia += own_mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return mass, own.turn.T @ (centre - own.centre), own.turn.T @ inertia @ own.turn
 
 
 def _is_uniform(

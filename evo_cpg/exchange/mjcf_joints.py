@@ -171,10 +171,14 @@ def _limits(compiled: Compiled, joint: int) -> list[float] | None:
     lower, upper = map(float, model.jnt_range[joint])
     if int(model.jnt_type[joint]) == compiled.mujoco.mjtJoint.mjJNT_BALL:
         return None if upper >= np.pi else [0.0, upper]
-    if lower <= -_UNLIMITED and upper >= _UNLIMITED:
-        return None
+    kept = [max(lower, -_UNLIMITED), min(upper, _UNLIMITED)]
+    unlimited = kept == [-_UNLIMITED, _UNLIMITED]
+    if kept != [lower, upper]:
+        new = "none" if unlimited else f"{kept[0]:g} to {kept[1]:g}"
+        name = str(compiled.item("joint", joint))
+        compiled.refusals.change(name, f"limits {lower:g} to {upper:g} -> {new}")
     neutral = float(model.qpos0[model.jnt_qposadr[joint]])
-    return [max(lower, -_UNLIMITED) - neutral, min(upper, _UNLIMITED) - neutral]
+    return None if unlimited else [limit - neutral for limit in kept]
 
 
 def _rest(compiled: Compiled, joint: int) -> float:

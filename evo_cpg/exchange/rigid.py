@@ -123,9 +123,9 @@ def _none_moves(compiled: Compiled) -> RefusedError:
         return compiled.item("body", WORLD).refusal(
             "the worldbody holds no body", "at least one", vital=True
         )
-    return compiled.item("body", 1).refusal(
-        "no body of the file moves", "joints, or the option --free", vital=True
-    )
+    fixed = "; ".join(words for words in compiled.refusals.changed if "-> fixed" in words)
+    problem = "no body of the file moves" + (f" ({fixed})" if fixed else "")
+    return compiled.item("body", 1).refusal(problem, "joints, or the option --free", vital=True)
 
 
 def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[int]:

@@ -1,27 +1,43 @@
-"""Preparation of URDF files for MuJoCo: the folders of meshes, and links without mass.
+"""Preparation of URDF files for MuJoCo: XML, folders of meshes, limits of joints.
 
 A URDF names meshes as ``package://PACKAGE/FOLDER/FILE``. MuJoCo knows no packages. Each mesh is
 looked for in the folders above the file. Drawings beside collision shapes are left out, and joints
 that copy the angle of another one (``mimic``) are refused. Bodies that are fixed to each other stay
 separate, so that the first one can be released.
 
-Links without mass or inertia get very small ones: other programs take them, and MuJoCo does not.
-trimesh converts meshes that MuJoCo cannot read. It reads Collada files (``.dae``) with pycollada.
+A limit that is not given is 0, as URDF defines. MuJoCo would drop both limits of such a joint, and
+those of a joint whose limits are equal. trimesh converts meshes that MuJoCo cannot read. It reads
+Collada files (``.dae``) with pycollada.
 """
 
+import codecs
+import contextlib
+import re
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element, SubElement, TreeBuilder
+from xml.parsers import expat
 
+from evo_cpg.config.schema.section import LARGEST
 from evo_cpg.exchange.refusals import Refusal, Refusals
 
 # Formats of meshes that MuJoCo reads.
 _FORMATS = (".stl", ".obj", ".msh")
 
-# Mass (kg) and moment of inertia (kg m^2) of links without them.
-_LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
+# Parts of an XML file that MuJoCo skips, some of which a strict reader refuses: text before the
+# first element, declarations, comments (also with ``--`` inside) and control characters.
+_SKIPPED = re.compile(r"\A[^<]*|<\?.*?\?>|<!--.*?-->|[\0-\x08\x0b\x0c\x0e-\x1f]", re.DOTALL)
+
+# An ampersand that begins none of the entities that every reader knows.
+_STRAY_AMPERSAND = re.compile("&(?!(?:amp|lt|gt|quot|apos|#[0-9]+|#x[0-9a-fA-F]+);)")
+
+# Options of MuJoCo's compiler that would replace masses of the file.
+_MASS_OPTIONS = (
+    *("boundmass", "boundinertia", "balanceinertia"),
+    *("inertiafromgeom", "inertiagrouprange", "settotalmass"),
+)
 
 # Header and size of a triangle of a binary STL file, bytes.
 _STL_HEAD, _STL_FACE = 84, 50
@@ -39,19 +55,53 @@ class Urdf(NamedTuple):
     meshes: dict[str, bytes]
 
 
-def read_urdf(path: Path, refusals: Refusals) -> Urdf:
-    """Return a URDF that MuJoCo compiles with the right meshes. Refuse unreadable meshes.
+def read_xml(content: bytes) -> str:
+    """Return the text of an XML file without the parts that MuJoCo skips. Lines stay in place.
+
+    Bytes that are not text, in UTF-8 or in the encoding that the file declares, become surrogates.
+    """
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    declared = re.match(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([\w.-]+)", content)
+    text = content.decode("utf-8-sig", "surrogateescape")
+    for encoding in (
+        "utf-16" if wide else "utf-8-sig",
+        *([declared[1].decode()] if declared else []),
+    ):
+        with contextlib.suppress(LookupError, UnicodeDecodeError):
+            text = content.decode(encoding)
+            break
+    return _SKIPPED.sub(lambda part: "\n" * part[0].count("\n"), text)
+
+
+def is_urdf(text: str) -> bool:
+    """Return whether the first element of an XML text is that of a URDF. MuJoCo ignores case."""
+    first = re.search(r"<([^\W\d][^\s/>]*)", text)
+    return first is not None and first[1].lower() == "robot"
+
+
+def read_urdf(text: str, path: Path, refusals: Refusals) -> Urdf:
+    """Return a URDF that MuJoCo compiles with the right meshes and limits.
+
+    Args:
+        text: result of `read_xml`.
+        path: the file, in whose folders meshes are looked for.
+        refusals: faults and changes, which grow.
 
     Raises:
-        ValueError: the file is not XML.
+        UnicodeDecodeError: not all bytes of the file are text.
+        ValueError: the text is not XML.
     """
-    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    text = text.encode(errors="surrogateescape").decode()
     try:
-        robot = ElementTree.parse(path, parser).getroot()
-    except (ElementTree.ParseError, LookupError) as error:
+        robot = _parsed(_STRAY_AMPERSAND.sub("&amp;", text))
+    except expat.ExpatError as error:
         raise ValueError(f"it is not XML: {error}") from None
+    _refuse_macros(robot, refusals)
     meshes: dict[str, bytes] = {}
-    for link in robot.iter("link"):
+    for link in robot.findall("link"):
+        if link.get("name") == "world" and link.find("inertial") is not None:
+            # MuJoCo takes this link for the world.
+            refusals.leave_out("mass", "body 'world'")
         for drawn in link.findall("visual"):
             if link.find("collision") is not None:
                 link.remove(drawn)
@@ -62,10 +112,42 @@ def read_urdf(path: Path, refusals: Refusals) -> Urdf:
             if not _is_readable(path, solid, meshes):
                 _refuse(path, solid, refusals)
                 link.remove(solid)
-        _give_inertia(link, refusals)
-    _refuse_mimics(robot, refusals)
-    _set_compiler(robot)
+    for joint in robot.findall("joint"):
+        _prepare_joint(joint, refusals)
+    _set_compiler(robot, refusals)
     return Urdf(ElementTree.tostring(robot, encoding="unicode"), meshes)
+
+
+def _parsed(text: str) -> Element:
+    """Return the first element of an XML text. Prefixes are part of names, bound or not."""
+    builder, parser = TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        # MuJoCo reads the first element only.
+        if error.code != expat.errors.codes[expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT]:
+            raise
+    return builder.close()
+
+
+def _refuse_macros(robot: Element, refusals: Refusals) -> None:
+    """Refuse macros of xacro, which make the elements of a URDF.
+
+    Raises:
+        ExchangeError: there are macros, so MuJoCo could not load the file.
+    """
+    expand = "Allowed: the URDF that `xacro FILE` prints"
+    for tag in sorted({each.tag for each in robot.iter() if each.tag.startswith("xacro:")}):
+        refusals.add(Refusal(f"element <{tag}>", f"it is a macro of xacro. {expand}", vital=True))
+    for element in (*robot.findall("link"), *robot.findall("joint")):
+        values = [value for part in element.iter() for value in part.attrib.values()]
+        if macro := next((value for value in values if re.search(r"\$[({]", value)), None):
+            name = f"{element.tag} {element.get('name', '')!r}"
+            problem = f"{macro!r} is an expression of xacro. {expand}"
+            refusals.add(Refusal(name, problem, vital=True))
+    refusals.check()
 
 
 def _refuse(path: Path, shape: Element, refusals: Refusals) -> None:
@@ -79,35 +161,61 @@ def _refuse(path: Path, shape: Element, refusals: Refusals) -> None:
     refusals.add(Refusal(f"mesh {name!r}", f"{problem}. Allowed: {allowed}"))
 
 
-def _refuse_mimics(robot: Element, refusals: Refusals) -> None:
-    """Refuse joints that copy the angle of another one. Some versions of MuJoCo ignore them."""
-    for joint in robot.iter("joint"):
-        for mimic in joint.findall("mimic"):
-            name = f"joint {joint.get('name', '')!r}"
-            problem = f"it mimics joint {mimic.get('joint', '')!r}. Allowed: no mimic"
-            refusals.add(Refusal(name, problem))
-            joint.remove(mimic)
-
-
-def _give_inertia(link: Element, refusals: Refusals) -> None:
-    """Give a link without moments of inertia very small ones."""
-    inertial = link.find("inertial")
-    inertia = None if inertial is None else inertial.find("inertia")
-    if inertial is None or inertia is None:
+def _prepare_joint(joint: Element, refusals: Refusals) -> None:
+    """Refuse a joint that copies another one. Name what is lost of its limits."""
+    name, kind = f"joint {joint.get('name', '')!r}", joint.get("type")
+    for mimic in joint.findall("mimic"):
+        # Some versions of MuJoCo ignore it.
+        problem = f"it mimics joint {mimic.get('joint', '')!r}. Allowed: no mimic"
+        refusals.add(Refusal(name, problem))
+        joint.remove(mimic)
+    limit = joint.find("limit")
+    if limit is None or kind == "fixed":
         return
+    keys = ("lower", "upper", "effort", "velocity")
     try:
-        moments = [float(inertia.get(key, 0.0)) for key in ("ixx", "iyy", "izz")]
+        lower, upper, effort, velocity = (float(limit.get(key, 0.0)) for key in keys)
     except ValueError:
         # MuJoCo reports the fault.
         return
-    if any(moment > 0 for moment in moments):
+    if kind in ("planar", "floating"):
+        joint.remove(limit)
+        refusals.change(name, f"limits and effort of a {kind} joint -> none")
         return
-    for key in ("ixx", "iyy", "izz"):
-        inertia.set(key, f"{_LEAST_INERTIA:g}")
-    refusals.leave_out("missing inertia", f"body {link.get('name', '')!r}")
+    if kind == "continuous" and (lower or upper):
+        refusals.leave_out("unused limits", name)
+    if kind in ("revolute", "prismatic") and not _limit(joint, limit, (lower, upper), refusals):
+        return
+    if velocity:
+        refusals.leave_out("velocity limit", name)
+    if joint.find("safety_controller") is not None:
+        refusals.leave_out("safety controller", name)
+    if not 0 < effort < LARGEST:
+        new = f"{-effort:g}" if -LARGEST < effort < 0 else "no motor"
+        refusals.change(name, f"effort {limit.get('effort', 'none')} -> {new}")
 
 
-def _set_compiler(robot: Element) -> None:
+def _limit(joint: Element, limit: Element, values: tuple[float, float], refusals: Refusals) -> bool:
+    """Write both limits of a joint, and return whether it still moves."""
+    lower, upper = values
+    name = f"joint {joint.get('name', '')!r}"
+    if lower == upper == 0:
+        given = "" if limit.attrib.keys() & {"lower", "upper"} else "none, so "
+        effort = limit.get("effort", "none")
+        refusals.change(name, f"limits {given}0 to 0 -> fixed; effort {effort} -> no motor")
+        joint.set("type", "fixed")
+        return False
+    if lower < upper:
+        limit.attrib |= {"lower": repr(lower), "upper": repr(upper)}
+    else:
+        problem = f"its limits are {lower:g} to {upper:g}. Allowed: lower below upper, or 0 to 0"
+        refusals.add(Refusal(name, problem))
+        for key in limit.attrib.keys() & {"lower", "upper"}:
+            del limit.attrib[key]
+    return True
+
+
+def _set_compiler(robot: Element, refusals: Refusals) -> None:
     """Set the options of MuJoCo's compiler that its URDF reader would choose differently."""
     extension = robot.find("mujoco")
     extension = SubElement(robot, "mujoco") if extension is None else extension
@@ -115,13 +223,12 @@ def _set_compiler(robot: Element) -> None:
     compiler = SubElement(extension, "compiler") if compiler is None else compiler
     for key in ("meshdir", "assetdir"):
         compiler.attrib.pop(key, None)
+    for key in _MASS_OPTIONS:
+        if compiler.attrib.pop(key, None):
+            refusals.leave_out(f"compiler {key}")
     ours = {"strippath": "false", "fusestatic": "false", "discardvisual": "false"}
     for key, value in ours.items():
         compiler.set(key, value)
-    compiler.attrib.setdefault("boundmass", f"{_LEAST_MASS:g}")
-    compiler.attrib.setdefault("boundinertia", f"{_LEAST_INERTIA:g}")
-    # Rounded inertias of drawing programs break the triangle rule by little.
-    compiler.attrib.setdefault("balanceinertia", "true")
 
 
 def _is_readable(path: Path, shape: Element, meshes: dict[str, bytes]) -> bool:
