@@ -14,6 +14,14 @@ from evo_cpg.spatial.numerics import Number, xp
 _DEEPEST, _DEPTH, _FALL, _GRAVITY = 0.01, 0.02, 20.0, 9.81
 
 
+# Start of the keys of second opinions, and the smallest fraction of the displacement with which one
+# of them confirms a champion.
+SECOND_OPINION, _CONFIRMS = "mujoco", 0.5
+
+# Start of the questions about the displacement in changed trials.
+KEPT = "displacement kept: "
+
+
 @dataclasses.dataclass(frozen=True)
 class Limits:
     """Limits of a sound gait.
@@ -180,6 +188,28 @@ class Verdict(NamedTuple):
     def reasons(self) -> list[str]:
         """Reasons of all failed checks."""
         return [check.reason for check in self.checks if check.passed is False]
+
+    @property
+    def confirmed(self) -> bool | None:
+        """Return whether a second opinion keeps half of the displacement, or None without any."""
+        kept = [check.measured >= _CONFIRMS for check in self._second]
+        return any(kept) if kept else None
+
+    @property
+    def confirmation(self) -> str:
+        """Text about what second opinions keep, to follow the verdict, or "" without any."""
+        words = "second opinions keep these fractions of its displacement"
+        if self.confirmed is False:
+            words = "not confirmed, because no second opinion keeps half of its displacement"
+        kept = [
+            f"{check.question.removeprefix(KEPT)} {shown(check.measured, check.unit)}"
+            for check in self._second
+        ]
+        return f"{words}: {'; '.join(kept)}" if kept else ""
+
+    @property
+    def _second(self) -> list[Check]:
+        return [check for check in self.checks if check.key.startswith(SECOND_OPINION)]
 
 
 def shown(value: float | None, unit: str = "") -> str:

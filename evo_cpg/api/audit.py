@@ -13,13 +13,19 @@ import numpy as np
 
 from evo_cpg.analysis.energy import Ledger, ledger
 from evo_cpg.analysis.excursions import Excursions, displacement, excursions
-from evo_cpg.analysis.verdict import Check, Limits, Verdict
+from evo_cpg.analysis.verdict import KEPT, Check, Limits, Verdict, shown
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
 from evo_cpg.exchange.refusals import ExchangeError
-from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
+from evo_cpg.exchange.second_opinion import (
+    Brain,
+    DivergedError,
+    Opinion,
+    own_opinion,
+    second_opinion,
+)
 from evo_cpg.fusion.engine import Engine, described
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps
@@ -51,6 +57,9 @@ _STRETCH = 0.25
 
 # Shortest displacement, in lengths of the animal, for which variations are evaluated.
 _LEAST_DISPLACEMENT = 0.1
+
+# Difference of the time upright from ours, as a fraction of the trial, that a second opinion names.
+_LESS_UPRIGHT = 0.1
 
 # Largest allowed relative error of the replayed fitness.
 _REPLAY = 1e-3
@@ -97,6 +106,8 @@ class Audit:
         """Return the contents of ``audit.json``."""
         return {
             "passed": self.verdict.passed,
+            "confirmed": self.verdict.confirmed,
+            "confirmation": self.verdict.confirmation,
             "reasons": self.verdict.reasons,
             "run": champion.run,
             "generation": champion.generation,
@@ -161,7 +172,7 @@ def audits(
     tell("in MuJoCo", total - 1, total)
     made = []
     for champion, alive, steps, found in zip(champions, replayed, trials, kept, strict=True):
-        opinions, missing = _opinions(experiment, champion, steps[0].steps)
+        opinions, diverged, missing = _opinions(experiment, champion, steps[0].steps)
         checks = [
             _replay(champion, alive),
             *_kept(
@@ -171,6 +182,7 @@ def audits(
                 experiment.creature,
                 _carried(experiment, steps),
             ),
+            *_seconds(experiment, opinions, diverged),
             *books(experiment, champion, steps, limits),
         ]
         verdict = Verdict(tuple(checks))
@@ -186,20 +198,62 @@ def _complete(champion: Champion, replayed: Varied) -> Champion:
 
 def _opinions(
     experiment: ExperimentParts, champion: Champion, steps: PhysicsSteps
-) -> tuple[tuple[Opinion, ...], str]:
-    """Return opinions on the first trial, ours and MuJoCo's, and the reason if one is missing."""
+) -> tuple[tuple[Opinion, ...], list[str], str]:
+    """Return opinions on the first trial, and why some of them are missing.
+
+    Returns:
+        Our opinion and MuJoCo's, the names of those in which the animal diverged, and the reasons.
+    """
     simulation, creature = experiment.simulation, experiment.creature
-    theirs, missing = [], ""
-    try:
-        theirs.append(second_opinion(simulation, creature, steps))
-        if simulation.world.contact_model is not None:
-            theirs.append(second_opinion(simulation, creature, steps, hard=True))
-            if simulation.controller.uses_senses:
-                brain = _brain(experiment, champion)
-                theirs.append(second_opinion(simulation, creature, steps, True, brain))
-    except ExchangeError as error:
-        missing = str(error)
-    return (own_opinion(simulation, steps), *theirs) if theirs else (), missing
+    modes: list[tuple[bool, Brain | None]] = [(False, None)]
+    if simulation.world.contact_model is not None:
+        modes.append((True, None))
+        if simulation.controller.uses_senses:
+            modes.append((True, _brain(experiment, champion)))
+    opinions, diverged, missing = [own_opinion(simulation, steps)], list[str](), list[str]()
+    for hard, brain in modes:
+        try:
+            opinions.append(second_opinion(simulation, creature, steps, hard, brain))
+        except ExchangeError as error:
+            missing.append(str(error))
+            if isinstance(error, DivergedError):
+                diverged.append(error.program)
+    found = tuple(opinions) if len(opinions) > 1 else ()
+    return found, diverged, "; ".join(dict.fromkeys(missing))
+
+
+def _seconds(
+    experiment: ExperimentParts, opinions: Sequence[Opinion], diverged: Sequence[str]
+) -> list[Check]:
+    """Return the displacements in the first trial that second opinions keep.
+
+    Only displacement along x counts if the task only counts that. A displacement backwards keeps
+    nothing. There are no checks if our animal hardly moves.
+    """
+    checks = [Check(_key(name), KEPT + name, math.nan, None, True, "%") for name in diverged]
+    if not opinions:
+        return checks
+    light, forward = experiment.simulation.lights[0], experiment.simulation.task.heading
+    own, *others = (
+        float(one.path[0, -1] - one.path[0, 0])
+        if light is None and forward == "forward"
+        else displacement(one.path, light)
+        for one in opinions
+    )
+    if not own > _LEAST_DISPLACEMENT * length_of(experiment.creature):
+        return []
+    for one, theirs in zip(opinions[1:], others, strict=True):
+        question, upright = KEPT + one.program, one.upright
+        # Swimmers may roll.
+        if one.airborne is not None and upright < opinions[0].upright - _LESS_UPRIGHT:
+            question += f" (upright {shown(upright, '%')} of the time)"
+        fraction, detail = float(np.clip(theirs / own, 0.0, 1.0)), f"{theirs:.3g} of {own:.3g} m"
+        checks.append(Check(_key(one.program), question, fraction, None, True, "%", detail))
+    return checks
+
+
+def _key(program: str) -> str:
+    return program.lower().replace(", ", "_").replace(" ", "_")
 
 
 def _brain(experiment: ExperimentParts, champion: Champion) -> Brain:
@@ -515,7 +569,7 @@ def _kept(
         fractions = np.zeros_like(displacements)
         if reference > 0:
             fractions = np.clip(displacements / reference, 0.0, 1.0)
-        question, limit = f"displacement kept: {variation.name}", getattr(limits, key, None)
+        question, limit = f"{KEPT}{variation.name}", getattr(limits, key, None)
         # The worst of several settings counts.
         checks.append(Check(key, question, float(fractions.min()), limit, True, "%", detail))
     return checks

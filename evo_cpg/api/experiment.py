@@ -24,8 +24,9 @@ from evo_cpg.api.machine import warn_of_gpu
 from evo_cpg.api.progress import working
 from evo_cpg.api.record import Record, as_record
 from evo_cpg.config.build import build_experiment
+from evo_cpg.config.errors import KeyProblem
 from evo_cpg.config.numbers import number_at, with_numbers
-from evo_cpg.config.own_checks import described, is_real
+from evo_cpg.config.own_checks import described, is_real, require_separate
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
@@ -333,7 +334,7 @@ class Experiment:
 
         Raises:
             UnknownTermError: the function reads a term that the task lacks (a `KeyError`).
-            ValueError: the result is not one real number for each individual.
+            ValueError: the result is not one real number for each individual, or mixes individuals.
         """
         task = JudgedBy(self.task.light, self.task, fitness)
         # Check here, not after some seconds of compiling.
@@ -345,6 +346,11 @@ class Experiment:
                     "fitness must return one real number for each individual: the shape "
                     f"{batch} from terms of the shape {batch}, got {described(found)}"
                 )
+        terms = jax.eval_shape(lambda: no_terms(self.parts.simulation, (_SEVERAL,)))
+        try:
+            require_separate(lambda terms: {((), "fitness"): task.fitness(terms, {})}, terms)
+        except KeyProblem as error:
+            raise ValueError(error.problem) from None
         return self.with_task(task)
 
     def _compiling(self, what: str, of: str, program: tuple) -> AbstractContextManager[None]:

@@ -11,6 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from evo_cpg.api.progress import working
 from evo_cpg.config.errors import nearest
 from evo_cpg.config.parameters import Parameters
 from evo_cpg.simulation.backward import Backward, retention
@@ -59,8 +60,11 @@ def fitness_function(
             trial = parameters.simulation(parameters.checked(jnp.asarray(values, genome.dtype)))
             trial = dataclasses.replace(trial, task=task) if task else trial
         genomes = jnp.broadcast_to(genome[:, None], (count, parts.trials))
-        outcome = rollout(trial, genomes, keys, situations, backward=backward)
-        return judge(trial.task, outcome, scales)[0]
+        # JAX compiles derivatives after this function has returned.
+        what = f"compiling the fitness of {parts.name!r}, and its derivatives if they are used"
+        with working(f"{what} (up to a minute, once under jax.jit)", timed=False):
+            outcome = rollout(trial, genomes, keys, situations, backward=backward)
+            return judge(trial.task, outcome, scales)[0]
 
     return fitness
 

@@ -1,8 +1,8 @@
-"""Progress lines on standard error: on a terminal, in a notebook, or on request.
+"""Progress lines on standard error.
 
-A library prints nothing that its user did not request, so logs and pipes stay clean. But the first
-call of a program compiles it, which takes seconds or, for a large animal, minutes. So a terminal
-shows the progress.
+The first call of a program compiles it, which takes seconds or, for a large animal, minutes. So
+that no call seems to hang, such work prints its name. Terminals and notebooks show its duration and
+the generations of a search, too. In a log or a pipe, these lines are printed only on request.
 """
 
 import contextlib
@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 
 # Shorter work prints no line, s.
-_SOON = 1.0
+_SOON = 2.0
 
 # Time between two lines about generations, s.
 _BETWEEN = 10.0
@@ -24,21 +24,22 @@ def show_progress(on: bool | None = None) -> None:
     """Choose whether long work of this library prints its progress to standard error.
 
     Args:
-        on: True for always, False for never, None (the default) for only on a terminal and in a
-            notebook.
+        on: True for all lines, False for none, None (the default) for all lines on a terminal and
+            in a notebook, but only the names of long work elsewhere.
     """
     global _shown
     _shown = on
 
 
 @contextlib.contextmanager
-def working(what: str) -> Iterator[None]:
-    """Print the name of work that takes more than a second, and its duration at the end.
+def working(what: str, timed: bool = True) -> Iterator[None]:
+    """Print the name of work that takes more than two seconds, and its duration at the end.
 
     Args:
         what: name of the work.
+        timed: whether the work is over at the end of the block, so that its duration is known.
     """
-    if not _is_shown():
+    if _shown is False:
         yield
         return
     start, done, printed = time.monotonic(), threading.Event(), threading.Event()
@@ -55,7 +56,7 @@ def working(what: str) -> Iterator[None]:
     finally:
         done.set()
         waiter.join()
-        if printed.is_set():
+        if printed.is_set() and timed and _is_shown():
             _say(f"{what}: {time.monotonic() - start:.1f} s")
 
 

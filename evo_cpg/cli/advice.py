@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool
 
 from evo_cpg.cli.errors import warn
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.couplings import uncoupled
+from evo_cpg.control.matsuoka import MatsuokaNetwork, parts
 from evo_cpg.control.rest import resting
+from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.machine_constants import MOST_OPERATIONS
 from evo_cpg.simulation.operations import Operations, estimate_operations
 from evo_cpg.simulation.simulation import Simulation
@@ -102,14 +105,14 @@ def about_oscillators(simulation: Simulation) -> list[str]:
             f"more than {least:.3g} (constants: {cpg.constants}) and less than 1 + the adaptation "
             f"gain ({gains[0]:g} to {gains[1]:g})"
         )
-    ring = _ring([tree.dof_names[i] for i in alone])
-    couple = f"Couple them with controller.cpg.couplings or rings{ring}"
+    couple = "Couple them with controller.cpg.couplings or rings"
+    couple_alone = couple + _ring([tree.dof_names[i] for i in alone])
     rest = "at rest under a constant drive"
     matters = (
-        ("coupled to no other oscillator", couple, [i for i in alone if i not in still]),
+        ("coupled to no other oscillator", couple_alone, [i for i in alone if i not in still]),
         (
             f"coupled to no other oscillator, and {rest}",
-            f"{couple}. {cure}",
+            f"{couple_alone}. {cure}",
             [i for i in alone if i in still],
         ),
         (rest, cure, [i for i in still if i not in alone]),
@@ -119,7 +122,40 @@ def about_oscillators(simulation: Simulation) -> list[str]:
         if found:
             names = ", ".join(tree.dof_names[i] for i in found)
             lines.append(f"{what}: {names}. {change}")
+    apart = _groups(network, tree, driven)
+    # A trunk and its fins may have rhythms of their own in water. Legs must step in turn.
+    if simulation.world.contact_model is None:
+        sizes = [len(group) for group in apart]
+        apart = [group for group in apart if sizes.count(len(group)) > 1]
+    if len(apart) > 1:
+        bodies = "; ".join(", ".join(_bodies_of(tree, group)) for group in apart)
+        ring = _ring([tree.dof_names[group[0]] for group in apart])
+        lines.append(
+            f"{len(apart)} groups of limbs are not coupled to each other, so they have no order in "
+            f"which to move, and a walker may stand still: {bodies}. {couple}{ring} "
+            "(docs/walker.md)"
+        )
     return lines
+
+
+def _groups(
+    network: MatsuokaNetwork, tree: Tree, driven: Bool[np.ndarray, " o"]
+) -> list[list[int]]:
+    """Return groups of several driven oscillators that are coupled or turn the same bodies."""
+    groups: list[list[int]] = []
+    for part in parts(network):
+        own = [i for i in part if driven[i]] if len(part) > 1 else []
+        bodies = set(_bodies_of(tree, own))
+        for group in [group for group in groups if bodies & set(_bodies_of(tree, group))]:
+            groups.remove(group)
+            own = sorted(group + own)
+        groups += [own] if own else []
+    return groups
+
+
+def _bodies_of(tree: Tree, oscillators: Sequence[int]) -> list[str]:
+    """Return the names of the bodies that oscillators turn, each once."""
+    return list(dict.fromkeys(tree.names[tree.dof_bodies[i]] for i in oscillators))
 
 
 def _ring(names: Sequence[str]) -> str:

@@ -75,6 +75,7 @@ def audit_champions(run: Path, limits: Sequence[str], which: Which, every: bool)
                 show_words(f"{none}: {done.missing}")
         title = f"{experiment.name}: audit" + (f" of run {champion.run}" if every else "")
         title += "" if which.cell is None else f" of cell {which.cell}"
+        title += ", not confirmed" if done.verdict.confirmed is False else ""
         draw_audit(folder, name, title, done)
     if every:
         show_summary(champions, made)
@@ -119,9 +120,13 @@ def say_verdict(
             tell(f"{whose}: {line}")
     passed = sum(done.verdict.passed for done in made)
     if len(made) > 1:
-        print(f"{run}: {passed} of {len(made)} champions pass their audit")
+        alone = sum(done.verdict.confirmed is False for done in made)
+        words = f"; {alone} of {len(made)} are not confirmed by a second opinion" if alone else ""
+        print(f"{run}: {passed} of {len(made)} champions pass their audit{words}")
     else:
-        print(f"{run}: {subject} {'passes' if passed else 'does not pass'} its audit")
+        words = made[0].verdict.confirmation
+        words = f"; {words}" if words else ""
+        print(f"{run}: {subject} {'passes' if passed else 'does not pass'} its audit{words}")
     if passed < len(made):
         raise SystemExit(ExitCode.NOT_PASSED)
 
@@ -158,7 +163,8 @@ def show_summary(champions: Sequence[Champion], made: Sequence[Audit]) -> None:
                 *(shown(done.measured.get(key), "%").removesuffix(" %") for key in keys),
                 f"{', '.join(displacements[1:])} of {displacements[0]}" if displacements else "",
                 ", ".join(f"{100 * one.upright:.0f}" for one in done.opinions),
-                _WORDS[done.verdict.passed],
+                _WORDS[done.verdict.passed]
+                + (", not confirmed" if done.verdict.confirmed is False else ""),
             )
         )
     names = [f"{_KEPT[key]} %" for key in keys]

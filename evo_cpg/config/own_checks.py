@@ -1,14 +1,21 @@
-"""Checks of the values that a user's own classes return, by tracing their shapes and types."""
+"""Checks of the values that a user's own classes return.
 
+A traced control step shows shapes and types. The same step then runs with random numbers. The
+numbers of some individuals change, and the results of the others must not, because each individual
+is alone in its trial.
+"""
+
+import contextlib
 import inspect
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from evo_cpg.config.errors import Key, KeyProblem
 from evo_cpg.config.own_classes import own_parts
@@ -18,7 +25,7 @@ from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.control_step import (
     Effects,
@@ -37,37 +44,57 @@ from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
 _INDIVIDUALS = 7
 _BATCH = (_INDIVIDUALS,)
 
+# Individuals whose numbers change, in two tries. Results that depend on the first, the last or the
+# largest individual differ in one of them.
+_CHANGED = ([0, 1, 2, 3], [4, 5, 6])
+
+# Result of each method of the user's own classes, by the key of its section and its name.
+Results = dict[tuple[Key, str], Any]
+
 # Returns the problem of a value, worded to follow the name of the method, or None.
 Test = Callable[[Any], str | None]
 
 
 def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
-    """Check the user's own classes in one traced control step: only types and shapes.
+    """Check the user's own classes in one control step.
 
     Raises:
-        KeyProblem: a class fails, or returns a wrong type or shape.
+        KeyProblem: a class fails, returns a wrong type or shape, mixes individuals, or its fitness
+            is always NaN.
     """
     own = own_parts(config)
     if not own:
         return
+    results: Results = {}
 
     def methods(part: Any, *key: str | int) -> _Methods:
-        return _Methods(part, key, key in own)
+        return _Methods(part, key, key in own, results)
 
-    def go(genes: jax.Array) -> None:
+    methods(simulation.task, "task").call("light", test=_is_light)
+    shapes: dict[str, Any] = {}
+
+    def go(given: dict[str, Any]) -> Results:
+        """Take a control step, with given numbers in place of those that the step computes."""
+
+        def put(name: str, computed: Any) -> Any:
+            shapes[name] = jax.tree.map(_shape_of, computed)
+            return given.get(name, computed)
+
+        results.clear()
+        genes = given["genes"]
         controller = methods(simulation.controller, "controller")
         draw = jax.random.key(0), _BATCH, jnp.float32
         shape = simulation.controller.gene_count, _INDIVIDUALS
         own_genes = controller.call("random_genes", *draw, test=_is_array(shape))
-        controller.call("decode", jnp.asarray(own_genes, genes.dtype))
-        constants, animal = begin_episode(simulation, genes, None, None)
-        forces = no_forces(simulation, animal.state)
+        controller.call("decode", put("own genes", jnp.asarray(own_genes, genes.dtype)))
+        constants, animal = put("start", begin_episode(simulation, genes, None, None))
+        forces = put("forces", no_forces(simulation, animal.state))
         for i, sensor in enumerate(simulation.extra_sensors):
             snapshot = snapshot_of(simulation, constants, animal.state)
             readings = _is_array((sensor.count, _INDIVIDUALS))
             sensor = methods(sensor, "creature", "sensors", i)
             sensor.call("sense", snapshot, forces, test=readings)
-        observation = sense(simulation, constants, animal)
+        observation = put("observation", sense(simulation, constants, animal))
         dofs = simulation.world.tree.dof_count, _INDIVIDUALS
 
         def is_act(found: Any) -> str | None:
@@ -82,23 +109,33 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
 
         nerves = constants.phenotype.controller, animal.nerves
         _, command = controller.call("act", *nerves, observation, test=is_act)
-        energy = jnp.zeros(_INDIVIDUALS, genes.dtype)
-        effects = Effects(animal.state, animal.state, observation, command, forces, energy, energy)
+        command = put("command", command)
+        energy = put("energy", jnp.zeros(_INDIVIDUALS, genes.dtype))
+        after, airborne = put("after", animal.state), put("airborne", energy)
+        effects = Effects(animal.state, after, observation, command, forces, energy, airborne)
         seen = transition(simulation, constants, effects, jnp.int32(0))
-        _check_task(methods(simulation.task, "task"), simulation, seen)
+        _check_task(methods(simulation.task, "task"), simulation, seen, put)
+        return results
 
-    shape = simulation.genome.count, _INDIVIDUALS
+    genes = jax.ShapeDtypeStruct((simulation.genome.count, _INDIVIDUALS), jnp.float32)
     with using(Engine("jax")):
-        jax.eval_shape(go, jax.ShapeDtypeStruct(shape, jnp.float32))
+        jax.eval_shape(go, {"genes": genes})
+        tried = require_separate(go, {"genes": genes} | shapes)
+    name = ("task",), f"{type(simulation.task).__name__}.fitness"
+    if all(name in found and np.isnan(found[name]).all() for found in tried):
+        problem = f"{name[1]} is NaN for every animal that was tried, so all would be disqualified"
+        raise KeyProblem(("task", "type"), problem)
 
 
-def _check_task(task: "_Methods", simulation: Simulation, seen: Any) -> None:
+def _check_task(task: "_Methods", simulation: Simulation, seen: Any, put: Callable) -> None:
     steps = simulation.steps
     tally = task.call("begin", _BATCH, seen.energy.dtype, steps)
     after = task.call("update", tally, seen, steps, test=_is_like("the tally", tally))
     terms = task.call("terms", after, steps, test=_is_dict("term", _BATCH))
     terms = terms | dict.fromkeys(simulation.measures.names, seen.energy)
-    scales = task.call("scales", terms, test=_is_dict("scale", ()))
+    terms = put("terms", terms)
+    # Scales are measured on the whole first generation.
+    scales = put("scales", task.call("scales", terms, test=_is_dict("scale", ())))
     task.call("descriptors", terms, test=_is_dict("descriptor", _BATCH))
     task.call("fitness", terms, scales, test=_is_array(_BATCH))
     alone = {name: jnp.asarray(term)[0] for name, term in terms.items()}
@@ -106,35 +143,106 @@ def _check_task(task: "_Methods", simulation: Simulation, seen: Any) -> None:
 
 
 def check_own_forces(config: ExperimentConfig, world: World) -> None:
-    """Check the user's own force laws on the creature at rest.
+    """Check the user's own force laws.
 
     Raises:
-        KeyProblem: a force law fails, returns a wrong type or shape, or is infinite or NaN at
-            rest.
+        KeyProblem: a force law fails, returns a wrong type or shape, mixes individuals, or is
+            infinite or NaN at rest.
     """
     count = len(config.world.forces)
     if not count:
         return
     shape = 6, world.tree.body_count, _INDIVIDUALS
-    laws = [_Methods(law, ("world", "forces", i)) for i, law in enumerate(world.forces[-count:])]
+    results: Results = {}
+    laws = [
+        _Methods(law, ("world", "forces", i), results=results)
+        for i, law in enumerate(world.forces[-count:])
+    ]
 
-    def go() -> list[dict[str, jax.Array]]:
-        state = resting_state(world.tree, _BATCH, jnp.float32)
+    def go(state: State) -> Results:
+        results.clear()
         bodies = world.bodies(kinematics(world.tree, state), 1e-3)
-        return [
-            {
-                "wrench": law.call("wrench", bodies, test=_is_array(shape)),
-                "derivative": law.call("derivative", bodies, test=_is_array((6, *shape))),
-            }
-            for law in laws
-        ]
+        for law in laws:
+            law.call("wrench", bodies, test=_is_array(shape))
+            law.call("derivative", bodies, test=_is_array((6, *shape)))
+        return results
 
     with using(Engine("jax")):
-        jax.eval_shape(go)
-        at_rest = [] if is_traced(world) else quick_jit(go)()
-    for law, values in zip(laws, at_rest, strict=False):
-        for method, value in values.items():
-            law.require(method, _is_finite_at_rest, value)
+        rest = resting_state(world.tree, _BATCH, jnp.float32)
+        shapes = jax.tree.map(_shape_of, rest)
+        jax.eval_shape(go, shapes)
+        at_rest = {} if is_traced(world) else require_separate(go, shapes, rest)[0]
+    for (key, name), values in at_rest.items():
+        if not np.isfinite(values).all():
+            problem = (
+                f"{name} is NaN or infinite for a creature at rest. Add a small number under a "
+                "root or in a denominator: jnp.sqrt(v @ v + 1e-12)"
+            )
+            raise KeyProblem((*key, "type"), problem)
+
+
+def require_separate(
+    go: Callable[[Any], Results], shapes: Any, *others: Any
+) -> list[dict[tuple[Key, str], list[np.ndarray]]]:
+    """Return the results of methods for some given numbers, and then for random numbers.
+
+    Args:
+        go: function that returns the results of methods for given numbers.
+        shapes: shapes of these numbers.
+        others: given numbers.
+
+    Raises:
+        KeyProblem: the result of an individual changes with the numbers of other individuals.
+    """
+    names: list[tuple[Key, str]] = []
+
+    def numbers(given: Any) -> list[list[Array]]:
+        found = go(given)
+        names[:] = found
+        return [[x for x in jax.tree.leaves(value) if is_real(x)] for value in found.values()]
+
+    run = quick_jit(numbers)
+    first = _random(shapes)
+    negative = jax.tree.map(lambda x: -x if jnp.issubdtype(x.dtype, jnp.floating) else x, first)
+    given = [*others, negative, first, *(_random(shapes, changed) for changed in _CHANGED)]
+    tried = [dict(zip(names, jax.device_get(run(one)), strict=True)) for one in given]
+    before, *after = tried[-1 - len(_CHANGED) :]
+    for changed, found in zip(_CHANGED, after, strict=True):
+        kept = np.setdiff1d(np.arange(_INDIVIDUALS), changed)
+        for (key, name), values in found.items():
+            pairs = zip(before[key, name], values, strict=True)
+            if not all(
+                np.array_equal(x[..., kept], y[..., kept], True)
+                for x, y in pairs
+                if np.shape(x)[-1:] == _BATCH
+            ):
+                problem = (
+                    f"{name} mixes individuals: the result of one depends on the others. "
+                    "Individuals are on the last axis. Sum and compare along the axes before it, "
+                    "such as x.sum(0)"
+                )
+                raise KeyProblem((*key, "type"), problem)
+    return tried
+
+
+def _random(shapes: Any, changed: Sequence[int] = ()) -> Any:
+    """Return random numbers of given shapes: always the same, except for changed individuals.
+
+    Numbers that are not real stay 0. Positive numbers below 1 suit most functions.
+    """
+    rng = np.random.default_rng(0)
+
+    def fill(leaf: jax.ShapeDtypeStruct) -> Any:
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            return jax.random.split(jax.random.key(0), leaf.shape)
+        if not jnp.issubdtype(leaf.dtype, jnp.floating):
+            return np.zeros(leaf.shape, leaf.dtype)
+        values, others = (rng.uniform(*ends, leaf.shape) for ends in ((0.1, 0.5), (0.5, 1.0)))
+        if leaf.shape[-1:] == _BATCH:
+            values[..., changed] = others[..., changed]
+        return values.astype(leaf.dtype)
+
+    return jax.tree.map(fill, shapes)
 
 
 def check_own_strategy(
@@ -213,10 +321,11 @@ class _Methods:
         part: the part.
         key: key of its section.
         own: whether the part is the user's own.
+        results: receives the first result of each method if the part is the user's own.
     """
 
-    def __init__(self, part: Any, key: Key, own: bool = True):
-        self._part, self._key, self._own = part, key, own
+    def __init__(self, part: Any, key: Key, own: bool = True, results: Results | None = None):
+        self._part, self._key, self._own, self._results = part, key, own, results
 
     def call(self, method: str, *given: Any, test: Test | None = None) -> Any:
         """Return the result of a method, or the value of an attribute.
@@ -233,15 +342,13 @@ class _Methods:
             reason = str(error).strip().splitlines() or [""]
             place = self._place(error)
             self._refuse(method, f"fails{place} ({type(error).__name__}: {reason[0]})")
-        if test:
-            self.require(method, test, found)
-        return found
-
-    def require(self, method: str, test: Test, value: Any) -> None:
-        """Raise a KeyProblem if the result of a method fails a test."""
-        problem = test(value)
+        problem = test and test(found)
         if problem:
             self._refuse(method, problem)
+        if self._own and self._results is not None:
+            name = f"{type(self._part).__name__}.{method}"
+            self._results.setdefault((tuple(self._key), name), found)
+        return found
 
     def _place(self, error: Exception) -> str:
         """Return the line of the user's own file that raised an error, in words."""
@@ -271,14 +378,15 @@ def _is_array(shape: tuple[int, ...], what: str = "") -> Test:
     return test
 
 
-def _is_finite_at_rest(value: Any) -> str | None:
-    """Test that numbers are finite, since a creature may begin at rest."""
-    if np.isfinite(value).all():
+def _is_light(value: Any) -> str | None:
+    """Test that a value is None or the place of a light."""
+    if value is None:
         return None
-    return (
-        "is NaN or infinite for a creature at rest. Add a small number under a root or in "
-        "a denominator: jnp.sqrt(v @ v + 1e-12)"
-    )
+    with contextlib.suppress(TypeError, ValueError):
+        place = np.asarray(value)
+        if place.shape == (3,) and place.dtype.kind in "iuf" and np.isfinite(place).all():
+            return None
+    return f"must be None, or a place of three numbers (m), such as (8.0, 0.0, 0.0), got {value!r}"
 
 
 def _is_dict(kind: str, shape: tuple[int, ...]) -> Test:
@@ -320,6 +428,10 @@ def _is_pair(value: Any) -> bool:
 def _first(problems: Iterable[str | None]) -> str | None:
     """Return the first problem, or None if there is none."""
     return next(filter(None, problems), None)
+
+
+def _shape_of(value: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(jnp.shape(value), jnp.result_type(value))
 
 
 def is_real(value: Any) -> bool:

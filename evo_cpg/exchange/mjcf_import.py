@@ -33,10 +33,11 @@ from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.joint import JointConfig
 from evo_cpg.config.schema.shape import ShapeConfig
 from evo_cpg.config.wording import checked
-from evo_cpg.creature.creature import CreatureError, lowest_height
+from evo_cpg.creature.creature import Creature, CreatureError, lowest_height
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.compiled import WORLD, Compiled, compile_model, printed, tidy, tidy_vector
+from evo_cpg.exchange.facing import facing_note
 from evo_cpg.exchange.inertials import mass_properties
 from evo_cpg.exchange.mjcf_contact import (
     read_color,
@@ -161,7 +162,7 @@ def read_model(
         tuple(refusals.changed),
         joints,
         bool(custom),
-        tuple(_warnings(compiled, root, bool(every_motor))),
+        tuple(_warnings(compiled, root, bool(every_motor), built.build())),
         tuple(_centre_of(root).tolist()),
     )
 
@@ -218,7 +219,7 @@ def _check_joint(compiled: Compiled, own: Placed, keys: dict[str, Any]) -> None:
         compiled.refusals.add(Refusal(str(item), problem, item.line, vital=True))
 
 
-def _warnings(compiled: Compiled, root: Placed, driven: bool) -> Iterator[str]:
+def _warnings(compiled: Compiled, root: Placed, driven: bool, creature: Creature) -> Iterator[str]:
     """Yield sentences about what a user may have to change before training."""
     yield from (f"MuJoCo warns: {words}" for words in compiled.refusals.warnings)
     if compiled.tilt:
@@ -226,6 +227,9 @@ def _warnings(compiled: Compiled, root: Placed, driven: bool) -> Iterator[str]:
         yield f"the world is turned by {angle:.3g} degrees, so that gravity points down"
     if not driven:
         yield "no joint has a motor. Give joints an actuator before training"
+    note = facing_note(creature)
+    if note and (root.rigid.joints or root.rigid.free):
+        yield note
     if not (root.rigid.joints or root.rigid.free):
         hint = ". The option --free releases the first body" if compiled.urdf else ""
         yield f"the root {root.name!r} does not move, so use a task of your own{hint}"

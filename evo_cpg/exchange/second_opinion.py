@@ -75,6 +75,18 @@ _HARD_STEP, _IMPEDANCE_RATIO = 1 / 3840, 100.0
 _LAW_STEP = 1 / 2000
 
 
+class DivergedError(ExchangeError):
+    """Raised if MuJoCo's animal diverges.
+
+    Attributes:
+        program: name of the program, see `Opinion`.
+    """
+
+    def __init__(self, program: str):
+        super().__init__(f"{program}: the animal diverged")
+        self.program = program
+
+
 class Opinion(NamedTuple):
     """Outcome of a trial in one of the two programs, in control steps.
 
@@ -196,9 +208,10 @@ def second_opinion(
         brain: controller of the animal, or None for the commands of the trial.
 
     Raises:
-        ExchangeError: MuJoCo is missing or refuses the model, MJCF cannot hold the world, or
-            MuJoCo's animal diverged.
+        ExchangeError: MuJoCo is missing or refuses the model, or MJCF cannot hold the world.
+        DivergedError: MuJoCo's animal diverged.
     """
+    program = "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None)
     before = jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before)
     mujoco, model, finer = _compile(simulation, creature, before.base, hard)
     world, substeps = simulation.world, simulation.substeps
@@ -218,13 +231,13 @@ def second_opinion(
         if brain is not None:
             borne.append(player.weight_borne())
         if not np.isfinite(player.data.qpos).all():
-            raise ExchangeError("MuJoCo's animal diverged")
+            raise DivergedError(program)
         if (index + 1) % substeps == 0:
             states.append(player.state())
             held.append(player.is_held())
     poses = jax.tree.map(lambda *each: np.stack(each, -1), *states)
     return Opinion(
-        "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None),
+        program,
         poses.position,
         _upright_fraction(poses.orientation[:, 1:]),
         _airborne(world, np.array(held)),

@@ -14,13 +14,22 @@ from benchmarks.mujoco_model import mujoco_model
 from creatures import AXES, STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import ledger, mechanical_energy
 from evo_cpg.analysis.excursions import excursions
-from evo_cpg.analysis.verdict import Limits
-from evo_cpg.api.audit import Trial, _carried, _kept, books, compile_steps, draws_of
+from evo_cpg.analysis.verdict import Limits, Verdict
+from evo_cpg.api.audit import (
+    Trial,
+    _carried,
+    _kept,
+    _seconds,
+    books,
+    compile_steps,
+    draws_of,
+)
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Ellipsoid
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.mujoco_state import load_state
+from evo_cpg.exchange.second_opinion import Opinion
 from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.terrain import Plane
@@ -280,6 +289,53 @@ def test_the_current_carries_an_animal_by_speed_times_duration(swimming, surface
     simulation = dataclasses.replace(made.simulation, world=world, situations=(situation,))
     made = made._replace(simulation=simulation)
     assert _carried(made, (trial,)) == pytest.approx(carried, abs=1e-6)
+
+
+def opinion(end, upright=1.0, program="evo_cpg") -> Opinion:
+    """Return an outcome whose root ends at a place of the x-y plane."""
+    path = np.array([(0.0, 0.0, 0.0), (*end, 0.0)]).T
+    return Opinion(program, path, upright, 0.0, np.zeros((1, 1)), np.zeros(1, bool))
+
+
+SOFT, HARD = "MuJoCo", "MuJoCo, hard contacts"
+OWN = opinion((2.0, 0.0))
+LIGHT = {"light": (4.0, 0.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    ("others", "diverged", "changed", "confirmed", "words"),
+    [
+        ([opinion((1.42, 0), program=SOFT), opinion((0.26, 0), 0.3, HARD)], [], {}, True,
+         f"{SOFT} 71 %; {HARD} (upright 30 % of the time) 13 %"),
+        ([opinion((0.9, 0), program=SOFT), opinion((0.26, 0), program=HARD)], [], {}, False,
+         f"not confirmed, because no second opinion keeps half of its displacement: {SOFT} 45 %; "
+         f"{HARD} 13 %"),
+        # One in which the animal diverges keeps nothing.
+        ([opinion((0.9, 0), program=SOFT)], [HARD], {}, False, f"{HARD} diverged; {SOFT} 45 %"),
+        ([], [SOFT, HARD], {}, False, f"{SOFT} diverged; {HARD} diverged"),
+        ([opinion((np.nan, 0), program=SOFT)], [], {}, False, f"{SOFT} diverged"),
+        # Backwards. The direction counts if the task or a light sets it.
+        ([opinion((-2.0, 0), program=SOFT)], [], {"heading": "any"}, True, f"{SOFT} 100 %"),
+        ([opinion((-2.0, 0), program=SOFT)], [], {"heading": "forward"}, False, f"{SOFT} 0 %"),
+        ([opinion((-2.0, 0), program=SOFT)], [], LIGHT, False, f"{SOFT} 0 %"),
+        ([opinion((3.0, 0), program=SOFT)], [], {}, True, f"{SOFT} 100 %"),
+        ([], [], {}, None, ""),
+    ],
+)  # fmt: skip
+def test_second_opinions_confirm_a_champion(others, diverged, changed, confirmed, words):
+    made = walker(light=changed.get("light"))
+    task = Distance(heading=changed.get("heading", "any"))
+    made = made._replace(simulation=dataclasses.replace(made.simulation, task=task))
+    opinions = (OWN, *others) if others else ()
+    verdict = Verdict(tuple(_seconds(made, opinions, diverged)))
+    assert verdict.passed and verdict.confirmed is confirmed
+    assert verdict.confirmation.endswith(words) and bool(words) == bool(verdict.confirmation)
+
+
+def test_second_opinions_of_a_still_animal_say_nothing():
+    made = walker()
+    checks = _seconds(made, (opinion((0.01, 0)), opinion((0.0, 0), program=SOFT)), [])
+    assert Verdict(tuple(checks)).confirmed is None
 
 
 def test_torque_above_the_limit_is_flagged(honest):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
-from evo_cpg.api import progress
+from evo_cpg.api import fitness, progress
+from tiny_run import CONFIG, PAIR
 
 
 class Terminal(io.StringIO):
@@ -51,12 +52,26 @@ def test_short_work_prints_nothing(streams):
     assert said.getvalue() == ""
 
 
-@pytest.mark.parametrize(("stream", "on"), [(io.StringIO(), None), (Terminal(), False)])
-def test_a_pipe_prints_nothing_and_progress_can_be_switched_off(streams, stream, on):
+@pytest.mark.parametrize(
+    ("stream", "on", "lines"),
+    [(io.StringIO(), None, ["evo_cpg: compiling ..."]), (Terminal(), False, [])],
+)
+def test_a_pipe_gets_one_line_and_progress_can_be_switched_off(streams, capsys, stream, on, lines):
     said = streams(stream)
     evo.show_progress(on)
     take_long()
-    assert said.getvalue() == ""
+    assert said.getvalue().splitlines() == lines and capsys.readouterr().out == ""
+
+
+def test_a_derivative_is_named_while_it_compiles(streams, monkeypatch):
+    """The line comes while the fitness is traced, before JAX compiles its derivative."""
+    experiment = evo.load(CONFIG, [*PAIR, "task={type: distance}", "creature.light_sensors=[]"])
+    said, wait = streams(io.StringIO()), progress.threading.Event().wait
+    monkeypatch.setattr(fitness, "rollout", lambda *given, **options: wait(0.2))
+    monkeypatch.setattr(fitness, "judge", lambda *given: np.zeros(1))
+    experiment.fitness_function()(np.zeros(experiment.gene_count))
+    (line,) = said.getvalue().splitlines()
+    assert line.startswith(f"evo_cpg: compiling the fitness of {experiment.name!r}, and its deriv")
 
 
 def test_requested_progress_and_notebooks_print_lines(streams, monkeypatch):

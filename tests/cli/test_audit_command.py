@@ -3,12 +3,13 @@
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.verdict import Check, Limits, Verdict, limits_from, shown
+from evo_cpg.analysis.verdict import KEPT, Check, Limits, Verdict, limits_from, shown
 from evo_cpg.api import audit
 from evo_cpg.api.audit import Audit
 from evo_cpg.cli.audited import say_verdict
@@ -18,6 +19,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.variations import Variation, compile_variation, finer
+from evo_cpg.view.page import origin
 from pictures import ink
 from tiny_run import CONFIG, PAIR
 
@@ -191,6 +193,34 @@ def test_all_and_a_choice_of_champion_exclude_each_other(cli, tmp_path, other):
 
 def judged(*checks: Check) -> Audit:
     return Audit(Verdict(checks), (), 1.0)
+
+
+def test_the_verdict_says_not_confirmed(capsys):
+    champion, moved = Champion(np.zeros(1), 0.0, 0, {}, {}), Check("way", "", 2.0)
+    soft, hard = (
+        judged(moved, Check("half_step", "", 1.0), Check("mujoco", f"{KEPT}MuJoCo", kept, unit="%"))
+        for kept in (0.71, 0.13)
+    )
+    say_verdict(Path("run"), [champion], [soft], "the champion")
+    assert capsys.readouterr().out == (
+        "run: the champion passes its audit; second opinions keep these fractions of its "
+        "displacement: MuJoCo 71 %\n"
+    )
+    say_verdict(Path("run"), [champion], [hard], "the champion")
+    assert capsys.readouterr().out == (
+        "run: the champion passes its audit; not confirmed, because no second opinion keeps half "
+        "of its displacement: MuJoCo 13 %\n"
+    )
+    found = hard.as_dict(champion)
+    assert found["confirmed"] is False
+    page = origin.audit(SimpleNamespace(audit=found, half_step=None, stale=False))
+    assert "its audit of ; not confirmed, because no second opinion keeps half" in str(page)
+    without = {"passed": True, "second_opinion": "MuJoCo is not installed", "made": "today"}
+    page = origin.audit(SimpleNamespace(audit=without, half_step=None, stale=False))
+    assert "its audit of today; no second opinion: MuJoCo is not installed." in str(page)
+    say_verdict(Path("run"), [champion] * 2, [soft, hard], "")
+    words = "2 of 2 champions pass their audit; 1 of 2 are not confirmed by a second opinion"
+    assert capsys.readouterr().out == f"run: {words}\n"
 
 
 def test_the_verdict_names_unused_eyes_and_short_displacements(capsys):

@@ -45,9 +45,9 @@ def test_strict_refuses_before_anything_is_written(cli, tmp_path, monkeypatch, c
     name, *rest = command
     code, out, err = cli(name, CONFIG, GRAMS, RADIANS, "--strict", *rest)
     assert (code, out) == (2, "")
-    first, second = err.splitlines()
-    assert f"{first}\n" == f"evo-cpg: {SAID}"
-    assert second.startswith(f"{CONFIG}: task.light.bearing_deg: 0.524: ")
+    second, first = err.splitlines()
+    assert f"{first}\n" == SAID
+    assert second.startswith(f"evo-cpg: {CONFIG}: task.light.bearing_deg: 0.524: ")
     assert not list(tmp_path.iterdir())
 
 
@@ -58,7 +58,7 @@ def test_strict_accepts_plausible_values(cli):
 
 
 def test_train_and_preview_warn_and_continue(cli, tmp_path):
-    heavy = "creature.materials.body.density=19"
+    heavy = "creature.materials.body.density=2"
     code, _, err = cli("preview", CONFIG, heavy, "-o", tmp_path / "body.png", "--size", "64x36")
     assert code == 0
     assert "evo-cpg: warning: " in err and "plausible: 20 to" in err

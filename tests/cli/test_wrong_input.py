@@ -492,6 +492,33 @@ def test_validate_accepts_every_shipped_config(cli):
     ]
 
 
+TRIPOD = REPOSITORY / "configs/hexapod_tripod.yaml"
+PAIRS = ", ".join(
+    f"{{oscillators: [{leg}_left_femur.z, {leg}_right_femur.z], lag_deg: 180}}"
+    for leg in ("front", "middle", "hind")
+)
+
+
+@pytest.mark.parametrize(
+    ("rings", "groups"),
+    [
+        ("", "6 groups of limbs are not coupled to each other"),
+        (PAIRS, "3 groups of limbs are not coupled to each other"),
+        ("{oscillators: ['*_femur.z'], lag_deg: 60}", None),
+    ],
+    ids=["no ring", "pairs", "one ring"],
+)
+def test_legs_that_are_not_coupled_get_a_warning(cli, rings, groups):
+    code, _, err = cli("validate", TRIPOD, f"controller.cpg.rings=[{rings}]")
+    assert code == 0
+    if groups is None:
+        assert err == ""
+    else:
+        assert groups in err and "front_left_femur, front_" in err
+        assert "such as rings: [{oscillators: [front_left_femur.z, " in err
+        assert err.endswith("(docs/walker.md)\n")
+
+
 @pytest.mark.parametrize(
     "arguments", [["train"], ["train", CONFIG, "--cores", 0], ["fly"], ["verify", "--fast"]]
 )
@@ -528,9 +555,10 @@ def test_uncoupled_and_resting_oscillators_get_a_warning(cli, tmp_path):
     assert err == f"{rest}{couple}. {pair} (constants: swapped) and {gain}\n"
     code, _, err = cli("validate", path, "controller.cpg.pair_weight=1.3")
     assert (code, err) == (0, f"{warned}coupled to no other oscillator: {alone}. {couple}\n")
-    # The example is a remedy.
+    # The example is a remedy, beside the ring of the lifts.
+    both = "[{oscillators: ['arm*_1.y'], lag_deg: 72, weight: 2}, " + ring[1:]
     code, _, err = cli(
-        "validate", path, "controller.cpg.pair_weight=1.3", f"controller.cpg.rings={ring}"
+        "validate", path, "controller.cpg.pair_weight=1.3", f"controller.cpg.rings={both}"
     )
     assert (code, err) == (0, "")
 

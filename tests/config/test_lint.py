@@ -21,6 +21,12 @@ INSECT = CONFIGS / "hexapod.yaml"
 GAUGE = "creature.depth_sensors=[{body: head}]"
 LEVEL = "world.ground.floor={type: plane, height: -1}"
 
+# A head whose shape is in its parts: two bars along x.
+BAR = "{shape: {type: box, size: [0.2, 0.08, 0.1]}, at: [0, %s, 0]}"
+PARTS = (
+    f"{{name: head, shape: null, material: body, mass: 2, parts: [{BAR % 0.05}, {BAR % -0.05}]}}"
+)
+
 # A ridge of two rows, on a grid with 0.1 m spacing.
 RIDGE = [[0.25 if 20 <= i < 22 else 0.0] * 40 for i in range(40)]
 
@@ -55,6 +61,48 @@ MISTAKES = {
         ["creature.bodies.1.joint.axes=[x, y, z]", "creature.bodies.1.joint.limits_deg=[-86, 86]"],
         "creature.bodies.1.joint.axes",
         "Give it an armature",
+    ),
+    "density of steel in g/cm^3 in water": (
+        CONFIG,
+        ["creature.materials.body.density=7.8"],
+        "creature.materials.body.density",
+        "If it is in g/cm^3, write 7800",
+    ),
+    "density of flesh in g/cm^3 on land": (
+        WALKER,
+        ["creature.materials.body.density=1.05"],
+        "creature.materials.body.density",
+        "If it is in g/cm^3, write 1050",
+    ),
+    "animal that sinks": (
+        CONFIG,
+        ["creature.materials.body.density=2700"],
+        "creature.materials.body.density",
+        "has 2.7 times the mass of the water that it displaces, so it sinks from start to end",
+    ),
+    "animal of given mass that rises": (
+        CONFIG,
+        ["creature.bodies.0.mass=0.1", "creature.bodies.1.mass=0.2"],
+        "creature.bodies.1.mass",
+        "so it rises from start to end. Give the water a surface",
+    ),
+    "row folded by one sign": (
+        CONFIG,
+        ["creature.bodies.1.joint.child_at=[-0.11, 0, 0]"],
+        "creature.bodies.1.joint.child_at",
+        "lies 0.05 m inside 'head', its parent, so the animal is folded into itself",
+    ),
+    "row folded by the parent's sign": (
+        CONFIG,
+        ["creature.bodies.1.joint.at=[0.11, 0, 0]"],
+        "creature.bodies.1.joint.child_at",
+        "Change the sign of one of its numbers, or of one of at",
+    ),
+    "leg folded into the trunk": (
+        INSECT,
+        ["creature.bodies.1.joint.child_at=[0, 0.1, 0]"],
+        "creature.bodies.1.joint.child_at",
+        "so the animal is folded into itself",
     ),
     "density times 1000": (
         CONFIG,
@@ -159,6 +207,12 @@ MISTAKES = {
         "creature.bodies.1.joint.limits_deg",
         "If it is in radians, write 60.2",
     ),
+    "limits in rad, uncommon": (
+        CONFIG,
+        ["creature.bodies.1.joint.limits_deg=[-0.4, 1.2]"],
+        "creature.bodies.1.joint.limits_deg",
+        "If it is in radians, write 68.8",
+    ),
     "limits converted twice": (
         WALKER,
         ["creature.bodies.1.joint.limits_deg=[-2292, 2292]"],
@@ -255,6 +309,13 @@ MISTAKES = {
         "creature.bodies.1.joint.child_at",
         "A capsule lies along its own x. To turn a leg sideways, use rotation_deg",
     ),
+    "joint beyond a body of parts": (
+        CONFIG,
+        [f"creature.bodies.0={PARTS}", "creature.bodies.1.joint.at=[-0.2, 0, 0]"],
+        "creature.bodies.1.joint.at",
+        "lies 0.1 m outside body 'head', the parent of 'segment1'. The body reaches to 0.1, 0.09, "
+        "0.05 m",
+    ),
     "joint in mm": (
         CONFIG,
         ["creature.bodies.1.joint.at=[-110, 0, 0]"],
@@ -294,17 +355,6 @@ MISTAKES = {
         "creature.pressure_sensors.0",
         "there is no ground to press against it",
     ),
-    "touch inside another body": (
-        WALKER,
-        [
-            "creature.bodies.1.shape={type: sphere, radius: 0.02}",
-            "creature.bodies.1.joint.at=[0, 0, 0]",
-            "creature.bodies.1.joint.child_at=[0, 0, 0]",
-            "creature.pressure_sensors=[chest]",
-        ],
-        "creature.pressure_sensors.0",
-        "the body lies inside 'head'",
-    ),
     "gauge without water": (
         WALKER,
         [GAUGE],
@@ -316,12 +366,6 @@ MISTAKES = {
         [GAUGE],
         "creature.depth_sensors.0.body",
         "the water has no surface, so this gauge always reads 0. Set world.water.surface: 0",
-    ),
-    "gauge in mm": (
-        SHORE,
-        ["creature.depth_sensors=[{body: head, full_scale: 1000}]", LEVEL],
-        "creature.depth_sensors.0.full_scale",
-        "the water is 1 m deep, so this gauge never reads more than 0.001 of full scale",
     ),
     "lift of a chain": (
         CONFIG,
@@ -340,18 +384,6 @@ MISTAKES = {
         ["creature.light_sensors=[{body: torso}]"],
         "creature.light_sensors",
         "a controller of type 'postures' senses nothing",
-    ),
-    "lexicase in one trial": (
-        CONFIG,
-        ["evolution.selection=lexicase"],
-        "evolution.selection",
-        "individuals have only one trial",
-    ),
-    "lexicase in equal trials": (
-        CONFIG,
-        ["evolution.selection=lexicase", "simulation.trials=3"],
-        "evolution.selection",
-        "individuals have only one trial",
     ),
     "free fall": (
         CONFIG,
@@ -521,6 +553,25 @@ def test_every_rule_has_a_mistake():
         (CONFIG, ["task.light.bearing_deg=1", "simulation.start_heading_deg=3"]),
         (CONFIG, ["task.light.bearing_deg=0.9"]),
         (WALKER, ["world.ground.floor={type: plane, slope_deg: 2.5}"]),
+        # Stiff joints, also of a file in radians, and one beside joints that turn farther.
+        (CONFIG, ["creature.bodies.1.joint.limits_deg=[-2, 2]"]),
+        (CONFIG, ["creature.bodies.1.joint.limits_deg=[-2.00535, 2.00535]"]),
+        (WALKER, ["creature.bodies.1.joint.limits_deg=[-2.5, 2.5]"]),
+        # Bodies of foam on land, and a density without effect.
+        (LEGS, ["creature.materials.body.density=5"]),
+        (
+            CONFIG,
+            [
+                "creature.materials.body.density=1",
+                "creature.bodies.0.mass=2",
+                "creature.bodies.1.mass=2",
+            ],
+        ),
+        # A shark is a little heavier than water. A heavy animal walks on the ground of a lake.
+        (CONFIG, ["creature.materials.body.density=1080"]),
+        (CONFIG, ["creature.materials.body.density=2700", "world.water={}", "world.ground={}"]),
+        # Gaps between bodies of parts.
+        (CONFIG, [f"creature.bodies.0={PARTS}", "creature.bodies.1.joint.at=[-0.12, 0, 0]"]),
         # A full turn, converted from 6.2832 rad.
         (WALKER, ["creature.bodies.1.joint.limits_deg=[-360.0004, 360.0004]"]),
         # A gap of a quarter of the body between two bodies.

@@ -4,12 +4,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from evo_cpg.config.errors import Key
 from evo_cpg.config.lint.rule import Case, Jointed, LintWarning, rule
 from evo_cpg.config.schema.joint import MuscleConfig, TorqueMotorConfig
-from evo_cpg.config.schema.typical import ROUNDING, TURN
-from evo_cpg.creature.creature import SPANNING, Body, Muscle, TorqueMotor
+from evo_cpg.config.schema.typical import ROUNDING, SOLID, TURN, Direction
+from evo_cpg.creature.creature import SPANNING, Body, Joint, Muscle, TorqueMotor
 from evo_cpg.creature.cylinder import Cylinder
 from evo_cpg.creature.shapes import Capsule
 from evo_cpg.spatial.numerics import Triple
@@ -32,6 +33,19 @@ _LEAST_TURN = 1.0
 # Largest distance of a position outside its body, as a fraction of the body's largest half extent.
 # Joints have gaps between bodies, and eyes stand on stalks.
 _OUT = 0.3
+
+# Smallest density of bodies on dry land, such as inflated bodies and hollow robots, kg/m^3. In
+# water such bodies would be corks, so a smaller unit is more likely.
+_AIRY = 3.0
+
+# Largest ratio of an animal's mass to the mass of the water it displaces, either way, for which
+# water without a bottom or a surface is plausible. Fish without a swim bladder have 1.08.
+_FLOATS = 1.2
+
+# Smallest distance of a joint from the centre of its body, as a fraction of the body's half extent
+# in that direction, for a joint at an end. Depth in the parent, as a fraction of the parent's
+# smallest half extent for a joint at its surface, and of that distance for a centre inside.
+_END, _INSIDE = 0.75, 0.1
 
 # Smallest angle between successive bodies of a row, degrees, for a warning. The row curls up into a
 # ring.
@@ -98,12 +112,53 @@ def masses(case: Case) -> Iterator[LintWarning]:
 
 
 @rule
+def densities(case: Case) -> Iterator[LintWarning]:
+    """Warn of densities that are probably in another unit, if they give a body its mass."""
+    low = SOLID.low if case.config.world.water else _AIRY
+    weighed = [body for body in case.config.creature.bodies if body.mass is None]
+    used = {part.material for body in weighed for part in (body, *body.parts)}
+    for name, material in case.config.creature.materials.items():
+        problem = SOLID.problem(material.density)
+        if problem and name in used and not low <= material.density <= SOLID.high:
+            yield case.warning(("creature", "materials", name, "density"), problem)
+
+
+@rule
+def weight_in_water(case: Case) -> Iterator[LintWarning]:
+    """Warn of an animal that only sinks, because there is no ground, or rises without a surface."""
+    world, water = case.config.world, case.config.world.water
+    if not (water and world.gravity) or world.forces or case.creature.root_joint is not None:
+        return
+    volume = sum(float(body.shape.volume) for body in case.creature.bodies)
+    if not volume:
+        return
+    ratio = float(case.creature.mass) / (water.density * volume)
+    if ratio > _FLOATS and world.ground is None:
+        happens, cure = "sinks from start to end", "Give the world a ground (ground: {})"
+    elif ratio < 1 / _FLOATS and water.surface is None:
+        happens, cure = "rises from start to end", "Give the water a surface (surface: 0)"
+    else:
+        return
+    key, heaviest, _ = max(case.bodies(), key=lambda found: float(found[2].mass))
+    place = (*key, "mass")
+    if heaviest.mass is None:
+        place = "creature", "materials", heaviest.material, "density"
+    yield case.warning(
+        place,
+        f"the animal has {ratio:.2g} times the mass of the water that it displaces, so it "
+        f"{happens}. {cure}, or the animal the density of the water ({water.density:g} kg/m^3)",
+    )
+
+
+@rule
 def joint_limits(case: Case) -> Iterator[LintWarning]:
-    """Warn of limits below 3.2 degrees, beyond a full turn, or that exclude the neutral pose."""
-    for joint in case.joints():
-        for lower, upper in filter(None, joint.given.limits):
+    """Warn of limits in radians, beyond a full turn, or that exclude the neutral pose."""
+    joints = [(joint, list(filter(None, joint.given.limits))) for joint in case.joints()]
+    all_small = all(np.abs(limits).max() <= np.pi + ROUNDING for _, limits in joints if limits)
+    for joint, limits in joints:
+        for lower, upper in limits:
             widest = max(abs(lower), abs(upper))
-            if widest <= np.pi + ROUNDING:
+            if widest <= np.pi + ROUNDING and _in_radians((lower, upper), all_small):
                 problem = (
                     f"the joint turns by at most {widest:g} degrees. Plausible: 5 to 180. If it "
                     f"is in radians, write {np.rad2deg(widest):.3g}"
@@ -119,6 +174,42 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
                 continue
             yield case.warning((*joint.key, "limits_deg"), problem)
             break
+
+
+def _in_radians(limits: tuple[float, float], all_small: bool) -> bool:
+    """Return whether limits within 3.14 degrees are probably in radians.
+
+    They are common angles in radians, such as 1.57. Other limits are in radians only if no joint
+    of the animal turns farther, and if they were written by hand as fractions, such as 0.5. A stiff
+    joint may have 2 degrees, and a file converted from radians has more digits.
+    """
+    if Direction().problem(limits):
+        return True
+    by_hand = all(each == round(each, 2) for each in limits)
+    return all_small and by_hand and any(each != round(each) for each in limits)
+
+
+@rule
+def folded(case: Case) -> Iterator[LintWarning]:
+    """Warn of bodies that lie inside their parent, because a position has the wrong sign."""
+    for joint in case.joints():
+        parent, built = joint.parent, joint.built
+        if parent is None or not joint.body.shape.exists:
+            continue
+        own = np.array(built.child_anchor)
+        arm = np.array(built.orientation) @ own
+        # Vertebrae and shoulders may lie inside their parent, and their joints do so, too.
+        at_end = own @ own >= _END * np.abs(own) @ _reach(case, joint.body)
+        depth = _gap(case, parent, built.parent_anchor)
+        at_end = at_end and depth > -_INSIDE * _reach(case, parent).min()
+        inside, flipped = (_gap(case, parent, built.parent_anchor + x) for x in (-arm, arm))
+        if at_end and inside < -_INSIDE * np.linalg.norm(own) and flipped > 0:
+            yield case.warning(
+                (*joint.key, "child_at"),
+                f"the centre of {joint.body.name!r} lies {-inside:.2g} m inside {parent.name!r}, "
+                "its parent, so the animal is folded into itself. child_at is the joint's position "
+                "in the body's own frame. Change the sign of one of its numbers, or of one of at",
+            )
 
 
 @rule
@@ -238,9 +329,9 @@ def repeated_place(case: Case) -> Iterator[LintWarning]:
         if parent is None:
             continue
         fits, gap = _gap(case, parent, at), _gap(case, body, at)
-        if joint.repeat == 1 or abs(fits) > _OUT * parent.shape.half_extents.max():
+        if joint.repeat == 1 or abs(fits) > _OUT * _reach(case, parent).max():
             continue
-        if abs(gap) > _OUT * body.shape.half_extents.max():
+        if abs(gap) > _OUT * _reach(case, body).max():
             side = "outside" if gap > 0 else "inside"
             yield case.warning(
                 (*joint.key, "at"),
@@ -280,7 +371,7 @@ def far_places(case: Case) -> Iterator[LintWarning]:
             key = "creature", kind, i, "position"
             places.append((key, repr(sensor.body), body, sensor.position))
     for key, whose, body, place in places:
-        (x, y, z), gap = body.shape.half_extents, _gap(case, body, place)
+        (x, y, z), gap = _reach(case, body), _gap(case, body, place)
         most = max(x, y, z)
         likely = "Positions count from the body's centre, so half its size reaches its surface"
         if isinstance(body.shape, Capsule | Cylinder):
@@ -312,14 +403,30 @@ def _least_inertia(joint: Jointed, slides: bool) -> float:
     return float(np.max(np.diag(body.inertial.inertia)) + mass * (arm @ arm))
 
 
-def _gap(case: Case, body: Body, place: Triple) -> float:
+def _gap(case: Case, body: Body, place: ArrayLike) -> float:
     """Return the distance from a body's shapes to a place in its frame, m, negative inside.
 
     The distance is 0 for a body without a shape.
     """
-    gaps = [body.shape.distance(np.array([place]))] if body.shape.exists else []
+    gaps = [body.shape.distance(np.array([place], float))] if body.shape.exists else []
+    for part, joint in _parts(case, body):
+        off = np.subtract(place, joint.parent_anchor) @ np.array(joint.orientation)
+        gaps.append(part.shape.distance(off[None] + joint.child_anchor))
+    return float(min(gaps)[0]) if gaps else 0.0
+
+
+def _reach(case: Case, body: Body) -> np.ndarray:
+    """Return how far a body's shapes extend from its centre along each of its axes, m."""
+    reach = [np.asarray(body.shape.half_extents, float)]
+    for part, joint in _parts(case, body):
+        turn = np.array(joint.orientation)
+        centre = joint.parent_anchor - turn @ joint.child_anchor
+        reach.append(np.abs(centre) + np.abs(turn) @ part.shape.half_extents)
+    return np.max(reach, axis=0)
+
+
+def _parts(case: Case, body: Body) -> Iterator[tuple[Body, Joint]]:
+    """Yield the further parts of a body, with the joints that hold them."""
     for part in case.creature.bodies:
         if part.whole == body.name and part.joint is not None:
-            off = np.subtract(place, part.joint.parent_anchor) @ np.array(part.joint.orientation)
-            gaps.append(part.shape.distance(off[None] + part.joint.child_anchor))
-    return float(min(gaps)[0]) if gaps else 0.0
+            yield part, part.joint

@@ -11,9 +11,6 @@ from evo_cpg.creature.creature import neutral_pose
 # Largest angle by which an animal on the ground is expected to tilt an eye, degrees.
 _TILT = 45.0
 
-# Smallest useful fraction of the range of a depth gauge.
-_LEAST_READING = 0.01
-
 
 @rule
 def light_without(case: Case) -> Iterator[LintWarning]:
@@ -102,29 +99,6 @@ def touch_without_ground(case: Case) -> Iterator[LintWarning]:
 
 
 @rule
-def touch_inside(case: Case) -> Iterator[LintWarning]:
-    """Warn of pressure sensors on bodies that lie inside another body at rest."""
-    named = case.config.creature.pressure_sensors
-    if named == "all" or case.config.world.ground is None:
-        return
-    creature = case.creature
-    centres, turns = neutral_pose(creature)
-    for i, name in ((i, name) for i, given in enumerate(named) for name in case.named(given)):
-        inner = creature.body_index(name)
-        points = creature.bodies[inner].shape.surface(2).points @ turns[inner].T + centres[inner]
-        for outer, body in enumerate(creature.bodies):
-            own = (points - centres[outer]) @ turns[outer]
-            other = outer != inner and body.whole != name
-            if other and len(own) and (body.shape.distance(own) < 0).all():
-                yield case.warning(
-                    ("creature", "pressure_sensors", i),
-                    f"the body lies inside {body.name!r}, which touches the ground first. "
-                    f"Put the sensor on {body.name!r}",
-                    name,
-                )
-
-
-@rule
 def depth_without_surface(case: Case) -> Iterator[LintWarning]:
     """Warn of depth gauges if there is no water surface."""
     water = case.config.world.water
@@ -137,25 +111,6 @@ def depth_without_surface(case: Case) -> Iterator[LintWarning]:
             ("creature", "depth_sensors", i, "body"),
             f"{lacks}, so this gauge always reads 0. Set {likely}, or leave the gauge out",
         )
-
-
-@rule
-def depth_out_of_scale(case: Case) -> Iterator[LintWarning]:
-    """Warn of depth gauges whose scale is far larger than the depth of the water."""
-    water, lowest = case.config.world.water, case.lowest_ground
-    if water is None or water.surface is None or lowest is None:
-        return
-    deepest = water.surface - lowest
-    if deepest <= 0:
-        return
-    for i, gauge in enumerate(case.config.creature.depth_sensors):
-        if deepest < _LEAST_READING * gauge.full_scale:
-            yield case.warning(
-                ("creature", "depth_sensors", i, "full_scale"),
-                f"the water is {deepest:.3g} m deep, so this gauge never reads more than "
-                f"{deepest / gauge.full_scale:.2g} of full scale. Plausible: about the water's "
-                "depth. Lengths are in m. Is this in mm?",
-            )
 
 
 @rule

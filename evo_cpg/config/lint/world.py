@@ -7,7 +7,6 @@ import numpy as np
 
 from evo_cpg.config.errors import Key
 from evo_cpg.config.lint.rule import Case, LintWarning, rule
-from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfig
 from evo_cpg.creature.creature import lowest_height
 from evo_cpg.creature.tree import build_tree
@@ -231,16 +230,6 @@ def walk_without_ground(case: Case) -> Iterator[LintWarning]:
             "there is no ground to walk on, so the animal always counts as airborne. Give "
             "the world a ground (world.ground: {}), or choose task: {type: distance}",
         )
-
-
-@rule
-def selection(case: Case) -> Iterator[LintWarning]:
-    """Warn of lexicase selection with one trial, because it compares trials one by one."""
-    evolution = case.config.evolution
-    lexicase = isinstance(evolution, RealEvolutionConfig) and evolution.selection == "lexicase"
-    if lexicase and case.config.trial_count == 1:
-        problem = "individuals have only one trial. Give several in simulation.trials, or use rank"
-        yield case.warning(("evolution", "selection"), problem)
 
 
 @rule

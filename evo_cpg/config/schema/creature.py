@@ -25,7 +25,7 @@ from evo_cpg.config.schema.section import (
 from evo_cpg.config.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
 from evo_cpg.config.schema.shape import ShapeConfig
 from evo_cpg.config.schema.tendon import TendonConfig
-from evo_cpg.config.schema.typical import SOLID, Direction
+from evo_cpg.config.schema.typical import Direction
 from evo_cpg.creature.creature import (
     NO_MASS,
     WORLD,
@@ -58,7 +58,7 @@ class MaterialConfig(Section):
         dynamic_friction: coefficient of friction while sliding.
     """
 
-    density: Annotated[Positive, SOLID]
+    density: Positive
     restitution: Fraction = 0.1
     static_friction: NotNegative = 0.5
     dynamic_friction: NotNegative = 0.4

@@ -56,6 +56,9 @@ def audit(subject: Subject) -> Html:
         old = tag("p", "This audit belongs to another champion. Run ", command,
                   " to audit this one.", class_="failed")  # fmt: skip
     reasons = [reason for reason in listed(found.get("reasons")) if isinstance(reason, str)]
+    words, second = found.get("confirmation"), found.get("second_opinion")
+    if not words and second and isinstance(second, str):
+        words = f"no second opinion: {second}"
     rows = []
     for check in listed(found.get("checks")):
         if isinstance(check, Mapping):
@@ -69,7 +72,8 @@ def audit(subject: Subject) -> Html:
                          tag("span", word, class_=word)])  # fmt: skip
     return join(
         old,
-        tag("p", "The champion ", verdict, " its audit", f" of {found.get('made', '')}.", *(
+        tag("p", "The champion ", verdict, " its audit", f" of {found.get('made', '')}",
+            f"; {words}." if words else ".", *(
             [" ", "; ".join(reasons), "."] if reasons else [])),
         table(["check", "measured", "allowed", ""], rows, numbers=(1, 2)),
     )  # fmt: skip
