@@ -47,13 +47,15 @@ def write_imported(imported: Imported, source: Path, output: Path, alone: bool) 
 
 
 def _head(imported: Imported, source: Path) -> str:
-    """Return comments that name the source and everything that is lost."""
+    """Return comments that name the source and everything that is lost or changed."""
     lines = [f"Imported from {source.name}."]
     if imported.left_out:
         lines += ["Left out, without harm:", *(f"  {phrase}" for phrase in imported.left_out)]
     if imported.dropped:
         lines += ["Dropped, although it changes the motion:"]
         lines += [f"  {sentence}" for sentence in imported.dropped]
+    if imported.warnings:
+        lines += ["Notes:", *(f"  {sentence}" for sentence in imported.warnings)]
     return "".join(f"# {printed(line)}\n" for line in lines) + "\n"
 
 

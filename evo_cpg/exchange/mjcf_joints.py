@@ -139,9 +139,12 @@ def refuse_effects_on_free_root(compiled: Compiled, body: int) -> None:
     """
     joint = int(compiled.model.body_jntadr[body])
     if effects := _passive(compiled, [joint], [0.0]):
-        words = ", ".join(name.replace("_", "") for name in effects)
+        words = ", ".join(f"{name.replace('_', '')} {x:g}" for name, x in effects.items())
         item = compiled.item("joint", joint)
-        item.refuse(f"it is a free joint with {words}", "<freejoint/>, which takes no defaults")
+        item.refuse(
+            f"it is a free joint with {words}, which change the accelerations of all bodies",
+            "<freejoint/>, which takes no defaults",
+        )
 
 
 def _passive(compiled: Compiled, joints: Iterable[int], rests: list[float]) -> dict[str, Any]:
@@ -173,8 +176,13 @@ def _limits(compiled: Compiled, joint: int) -> list[float] | None:
         return None if upper >= np.pi else [0.0, upper]
     if lower <= -_UNLIMITED and upper >= _UNLIMITED:
         return None
+    limits = max(lower, -_UNLIMITED), min(upper, _UNLIMITED)
+    if limits != (lower, upper):
+        compiled.item("joint", joint).change(
+            f"its range, {lower:g} to {upper:g}, becomes {limits[0]:g} to {limits[1]:g}"
+        )
     neutral = float(model.qpos0[model.jnt_qposadr[joint]])
-    return [max(lower, -_UNLIMITED) - neutral, min(upper, _UNLIMITED) - neutral]
+    return [limit - neutral for limit in limits]
 
 
 def _rest(compiled: Compiled, joint: int) -> float:

@@ -1,4 +1,4 @@
-"""Collect refused elements while a file is read, and report all of them at once.
+"""Collect refused and changed elements while a file is read, and report all of them at once.
 
 The caller may accept the loss of refused elements (``drop``). They are then listed, not refused.
 Faults without which nothing is left, such as a file without a moving body, are always refused.
@@ -53,12 +53,14 @@ class Refusals:
         drop: whether the user accepts the loss of refused elements.
         found: faults in the order of their discovery.
         lost: elements that lose something without harm, by its name and their kind.
+        altered: elements with other numbers than in the file, and the old and new numbers.
     """
 
     source: Path
     drop: bool = False
     found: list[Refusal] = dataclasses.field(default_factory=list)
     lost: dict[tuple[str, str], list[str]] = dataclasses.field(default_factory=dict)
+    altered: list[Refusal] = dataclasses.field(default_factory=list)
 
     def add(self, refusal: Refusal) -> None:
         """Record a fault, once."""
@@ -70,6 +72,16 @@ class Refusals:
         for element in elements or ("",):
             owners = self.lost.setdefault((what, _kind(element)), [])
             owners += [element] * bool(element and element not in owners)
+
+    def change(self, found: Refusal) -> None:
+        """Record that an element gets other numbers than in the file, once."""
+        if found not in self.altered:
+            self.altered.append(found)
+
+    @property
+    def changes(self) -> list[str]:
+        """Sentences about elements with other numbers than in the file."""
+        return _sentences(self.altered)
 
     @property
     def left_out(self) -> list[str]:

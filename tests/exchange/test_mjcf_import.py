@@ -213,7 +213,7 @@ def test_foreign_models_accelerate_as_in_mujoco(write, text):
 
 def test_a_foreign_model_keeps_its_numbers(read):
     found = read(OTHERS, motor_gain=0.7)
-    assert found.left_out == ("2 lights", "1 camera")
+    assert found.left_out == ("friction between bodies of the animal", "2 lights", "1 camera")
     creature = creature_of(found)
     names = ("torso", "hip", "knee", "tail")
     assert tuple(body.name for body in creature.bodies) == names
@@ -401,7 +401,7 @@ OTHER = '<body name="other">{}<geom size="1"/></body>'
         ),
         (
             model(free='<joint name="root" type="free" damping="1" armature="0.1"/>'),
-            "joint 'root': it is a free joint with damping, armature. Allowed: <freejoint/>",
+            "joint 'root': it is a free joint with damping 1, armature 0.1, which change the ac",
         ),
         (
             model(
@@ -466,8 +466,9 @@ def test_refused_parts_can_be_dropped(read):
         "all hang on the world by joints",
     )
     assert [body["name"] for body in found.experiment["creature"]["bodies"]] == ["trunk", "limb"]
-    driven = ball.replace("<geom", '<body name="arm"><joint name="j"/><geom size="1"/></body><geom')
-    tendon = '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
+    arm = '<body name="arm"><joint name="j"/><joint name="k" axis="1 0 0"/><geom size="1"/></body>'
+    driven = ball.replace("<geom", f"{arm}<geom")
+    tendon = '<tendon><fixed name="t"><joint joint="k" coef="1"/></fixed></tendon>'
     for more, kept in (("", "trunk"), ('<motor tendon="t"/>', "other")):
         actuators = f'{MOTOR}<motor joint="j"/>{more}'
         found = read(model(actuators=actuators, beside=driven, extra=tendon), drop=True)
@@ -501,8 +502,9 @@ def test_a_dropped_ball_leaves_the_other_joints_of_its_body(read):
 def test_a_limit_that_a_motor_of_a_tendon_never_reaches_is_accepted(read):
     """Twice 1.4 N and the joint's own motor of 0.1 N m give 2.9 N m, within 3 N m."""
     text = model(
-        joints=HINGE.replace("/>", ' actuatorfrcrange="-3 3"/>'),
-        extra='<tendon><fixed name="t"><joint joint="h" coef="-2"/></fixed></tendon>',
+        joints=HINGE.replace("/>", ' actuatorfrcrange="-3 3"/><joint name="k" axis="1 0 0"/>'),
+        extra='<tendon><fixed name="t"><joint joint="h" coef="-2"/><joint joint="k" coef="1"/>'
+        "</fixed></tendon>",
         actuators='<motor tendon="t" ctrlrange="-1.4 1.4"/><motor joint="h" ctrlrange="-.1 .1"/>',
     )
     tendon = read(text).experiment["creature"]["tendons"][0]
