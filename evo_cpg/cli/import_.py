@@ -56,6 +56,8 @@ def import_(
         tell(f"left out, without harm: {', '.join(imported.left_out)}")
     for sentence in imported.dropped:
         tell(f"dropped: {sentence}")
+    for sentence in imported.changed:
+        tell(f"changed: {sentence}")
     for warning in imported.warnings:
         tell(f"note: {warning}")
     for file in files:

@@ -132,10 +132,6 @@ class Item(NamedTuple):
         """Record that no creature can have the element, and continue."""
         self.compiled.refusals.add(self.refusal(problem, allowed, vital).refusal)
 
-    def change(self, words: str) -> None:
-        """Record a sentence about numbers that the import changes, with old and new values."""
-        self.compiled.refusals.change(Refusal(str(self), words, self.line))
-
     def refusal(self, problem: str, allowed: str, vital: bool = False) -> RefusedError:
         """Return an error that ends the reading of the element."""
         return RefusedError(Refusal(str(self), f"{problem}. Allowed: {allowed}", self.line, vital))

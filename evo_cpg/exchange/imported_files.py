@@ -54,8 +54,8 @@ def _head(imported: Imported, source: Path) -> str:
     if imported.dropped:
         lines += ["Dropped, although it changes the motion:"]
         lines += [f"  {sentence}" for sentence in imported.dropped]
-    if imported.warnings:
-        lines += ["Notes:", *(f"  {sentence}" for sentence in imported.warnings)]
+    if imported.changed:
+        lines += ["Changed:", *(f"  {sentence}" for sentence in imported.changed)]
     return "".join(f"# {printed(line)}\n" for line in lines) + "\n"
 
 

@@ -12,7 +12,7 @@ margins and the other friction coefficients are left out: our contacts have laws
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,7 @@ def read_ground(
     if above:
         compiled.refusals.leave_out("passage through the ground", *above)
     given = {g: value for g, value in wanted.items() if value is not None}
+    _name_directions(compiled, geom, given)
     rule, friction, materials = _friction_keys(
         frictions, tidy(float(model.geom_friction[geom, 0])), given
     )
@@ -80,6 +81,16 @@ def read_ground(
             item = compiled.item("geom", other)
             compiled.refusals.leave_out(f"{item} (a second plane, tilted by {lean:.3g} degrees)")
     return keys, [g for g in fixed if g not in touched], materials
+
+
+def _name_directions(compiled: Compiled, floor: int, geoms: Iterable[int]) -> None:
+    """Name the pairs of the floor whose friction differs between two directions."""
+    pairs = [pair for geom in geoms if (pair := _pair(compiled, floor, geom)) is not None]
+    for pair in pairs:
+        first, second = compiled.model.pair_friction[pair, :2]
+        if first != second and compiled.model.pair_dim[pair] > 1:
+            words = f"its friction, {first:g} and {second:g} in two directions, becomes {first:g}"
+            compiled.refusals.change(str(compiled.item("pair", pair)), words)
 
 
 def _floor(compiled: Compiled, planes: Sequence[int], root: np.ndarray) -> int | None:
@@ -198,13 +209,7 @@ def _friction(compiled: Compiled, first: int, second: int) -> float | None:
     """Return the friction of two geoms, as in MuJoCo, or None if they do not touch."""
     model, pair = compiled.model, _pair(compiled, first, second)
     if pair is not None:
-        sliding, slides = model.pair_friction[pair, :2], int(model.pair_dim[pair]) > 1
-        if sliding[0] != sliding[1] and slides:
-            compiled.item("pair", pair).change(
-                f"its friction, {sliding[0]:g} and {sliding[1]:g} in two directions, "
-                f"becomes {sliding[0]:g} in all directions"
-            )
-        return tidy(float(sliding[0])) if slides else 0.0
+        return tidy(float(model.pair_friction[pair, 0])) if model.pair_dim[pair] > 1 else 0.0
     bodies = model.geom_bodyid[[first, second]]
     signatures = [(int(a) << 16) + int(b) for a, b in (bodies, bodies[::-1])]
     by_type = (

@@ -86,16 +86,17 @@ class Imported(NamedTuple):
         experiment: keys of the experiment.
         left_out: names of parts of the file that are left out without harm.
         dropped: sentences about refused parts whose loss the user accepted.
+        changed: sentences about values that differ from the file's, with both values.
         joints: MuJoCo's numbers of the joints of each body, by its name, in the order of its axes.
         exported: whether the file is our own export, whose meshes are exact.
-        warnings: sentences about numbers that the import changed, and about what a user may have
-            to change before training.
+        warnings: sentences about what a user may have to change before training.
         place: centre of the root in the file's neutral pose, m.
     """
 
     experiment: dict[str, Any]
     left_out: tuple[str, ...]
     dropped: tuple[str, ...]
+    changed: tuple[str, ...]
     joints: dict[str, tuple[int, ...]]
     exported: bool
     warnings: tuple[str, ...]
@@ -157,9 +158,10 @@ def read_model(
         data,
         tuple(refusals.left_out),
         tuple(refusals.dropped),
+        tuple(refusals.changed),
         joints,
         bool(custom),
-        (*refusals.changes, *_warnings(compiled, root, bool(every_motor))),
+        tuple(_warnings(compiled, root, bool(every_motor))),
         tuple(_centre_of(root).tolist()),
     )
 

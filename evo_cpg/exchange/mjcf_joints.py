@@ -178,8 +178,9 @@ def _limits(compiled: Compiled, joint: int) -> list[float] | None:
         return None
     limits = max(lower, -_UNLIMITED), min(upper, _UNLIMITED)
     if limits != (lower, upper):
-        compiled.item("joint", joint).change(
-            f"its range, {lower:g} to {upper:g}, becomes {limits[0]:g} to {limits[1]:g}"
+        compiled.refusals.change(
+            str(compiled.item("joint", joint)),
+            f"its range, {lower:g} to {upper:g}, becomes {limits[0]:g} to {limits[1]:g}",
         )
     neutral = float(model.qpos0[model.jnt_qposadr[joint]])
     return [limit - neutral for limit in limits]

@@ -219,7 +219,8 @@ def _torque_limit(
     limit = None if largest > LARGEST else tidy(largest)
     if min(-lower, upper) <= LARGEST and not np.isclose(-lower, upper, rtol=TOLERANCE):
         new = "no limits" if limit is None else f"{-limit:g} and {limit:g}"
-        item.change(f"its force limits, {lower:g} and {upper:g} (N m or N), become {new}")
+        words = f"its force limits, {lower:g} and {upper:g} (N m or N), become {new}"
+        compiled.refusals.change(str(item), words)
     return limit
 
 

@@ -1,4 +1,4 @@
-"""Collect refused and changed elements while a file is read, and report all of them at once.
+"""Collect refused elements while a file is read, and report all of them at once.
 
 The caller may accept the loss of refused elements (``drop``). They are then listed, not refused.
 Faults without which nothing is left, such as a file without a moving body, are always refused.
@@ -53,14 +53,14 @@ class Refusals:
         drop: whether the user accepts the loss of refused elements.
         found: faults in the order of their discovery.
         lost: elements that lose something without harm, by its name and their kind.
-        altered: elements with other numbers than in the file, and the old and new numbers.
+        changes: elements that get another value, with both values in place of the problem.
     """
 
     source: Path
     drop: bool = False
     found: list[Refusal] = dataclasses.field(default_factory=list)
     lost: dict[tuple[str, str], list[str]] = dataclasses.field(default_factory=dict)
-    altered: list[Refusal] = dataclasses.field(default_factory=list)
+    changes: list[Refusal] = dataclasses.field(default_factory=list)
 
     def add(self, refusal: Refusal) -> None:
         """Record a fault, once."""
@@ -73,15 +73,14 @@ class Refusals:
             owners = self.lost.setdefault((what, _kind(element)), [])
             owners += [element] * bool(element and element not in owners)
 
-    def change(self, found: Refusal) -> None:
-        """Record that an element gets other numbers than in the file, once."""
-        if found not in self.altered:
-            self.altered.append(found)
+    def change(self, element: str, old_and_new: str) -> None:
+        """Record that an element gets another value than in the file."""
+        self.changes.append(Refusal(element, old_and_new))
 
     @property
-    def changes(self) -> list[str]:
-        """Sentences about elements with other numbers than in the file."""
-        return _sentences(self.altered)
+    def changed(self) -> list[str]:
+        """Sentences about changed values. All elements are named."""
+        return _sentences(self.changes, len(self.changes))
 
     @property
     def left_out(self) -> list[str]:
@@ -120,19 +119,24 @@ class Refusals:
         )
 
 
-def _sentences(refusals: Sequence[Refusal]) -> list[str]:
-    """Return a sentence for each fault, about all elements of a kind that share it."""
+def _sentences(refusals: Sequence[Refusal], most: int = _NAMED) -> list[str]:
+    """Return a sentence for each fault, about all elements of a kind that share it.
+
+    Args:
+        refusals: the faults.
+        most: largest number of elements that a sentence names.
+    """
     groups: dict[tuple[str, str], list[Refusal]] = {}
     for refusal in refusals:
         groups.setdefault((_kind(refusal.element), refusal.problem), []).append(refusal)
-    return [_words(group) for group in groups.values()]
+    return [_words(group, most) for group in groups.values()]
 
 
-def _words(group: list[Refusal]) -> str:
+def _words(group: list[Refusal], most: int) -> str:
     """Return a sentence about elements that share a fault."""
-    named = ", ".join(refusal.element for refusal in group[:_NAMED])
-    more = f" and {len(group) - _NAMED} more" if len(group) > _NAMED else ""
-    lines = [str(refusal.line) for refusal in group[:_NAMED] if refusal.line]
+    named = ", ".join(refusal.element for refusal in group[:most])
+    more = f" and {len(group) - most} more" if len(group) > most else ""
+    lines = [str(refusal.line) for refusal in group[:most] if refusal.line]
     where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines)})" if lines else ""
     return f"{named}{more}: {group[0].problem}{where}"
 
