@@ -56,11 +56,11 @@ def read_ground(
     geom = _floor(compiled, touched, placed[0].centre)
     if geom is None or touches_nothing(compiled):
         return None, list(fixed), frictions
-    wanted = {g: _friction(compiled, geom, g) for g in own}
-    above = [str(compiled.item("geom", g)) for g, value in wanted.items() if value is None]
+    required = {g: _friction(compiled, geom, g) for g in own}
+    above = [str(compiled.item("geom", g)) for g, value in required.items() if value is None]
     if above:
         compiled.refusals.leave_out("passage through the ground", *above)
-    given = {g: value for g, value in wanted.items() if value is not None}
+    given = {g: value for g, value in required.items() if value is not None}
     _name_directions(compiled, geom, given)
     rule, friction, materials = _friction_keys(
         frictions, tidy(float(model.geom_friction[geom, 0])), given
@@ -102,8 +102,8 @@ def _floor(compiled: Compiled, planes: Sequence[int], root: np.ndarray) -> int |
         height = place[2] - normal[:2] @ (root - place)[:2] / normal[2]
         return below, round(float(normal[2]), 9), float(height)
 
-    steep = [geom for geom in planes if _level(compiled, geom)[0][2] > _STEEPEST]
-    return max(steep, key=rank, default=None)
+    floors = [geom for geom in planes if _level(compiled, geom)[0][2] > _STEEPEST]
+    return max(floors, key=rank, default=None)
 
 
 def _level(compiled: Compiled, geom: int) -> tuple[np.ndarray, np.ndarray]:
@@ -126,22 +126,22 @@ def _plane(normal: np.ndarray, point: np.ndarray) -> dict[str, float]:
 
 
 def _friction_keys(
-    own: Mapping[int, float], floor: float, wanted: Mapping[int, float]
+    own: Mapping[int, float], floor: float, required: Mapping[int, float]
 ) -> tuple[Combination, float, dict[int, float]]:
     """Return the rule, the ground's friction, and the materials' frictions, by geom.
 
     Args:
         own: friction of each geom.
         floor: friction of the ground's geom.
-        wanted: friction of each geom on the ground.
+        required: friction of each geom on the ground.
     """
     for rule in _RULES:
-        found = [float(combine(rule, own[g], floor)) for g in wanted]
-        if np.allclose(found, list(wanted.values()), rtol=TOLERANCE, atol=0):
+        found = [float(combine(rule, own[g], floor)) for g in required]
+        if np.allclose(found, list(required.values()), rtol=TOLERANCE, atol=0):
             return rule, floor, dict(own)
     # No rule describes all geoms. The materials have the friction on the ground.
-    floor = min(floor, *wanted.values())
-    changed = {g: value for g, value in wanted.items() if max(own[g], floor) != value}
+    floor = min(floor, *required.values())
+    changed = {g: value for g, value in required.items() if max(own[g], floor) != value}
     return "max", floor, {**own, **changed}
 
 
@@ -155,11 +155,7 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
     meeting, rubs, apart, added = False, False, [], []
     partners: dict[str, int] = {body.name: 0 for body in placed if body.solids}
     for first, second in itertools.combinations(placed, 2):
-        pairs = [(a.geom, b.geom) for a in first.solids for b in second.solids]
-        joined = first.rigid.lead == second.rigid.parent or second.rigid.lead == first.rigid.parent
-        # Neighbours at a joint touch only if a pair names them.
-        paired = any(_pair(compiled, *pair) is not None for pair in pairs)
-        frictions = [_friction(compiled, *pair) for pair in pairs] if paired or not joined else []
+        frictions = _frictions(compiled, first, second)
         found = [friction for friction in frictions if friction is not None]
         names = [first.name, second.name]
         meeting, rubs = meeting or bool(found), rubs or any(found)
@@ -167,9 +163,9 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
             compiled.refusals.leave_out(
                 f"that not all shapes of {names[0]!r} and {names[1]!r} meet"
             )
-        if joined and paired:
-            added.append(names)
-        if pairs and not joined:
+        if _joined(first, second):
+            added += [names] if found else []
+        elif frictions:
             apart += [] if found else [names]
             for name in names:
                 partners[name] += 1
@@ -205,6 +201,24 @@ def read_color(compiled: Compiled, geom: int) -> str | None:
     return "#" + "".join(f"{round(255 * float(value)):02x}" for value in np.clip(rgba[:3], 0, 1))
 
 
+def _joined(first: Placed, second: Placed) -> bool:
+    """Return whether two bodies are neighbours at a joint."""
+    return first.rigid.lead == second.rigid.parent or second.rigid.lead == first.rigid.parent
+
+
+def _frictions(compiled: Compiled, first: Placed, second: Placed) -> list[float | None]:
+    """Return the friction of each shape on each of another body, or None if they do not touch."""
+    pairs = [(a.geom, b.geom) for a in first.solids for b in second.solids]
+    found = [_friction(compiled, *pair) for pair in pairs]
+    if not _joined(first, second) or any(_pair(compiled, *pair) is not None for pair in pairs):
+        return found
+    # Neighbours touch only if a pair names them. MuJoCo's neighbours of a fixed root do always.
+    fixed = first.rigid.parent is None and not (first.rigid.free or first.rigid.joints)
+    if fixed and not compiled.urdf and any(friction is not None for friction in found):
+        compiled.refusals.leave_out(f"contact of {second.name!r} with the fixed root")
+    return [None] * len(found)
+
+
 def _friction(compiled: Compiled, first: int, second: int) -> float | None:
     """Return the friction of two geoms, as in MuJoCo, or None if they do not touch."""
     model, pair = compiled.model, _pair(compiled, first, second)
@@ -228,9 +242,10 @@ def _friction(compiled: Compiled, first: int, second: int) -> float | None:
 def _pair(compiled: Compiled, first: int, second: int) -> int | None:
     """Return the ``pair`` that names two geoms, or None."""
     model = compiled.model
-    ends = {first, second}
-    pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
-    return next((i for i, (a, b) in enumerate(pairs) if {a, b} == ends), None)
+    found = np.zeros(model.npair, bool)
+    for a, b in ((first, second), (second, first)):
+        found |= (model.pair_geom1 == a) & (model.pair_geom2 == b)
+    return int(found.argmax()) if found.any() else None
 
 
 def _shortened(pairs: list[list[str]], partners: dict[str, int]) -> list[list[str]]:

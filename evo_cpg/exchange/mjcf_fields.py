@@ -51,7 +51,7 @@ READ = {
     "geom_rgba": Source("geom", "rgba, material", "`color`"),
     "geom_condim": Source("geom", "condim (1)", "friction of 0 on the ground"),
     "geom_priority": Source("geom", "priority", "whose friction counts on the ground"),
-    "pair_friction": Source("pair", "friction (first two)", "friction on the ground"),
+    "pair_friction": Source("pair", "friction (first number)", "friction on the ground"),
     "pair_dim": Source("pair", "condim (1)", "friction of 0 on the ground"),
     "jnt_pos": Source("joint", "pos", "`joint.child_at`, or `at` of an axis"),
     "jnt_axis": Source("joint", "axis", "`joint.axes`"),

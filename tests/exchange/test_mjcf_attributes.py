@@ -314,6 +314,28 @@ def test_other_settings_are_left_out_by_name(read, name):
     assert expected in read(text).left_out
 
 
+CHANGED = {
+    "forcerange": (
+        model(actuator='forcerange="-1 2"'),
+        "actuator 'm': its force limits, -1 and 2 (N m or N), become -2 and 2",
+    ),
+    "one limit of the force": (
+        model(actuator='forcerange="-1 1e15"'),
+        "actuator 'm': its force limits, -1 and 1e+15 (N m or N), become no limits",
+    ),
+    "far limit": (
+        model(top='<compiler angle="radian"/>', joint='range="-1 1e6"'),
+        "joint 'h': its range, -1 to 1e+06, becomes -1 to 10000",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CHANGED)
+def test_changed_numbers_are_said(read, name):
+    text, expected = CHANGED[name]
+    assert read(text).changed == (expected,)
+
+
 # Treatment of every field of the compiled model that `mjcf_fields` does not refuse, so that a new
 # field of MuJoCo fails the test. A "*" stands for any characters.
 READ = (
@@ -330,8 +352,8 @@ READ = (
     "ntendon mesh_vert mesh_vertadr mesh_vertnum "
     "actuator_trnid actuator_trntype actuator_dyntype actuator_gaintype "
     "actuator_gainprm actuator_biastype actuator_biasprm actuator_gear actuator_forcelimited "
-    "actuator_forcerange actuator_actlimited actuator_ctrllimited actuator_ctrlrange actuator_group pair_geom1 "
-    "pair_geom2 "
+    "actuator_forcerange actuator_actlimited actuator_ctrllimited actuator_ctrlrange "
+    "actuator_group pair_geom1 pair_geom2 "
 )
 
 # Fields that do not affect the motion, by reason.
