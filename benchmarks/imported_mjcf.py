@@ -69,7 +69,9 @@ class Imports:
         self.leads = {name: int(owners[numbers[0]]) for name, numbers in joints.items()}
         root = self.tree.names[0]
         if root not in self.leads and self.tree.hanging is None:
-            self.leads[root] = int(self.model.body_rootid[next(iter(self.leads.values()))])
+            named = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, root)
+            tops = [int(self.model.body_rootid[lead]) for lead in self.leads.values()]
+            self.leads[root] = (tops or [named])[0]
 
     def name(self, kind: str, number: int) -> str:
         """Return the name of an element as in the import's messages."""
@@ -243,7 +245,9 @@ def report(folders: Sequence[Path]) -> int:
             imported = read_model(path)
             counts["imported"] += 1
         except ExchangeError as error:
-            reasons.update(set(re.findall(r": (it [a-z ]+[a-z]|a creature .*)", str(error))))
+            reasons.update(
+                set(re.findall(r": (it [a-z ]+[a-z]|a creature cannot have it\b)", str(error)))
+            )
             counts["refused"] += 1
             try:
                 imported = read_model(path, drop=True)
