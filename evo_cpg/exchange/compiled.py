@@ -112,6 +112,9 @@ class Item(NamedTuple):
         if self.kind in ("joint", "geom"):
             body = (model.jnt_bodyid if self.kind == "joint" else model.geom_bodyid)[self.number]
             return self.compiled.item("body", int(body))
+        if self.kind == "pair":
+            ends = int(model.pair_geom1[self.number]), int(model.pair_geom2[self.number])
+            return self.compiled.item("geom", max(ends, key=lambda geom: model.geom_bodyid[geom]))
         if self.kind != "equality":
             return None
         word = mujoco.mjtObj(model.eq_objtype[self.number]).name.removeprefix("mjOBJ_").lower()
@@ -250,6 +253,7 @@ def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
         "actuator": spec.actuators,
         "equality": spec.equalities,
         "tendon": spec.tendons,
+        "pair": spec.pairs,
     }
     whole = not any("<include" in line for line in text)
     lines = {}

@@ -49,6 +49,10 @@ READ = {
         "geom", "friction (first number)", "`static_friction`, `dynamic_friction`"
     ),
     "geom_rgba": Source("geom", "rgba, material", "`color`"),
+    "geom_condim": Source("geom", "condim (1)", "friction of 0 on the ground"),
+    "geom_priority": Source("geom", "priority", "whose friction counts on the ground"),
+    "pair_friction": Source("pair", "friction (first number)", "friction on the ground"),
+    "pair_dim": Source("pair", "condim (1)", "friction of 0 on the ground"),
     "jnt_pos": Source("joint", "pos", "`joint.child_at`, or `at` of an axis"),
     "jnt_axis": Source("joint", "axis", "`joint.axes`"),
     "jnt_range": Source("joint", "range, ref", "`limits_deg`, or `limits_m` of a slide"),
@@ -71,8 +75,10 @@ READ = {
 # These values may be infinite. An infinite value limits nothing.
 READ_LIMITS = {
     "jnt_actfrcrange": Source("joint", "actuatorfrcrange", "`actuator.torque_limit`"),
+    "tendon_actfrcrange": Source("tendon", "actuatorfrcrange", "`actuator.torque_limit`"),
     "actuator_forcerange": Source("actuator", "forcerange", "`actuator.torque_limit`"),
     "actuator_ctrlrange": Source("actuator", "ctrlrange", "`actuator.torque_limit` of a motor"),
+    "actuator_actrange": Source("actuator", "actrange", "`actuator.torque_limit` of a motor"),
 }
 COMPUTED = {
     "body_mass": Source("body", "mass, density", "`mass`, or density of the material"),
@@ -99,6 +105,10 @@ class Neutral(NamedTuple):
 # MuJoCo's defaults for the softness of constraints. Our limits and contacts have rules of their
 # own.
 _SOLREF, _SOLIMP = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)
+
+# Dimension of a contact (condim) that slides with friction. Larger ones also turn and roll, which
+# is left out. The only smaller one, 1, has no friction.
+SLIDING = 3.0
 
 REFUSED = {
     "jnt_actgravcomp": Neutral("joint", "actuatorgravcomp"),
@@ -127,10 +137,15 @@ LEFT_OUT = {
     "geom_solref": Neutral("geom", "solref", _SOLREF),
     "geom_solimp": Neutral("geom", "solimp", _SOLIMP),
     "geom_solmix": Neutral("geom", "solmix", 1.0),
-    "geom_priority": Neutral("geom", "priority"),
-    "geom_condim": Neutral("geom", "condim", 3.0),
+    "geom_condim": Neutral("geom", "condim above 3", SLIDING),
     "geom_adhesion": Neutral("geom", "adhesion"),
     "geom_surfacevel": Neutral("geom", "surfacevel"),
+    "pair_margin": Neutral("pair", "margin"),
+    "pair_gap": Neutral("pair", "gap"),
+    "pair_solref": Neutral("pair", "solref", _SOLREF),
+    "pair_solreffriction": Neutral("pair", "solreffriction"),
+    "pair_solimp": Neutral("pair", "solimp", _SOLIMP),
+    "pair_dim": Neutral("pair", "condim above 3", SLIDING),
     "tendon_margin": Neutral("tendon", "margin"),
     "tendon_solref_lim": Neutral("tendon", "solreflimit", _SOLREF),
     "tendon_solimp_lim": Neutral("tendon", "solimplimit", _SOLIMP),
@@ -217,6 +232,8 @@ def _unusual(compiled: Compiled, table: dict[str, Neutral]) -> Iterator[tuple[st
         found = getattr(compiled.model, field, None)
         if found is None or not len(found):
             continue
+        if word == "condim above 3":
+            found = np.maximum(found, values)
         wrong = ~np.isclose(found, values, rtol=TOLERANCE, atol=0)
         for item, _ in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
             yield word, item

@@ -129,9 +129,9 @@ def read_model(
     refuse_fields(compiled)
     motors, tendon_motors = read_motors(compiled, motor_gain)
     placed = _placed_bodies(compiled, custom)
-    creature, volumes = _creature_keys(compiled, placed, custom, motors)
     fixed = scenery(compiled, [body.rigid for body in placed])
-    ground, others = read_ground(compiled, placed, fixed)
+    ground, others, frictions = read_ground(compiled, placed, fixed)
+    creature, volumes = _creature_keys(compiled, placed, custom, motors, frictions)
     _set_senses(creature, custom, bool(ground))
     creature["self_collision"] = read_self_collision(compiled, placed)
     world = read_world(compiled, placed, volumes, ground, bool(custom))
@@ -140,13 +140,14 @@ def read_model(
     leave_out_elements(compiled)
     joints = {body.name: body.rigid.joints for body in placed if body.rigid.joints}
     own = [joint for numbers in joints.values() for joint in numbers]
-    tendons = read_tendons(compiled, own, tendon_motors)
+    tendons = read_tendons(compiled, own, motors, tendon_motors)
     refusals.check()
     if tendons:
         names = _dof_names(_checked_creature(compiled, creature), joints)
         creature["tendons"] = [tendon.keys(names) for tendon in tendons]
     built = _checked_creature(compiled, creature)
-    root, every_motor = placed[0], [*motors.values(), *tendon_motors.values()]
+    pulling = [tendon.law["actuator"] for tendon in tendons if "actuator" in tendon.law]
+    root, every_motor = placed[0], [*motors.values(), *pulling]
     data = experiment(
         _run_name(creature["name"]),
         creature,
@@ -188,15 +189,24 @@ def _creature_keys(
     placed: Sequence[Placed],
     custom: Custom,
     motors: Mapping[int, dict[str, Any]],
+    frictions: Mapping[int, float],
 ) -> tuple[dict[str, Any], list[float]]:
-    """Return the keys of the creature's bodies and materials, and the volume of each body, m^3."""
+    """Return the keys of the creature's bodies and materials, and the volume of each body, m^3.
+
+    Args:
+        compiled: the model.
+        placed: the bodies.
+        custom: numbers of our export.
+        motors: keys of the motors, by MuJoCo's number of the joint.
+        frictions: friction of the material of each geom.
+    """
     carrier = {body.rigid.lead: body for body in placed}
     materials: dict[Material, str] = {}
     bodies, volumes = [], []
     for own in placed:
         shapes = _shapes(compiled, own)
         volumes.append(sum(float(shape.volume) for shape in shapes))
-        entry = {"name": own.name} | _substance(compiled, own, shapes, custom, materials)
+        entry = {"name": own.name} | _substance(compiled, own, shapes, custom, materials, frictions)
         bodies.append(entry)
         if own.rigid.free:
             refuse_effects_on_free_root(compiled, own.rigid.lead)
@@ -285,6 +295,7 @@ def _substance(
     shapes: Sequence[Shape],
     custom: Custom,
     materials: dict[Material, str],
+    frictions: Mapping[int, float],
 ) -> dict[str, Any]:
     """Return the keys of a body's shapes, materials, mass and inertia.
 
@@ -294,6 +305,7 @@ def _substance(
         shapes: its shapes.
         custom: numbers of our export.
         materials: names of the materials so far, which grow.
+        frictions: friction of the material of each geom.
     """
     mass, centre, inertia = mass_properties(compiled.model, compiled.data, own.rigid.members)
     centre, inertia = own.turn.T @ (centre - own.centre), own.turn.T @ inertia @ own.turn
@@ -305,7 +317,7 @@ def _substance(
             density = mass / float(shapes[0].volume)
     named = []
     for name, solid in zip(own.shape_names, own.solids, strict=True):
-        made = read_material(compiled, solid.geom, _ANY_DENSITY if density is None else density)
+        made = read_material(frictions[solid.geom], _ANY_DENSITY if density is None else density)
         made = restored_material(custom, name, made, density is not None)
         key = tuple(made.items())
         named.append(materials.setdefault(key, f"material{len(materials) + 1}"))

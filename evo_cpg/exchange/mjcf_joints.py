@@ -139,9 +139,12 @@ def refuse_effects_on_free_root(compiled: Compiled, body: int) -> None:
     """
     joint = int(compiled.model.body_jntadr[body])
     if effects := _passive(compiled, [joint], [0.0]):
-        words = ", ".join(name.replace("_", "") for name in effects)
+        words = ", ".join(f"{name.replace('_', '')} {x:g}" for name, x in effects.items())
         item = compiled.item("joint", joint)
-        item.refuse(f"it is a free joint with {words}", "<freejoint/>, which takes no defaults")
+        item.refuse(
+            f"it is a free joint with {words}, which change the accelerations of all bodies",
+            "<freejoint/>, which takes no defaults",
+        )
 
 
 def _passive(compiled: Compiled, joints: Iterable[int], rests: list[float]) -> dict[str, Any]:

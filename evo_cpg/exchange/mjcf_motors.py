@@ -138,12 +138,15 @@ def _read_motor(
     servo = stiffness > 0 or damping > 0
     if offset and not servo:
         raise item.refusal("it has a constant force", "a bias of 0, or a stiffness")
-    limit = _torque_limit(compiled, number, kind, target, servo, gear * strength)
-    if int(model.actuator_dyntype[number]) != mujoco.mjtDyn.mjDYN_NONE:
+    limit = _torque_limit(compiled, number, kind, target, not servo)
+    dynamics = int(model.actuator_dyntype[number])
+    if dynamics == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+        compiled.refusals.leave_out("integration of the command", str(item))
+    elif dynamics != mujoco.mjtDyn.mjDYN_NONE:
         compiled.refusals.leave_out("time constant", str(item))
     if servo:
-        if _limits_commands(compiled, number):
-            compiled.refusals.leave_out("ctrlrange", str(item))
+        for word, _ in _command_limits(compiled, number):
+            compiled.refusals.leave_out(word, str(item))
         # The square of the gear could overflow.
         gain, spring = (gear * (gear * value) for value in (damping, stiffness))
         keys: dict[str, Any] = {"gain": tidy(gain), "torque_limit": limit}
@@ -179,32 +182,46 @@ def _require_simple(compiled: Compiled, number: int, affine: bool) -> None:
 
 
 def _torque_limit(
-    compiled: Compiled, number: int, kind: str, target: int, servo: bool, strength: float
+    compiled: Compiled, number: int, kind: str, target: int, commanded: bool
 ) -> float | None:
-    """Return the largest force of a motor, or None. Name limits of unequal size as left out."""
+    """Return the largest force of a motor, or None. Name limits of unequal size as changed.
+
+    MuJoCo limits the force of an actuator and of a tendon before the gear, and of a joint after it.
+
+    Args:
+        compiled: the model.
+        number: MuJoCo's number of the actuator.
+        kind: kind of the driven part, ``joint`` or ``tendon``.
+        target: its number.
+        commanded: whether the command is the force, so that limits of the command count.
+    """
     model, item = compiled.model, compiled.item("actuator", number)
     gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
-    limits = [(gear * model.actuator_forcerange[number], model.actuator_forcelimited[number])]
-    prefix = "jnt" if kind == "joint" else "tendon"
-    if hasattr(model, f"{prefix}_actfrcrange"):
-        whole = getattr(model, f"{prefix}_actfrcrange"), getattr(model, f"{prefix}_actfrclimited")
-        limits.append((whole[0][target], whole[1][target]))
-    if not servo:
-        command = strength * model.actuator_ctrlrange[_place(compiled, "ctrl", number)]
-        limits.append((command, _limits_commands(compiled, number)))
-    largest = []
-    for torque, given in limits:
-        if not given or _boundless(np.asarray(torque)):
-            continue
-        lower, upper = sorted(map(float, torque))
-        if not np.isclose(-lower, upper, rtol=TOLERANCE):
-            compiled.refusals.leave_out("smaller one of two force limits", str(item))
-        largest.append(max(abs(lower), abs(upper)))
-    if not largest:
+    ranges = []
+    if model.actuator_forcelimited[number]:
+        ranges.append(gear * model.actuator_forcerange[number])
+    prefix, lever = ("jnt", 1.0) if kind == "joint" else ("tendon", gear)
+    if (
+        hasattr(model, f"{prefix}_actfrcrange")
+        and getattr(model, f"{prefix}_actfrclimited")[target]
+    ):
+        ranges.append(lever * getattr(model, f"{prefix}_actfrcrange")[target])
+    if commanded:
+        strength = gear * float(model.actuator_gainprm[number, 0])
+        ranges += [strength * limits for _, limits in _command_limits(compiled, number)]
+    if not ranges:
         return None
-    if not min(largest) > 0:
+    lower = max(float(min(torque)) for torque in ranges)
+    upper = min(float(max(torque)) for torque in ranges)
+    largest = max(abs(lower), abs(upper))
+    if not largest > 0:
         raise item.refusal("its limits are 0", "a limit above 0")
-    return tidy(min(largest))
+    limit = None if largest > LARGEST else tidy(largest)
+    if min(-lower, upper) <= LARGEST and not np.isclose(-lower, upper, rtol=TOLERANCE):
+        new = "no limits" if limit is None else f"{-limit:g} and {limit:g}"
+        words = f"its force limits, {lower:g} and {upper:g} (N m or N), become {new}"
+        compiled.refusals.change(str(item), words)
+    return limit
 
 
 def _refuse_shared_limits(
@@ -255,17 +272,21 @@ def _motors_of_efforts(compiled: Compiled) -> dict[int, dict[str, Any]]:
     return motors
 
 
-def _limits_commands(compiled: Compiled, number: int) -> bool:
-    limited = bool(compiled.model.actuator_ctrllimited[_place(compiled, "ctrl", number)])
-    return limited and not compiled.disabled("clampctrl")
+def _command_limits(compiled: Compiled, number: int) -> list[tuple[str, np.ndarray]]:
+    """Return the attributes that limit the command of an actuator, and the limits."""
+    model, dynamics = compiled.model, compiled.mujoco.mjtDyn
+    found = []
+    place, kind = _place(compiled, "ctrl", number), int(model.actuator_dyntype[number])
+    limited = model.actuator_ctrllimited[place] and not compiled.disabled("clampctrl")
+    # The command of an integrator is a rate.
+    if limited and kind != dynamics.mjDYN_INTEGRATOR:
+        found.append(("ctrlrange", model.actuator_ctrlrange[place]))
+    if kind != dynamics.mjDYN_NONE and model.actuator_actlimited[number]:
+        found.append(("actrange", model.actuator_actrange[number]))
+    return found
 
 
 def _place(compiled: Compiled, what: str, number: int) -> int:
     """Return the place of an actuator's first command or output (one of each in older models)."""
     places = getattr(compiled.model, f"actuator_{what}adr", None)
     return number if places is None else int(places[number])
-
-
-def _boundless(torque: np.ndarray) -> bool:
-    """Return whether both limits exceed the largest torque limit that a creature can have."""
-    return bool(torque.min() < -LARGEST and torque.max() > LARGEST)

@@ -285,30 +285,38 @@ def _read_mesh(compiled: Compiled, geom: int, axes: np.ndarray | None) -> Solid:
     if axes is not None:
         vertices, turn = vertices @ (axes.T @ turn).T, axes
     try:
-        shape = _body_of(vertices)
+        shape, corners = _body_of(vertices)
     except MeshError as error:
         raise compiled.item("geom", geom).refusal(
             f"its mesh cannot be a body: {error}", "a solid mesh of 1 mm to 100 m"
         ) from None
+    kept = len(shape["vertices"])
+    if kept < corners:
+        compiled.refusals.change(
+            str(compiled.item("geom", geom)),
+            f"the hull of its mesh, with {corners} corners, becomes one with {kept}",
+        )
     return Solid(geom, shape, centre, turn, float(np.prod(np.ptp(vertices, axis=0))))
 
 
-def _body_of(vertices: np.ndarray) -> dict[str, Any]:
-    """Return the hull with the most corners that can be a body.
+def _body_of(vertices: np.ndarray) -> tuple[dict[str, Any], int]:
+    """Return the hull with the most corners that can be a body, and the corners of the whole one.
 
     Raises:
         MeshError: no hull of the points can be a body.
     """
     fault: MeshError | None = None
+    whole, _ = few_corners_hull(vertices, len(vertices))
     for most in _MOST_CORNERS:
         try:
-            corners, faces = few_corners_hull(vertices, most)
+            corners, faces = few_corners_hull(whole, most)
             corners = np.round(corners, _DIGITS)
             convex_mesh(corners, faces)
         except MeshError as error:
             fault = fault or error
         else:
-            return {"type": "mesh", "vertices": corners.tolist(), "faces": faces.tolist()}
+            shape = {"type": "mesh", "vertices": corners.tolist(), "faces": faces.tolist()}
+            return shape, len(whole)
     assert fault is not None
     raise fault
 

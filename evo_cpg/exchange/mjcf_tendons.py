@@ -12,7 +12,7 @@ Our length is 0 in the neutral pose. A tendon without a spring, a damper, a roto
 limits and a motor has no effect and is left out.
 """
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
@@ -84,33 +84,46 @@ class ReadTendon(NamedTuple):
 
 
 def read_tendons(
-    compiled: Compiled, joints: Container[int], motors: Mapping[int, dict[str, Any]]
+    compiled: Compiled,
+    joints: Container[int],
+    driven: Iterable[int],
+    motors: Mapping[int, dict[str, Any]],
 ) -> list[ReadTendon]:
     """Return the tendons with an effect. Refused tendons are recorded.
 
     Args:
         compiled: the model.
         joints: MuJoCo's numbers of the joints that the animal has.
+        driven: MuJoCo's numbers of the joints with a motor.
         motors: keys of the motors, by MuJoCo's number of the tendon.
     """
-    tendons = []
+    tendons, taken = [], set(driven)
     for number in range(compiled.model.ntendon):
-        law = _law(compiled, number)
-        if number in motors:
-            law["actuator"] = motors[number]
-        if not law:
-            compiled.refusals.leave_out(
-                "tendon without effect", str(compiled.item("tendon", number))
-            )
+        law, item = _law(compiled, number), compiled.item("tendon", number)
+        if not law and number not in motors:
+            compiled.refusals.leave_out("tendon without effect", str(item))
             continue
         with compiled.refusals.collecting():
-            tendons.append(_read_tendon(compiled, number, joints, law))
+            coefficients = _coefficients(compiled, number, joints)
+            if number in motors:
+                # The motor follows the command of a joint, as in `evo_cpg.creature.tendons`.
+                free = [joint for joint in coefficients if joint not in taken]
+                taken.update(free[:1])
+                if free:
+                    law["actuator"] = motors[number]
+                else:
+                    item.refuse(
+                        "it has a motor, but each of its joints has a motor or gives its command "
+                        "to another tendon",
+                        "a joint without a motor",
+                    )
+            if law:
+                tendons.append(ReadTendon(_name(compiled, number), coefficients, law))
     return tendons
 
 
-def _read_tendon(
-    compiled: Compiled, number: int, joints: Container[int], law: dict[str, Any]
-) -> ReadTendon:
+def _coefficients(compiled: Compiled, number: int, joints: Container[int]) -> dict[int, float]:
+    """Return the coefficient of each joint of a tendon."""
     model, item = compiled.model, compiled.item("tendon", number)
     first, count = int(model.tendon_adr[number]), int(model.tendon_num[number])
     coefficients: dict[int, float] = {}
@@ -125,7 +138,7 @@ def _read_tendon(
     coefficients = {joint: value for joint, value in coefficients.items() if value}
     if not coefficients:
         raise item.refusal("all its coefficients are 0", "one that is not 0")
-    return ReadTendon(_name(compiled, number), coefficients, law)
+    return coefficients
 
 
 def _law(compiled: Compiled, number: int) -> dict[str, Any]:

@@ -148,6 +148,8 @@ MAPPED = {
         )
     ),
     "flags of readings": model(flag='energy="enable" fwdinv="enable"'),
+    "geom priority": model(geom='priority="1"'),
+    "geom without friction": model(geom='condim="1"'),
     "actuator lengthrange": model(top='<compiler><lengthrange mode="none"/></compiler>'),
     "flags that switch joints off": model(
         flag='limit="disable" spring="disable" damper="disable"', joint='damping="1" stiffness="1"'
@@ -269,8 +271,7 @@ LEFT_OUT = {
     "geom solref": (model(geom='solref="0.1 1"'), "solref of geom 'g'"),
     "geom solimp": (model(geom='solimp="0.5 0.6"'), "solimp of geom 'g'"),
     "geom solmix": (model(geom='solmix="2"'), "solmix of geom 'g'"),
-    "geom priority": (model(geom='priority="1"'), "priority of geom 'g'"),
-    "geom condim": (model(geom='condim="6"'), "condim of geom 'g'"),
+    "geom condim": (model(geom='condim="6"'), "condim above 3 of geom 'g'"),
     "thin medium": (model(option='density="1.2"'), "drag of the medium (density 1.2)"),
     "viscosity alone": (model(option='viscosity="0.1"'), "viscosity of the medium (0.1)"),
     "wind": (model(option='wind="1 0 0"'), "option wind"),
@@ -283,10 +284,6 @@ LEFT_OUT = {
     "flag filterparent": (model(flag='filterparent="disable"'), "flag filterparent"),
     "flag actuation": (model(flag='actuation="disable"'), "1 actuator"),
     "ctrlrange": (model(actuator='ctrlrange="-1 1"'), "ctrlrange of actuator 'm'"),
-    "forcerange": (
-        model(actuator='forcerange="-1 2"'),
-        "smaller one of two force limits of actuator 'm'",
-    ),
     "timeconst": (
         model(drive="position", actuator='kv="-" kp="2" timeconst="0.1"'),
         "time constant of actuator 'm'",
@@ -317,6 +314,28 @@ def test_other_settings_are_left_out_by_name(read, name):
     assert expected in read(text).left_out
 
 
+CHANGED = {
+    "forcerange": (
+        model(actuator='forcerange="-1 2"'),
+        "actuator 'm': its force limits, -1 and 2 (N m or N), become -2 and 2",
+    ),
+    "one limit of the force": (
+        model(actuator='forcerange="-1 1e15"'),
+        "actuator 'm': its force limits, -1 and 1e+15 (N m or N), become no limits",
+    ),
+    "far limit": (
+        model(top='<compiler angle="radian"/>', joint='range="-1 1e6"'),
+        "joint 'h': limits -1 to 1e+06 -> -1 to 10000",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CHANGED)
+def test_changed_numbers_are_said(read, name):
+    text, expected = CHANGED[name]
+    assert read(text).changed == (expected,)
+
+
 # Treatment of every field of the compiled model that `mjcf_fields` does not refuse, so that a new
 # field of MuJoCo fails the test. A "*" stands for any characters.
 READ = (
@@ -333,8 +352,8 @@ READ = (
     "ntendon mesh_vert mesh_vertadr mesh_vertnum "
     "actuator_trnid actuator_trntype actuator_dyntype actuator_gaintype "
     "actuator_gainprm actuator_biastype actuator_biasprm actuator_gear actuator_forcelimited "
-    "actuator_forcerange actuator_ctrllimited actuator_ctrlrange actuator_group pair_geom1 "
-    "pair_geom2 "
+    "actuator_forcerange actuator_actlimited actuator_ctrllimited actuator_ctrlrange "
+    "actuator_group pair_geom1 pair_geom2 "
 )
 
 # Fields that do not affect the motion, by reason.
@@ -368,7 +387,7 @@ WITHOUT_EFFECT = {
     "computed from gears": "actuator_length0",
     "muscles, whose law is refused": "actuator_lengthrange",
     "dynamics of actuators, left out by name": (
-        "actuator_actnum actuator_actlimited actuator_actrange actuator_actearly actuator_dynprm"
+        "actuator_actnum actuator_actearly actuator_dynprm"
     ),
     "slider-cranks, which are refused": "actuator_cranklength",
     "1 for an actuator of a hinge with an accepted law": "actuator_ctrlnum",

@@ -2,11 +2,14 @@
 
 import dataclasses
 import importlib
+from typing import get_args
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.imported_mjcf import Imports, differences
 from benchmarks.imported_models import largest_difference
 from creatures import STRUCTURES, random_creature
 from evo_cpg.config.build import build_creature
@@ -17,6 +20,7 @@ from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_model
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.exchange.rigid import _top
+from evo_cpg.physics.contact_model import Combination, Ground, combine
 from evo_cpg.physics.water import Water
 from imported import creature_of
 from tiny_run import REPOSITORY
@@ -171,6 +175,17 @@ def test_export_and_import_preserve_shipped_animals(read, path):
     assert found.left_out == ()
 
 
+@pytest.mark.parametrize("rule", get_args(Combination))
+def test_an_exported_ground_keeps_its_friction_rule(read, rule):
+    path = REPOSITORY / "configs" / "hexapod.yaml"
+    ground = Ground(dynamic_friction=0.7, friction_rule=rule)
+    text = mjcf_text(mjcf_model(build_creature(load_config(path), path), GRAVITY, ground=ground))
+    found = read(text).experiment
+    assert found["world"]["ground"]["friction_rule"] == rule
+    assert found["world"]["ground"]["dynamic_friction"] == 0.7
+    assert all("restitution" in made for made in found["creature"]["materials"].values())
+
+
 def test_changes_in_an_exported_file_count(read):
     """A changed friction wins over the restitution that the file carries for the old material."""
     path = REPOSITORY / "configs" / "hexapod.yaml"
@@ -211,9 +226,197 @@ def test_foreign_models_accelerate_as_in_mujoco(write, text):
     assert largest_difference(write(text), states=20) < 1e-10
 
 
+@pytest.mark.parametrize("text", [OTHERS, HUNG], ids=["cat", "crane"])
+def test_differences_from_mujocos_numbers_are_said(write, text):
+    """Mass, inertia, limits and motors. The crane has a motor that only pulls."""
+    path = write(text)
+    both = Imports(path, read_model(path))
+    assert [each.element for each in differences(both) if not both.says(each.element)] == []
+    if text == OTHERS:
+        body = both.imported.experiment["creature"]["bodies"][1]
+        body["joint"]["limits_deg"][0] = [-50.0, 41.0]
+        both.imported.experiment["creature"]["bodies"][3]["joint"]["actuator"]["torque_limit"] = 9.0
+        both.imported.experiment["creature"]["materials"][body["material"]]["density"] *= 1.01
+        found = [each.element for each in differences(Imports(path, both.imported))]
+        tail = "actuator number 1 (unnamed)"
+        assert found == ["body 'hip'", "body 'hip'", "total mass", "joint 'swing'", tail]
+
+
+# Motors on a joint or a tendon, the largest force by MuJoCo's laws, and whether its size changes.
+LIMITED = {
+    "tendon's limit before the gear": ('<motor tendon="t" gear="2"/>', 'tendon="-1 1"', 2.0, False),
+    "negative gear": ('<motor tendon="t" gear="-2"/>', 'tendon="-1 3"', 6.0, True),
+    "joint's limit after the gear": ('<motor joint="h" gear="2"/>', 'joint="-1 1"', 1.0, False),
+    "actuator's limit before the gear": (
+        '<velocity tendon="t" kv="3" gear="2" forcerange="-1 1"/>',
+        "",
+        2.0,
+        False,
+    ),
+    "unequal limits of a servo": (
+        '<position joint="h" kp="10" gear="10" forcerange="-2.5 3.1"/>',
+        "",
+        31.0,
+        True,
+    ),
+    "limits that cut each other": (
+        '<motor joint="h" forcerange="-3 1"/>',
+        'joint="-1 2"',
+        1.0,
+        False,
+    ),
+    "one limit": ('<motor joint="h" gear="-1" forcerange="-3 1e15"/>', "", np.inf, True),
+    "negative gain": (
+        '<general joint="h" gear="2" gainprm="-5" ctrlrange="-1 1"/>',
+        "",
+        10.0,
+        False,
+    ),
+    "clamped activation": (
+        '<general joint="h" dyntype="integrator" gainprm="3" actlimited="true" actrange="-2 2"/>',
+        "",
+        6.0,
+        False,
+    ),
+    "a rate that is integrated": (
+        '<general joint="h" dyntype="integrator" ctrlrange="-2 2"/>',
+        "",
+        np.inf,
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_the_largest_force_equals_mujocos(write, name):
+    """Limits of unequal size become the larger one, and are named with both values."""
+    motor, whole, largest, changed = LIMITED[name]
+    kind, _, limits = whole.partition("=")
+    attribute = f" actuatorfrcrange={limits}"
+    hinge = HINGE.replace("/>", attribute * (kind == "joint") + "/>")
+    tendon = f'<fixed name="t"{attribute * (kind == "tendon")}><joint joint="h" coef="1"/></fixed>'
+    path = write(
+        model(
+            joints=hinge,
+            extra=f"<tendon>{tendon}</tendon>",
+            actuators=motor.replace(" ", ' name="m" ', 1),
+        )
+    )
+    both = Imports(path, read_model(path))
+    laws = both.tree.tendons if both.tree.tendons and "tendon=" in motor else both.tree
+    assert laws.torque_limit.tolist() == [largest]
+    assert [each.element for each in differences(both)] == ["actuator 'm'"] * changed
+    assert both.says("actuator 'm'") == changed
+
+
+FLOOR = '<geom name="floor" type="plane" size="5 5 1" friction="0.6" {}/>'
+# Attributes of the floor, of the limb's geom, and contacts.
+FRICTIONS = {
+    "larger": ("", "", ""),
+    "priority of the floor": ('priority="1"', "", ""),
+    "priority of the limb": ("", 'friction="0.3" priority="2"', ""),
+    "geoms without friction": ('condim="1"', 'condim="1"', ""),
+    "one geom with friction": ("", 'condim="1"', ""),
+    "pair": ("", "", '<pair geom1="g" geom2="floor" friction=".2 .2"/>'),
+    "pair of a class": ("", "", '<pair geom1="g" geom2="floor" class="ice"/>'),
+    "pair without friction": ("", "", '<pair geom1="g" geom2="floor" condim="1"/>'),
+    "pair without types": (
+        "",
+        'contype="0" conaffinity="0"',
+        '<pair geom1="g" geom2="floor" friction="3 3"/>',
+    ),
+    "excluded": ("", "", '<exclude body1="world" body2="limb"/>'),
+    "excluded, with a pair": (
+        "",
+        "",
+        '<exclude body1="world" body2="limb"/><pair geom1="floor" geom2="g" friction=".1 .1"/>',
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FRICTIONS)
+def test_friction_on_the_ground_equals_mujocos(write, name):
+    floor, limb, contact = FRICTIONS[name]
+    ice = '<default><default class="ice"><pair friction=".02 .02"/></default></default>'
+    text = model(geoms=LIMB.replace("/>", f" {limb}/>"), extra=f"<contact>{contact}</contact>{ice}")
+    path = write(text.replace("<worldbody>", f"<worldbody>{FLOOR.format(floor)}"))
+    theirs = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(theirs)
+    mujoco.mj_forward(theirs, data)
+    touching = {int(theirs.geom_bodyid[contact.geom[1]]): contact for contact in data.contact}
+    found = read_model(path)
+    ground, creature = found.experiment["world"]["ground"], creature_of(found)
+    for body, own in enumerate(creature.bodies, start=1):
+        if body not in touching:
+            assert found.left_out[0] == "passage through the ground of geom 'g'"
+            continue
+        friction = combine(
+            ground["friction_rule"], own.material.dynamic_friction, ground["dynamic_friction"]
+        )
+        contact = touching[body]
+        assert friction == pytest.approx(contact.friction[0] if contact.dim > 1 else 0.0)
+
+
+def test_other_numbers_of_a_pair_are_named(read):
+    pair = '<pair name="p" geom1="floor" geom2="g" friction="{}" {}/>'
+    left_out = 'margin="0.1" gap="0.01" solref="0.1 1" solimp="0.5 0.6" condim="6"'
+    contact = f"<contact>{pair.format('.02 1', left_out)}</contact>"
+    text = model(extra=contact).replace("<worldbody>", f"<worldbody>{FLOOR.format('')}")
+    found = read(text)
+    assert found.changed == ("pair 'p': its friction, 0.02 and 1 in two directions, becomes 0.02",)
+    words = ("margin", "gap", "solref", "solimp", "condim above 3")
+    assert {f"{word} of pair 'p'" for word in words} <= set(found.left_out)
+
+
+@pytest.mark.parametrize(
+    ("planes", "floor", "named"),
+    [
+        (["0 0 0", "0 0 0.2 {45}"], {}, "geom 'p1' (a second plane, tilted by 45 degrees)"),
+        (["0 0 9", "0 0 -1"], {"height": -1.0}, "geom 'p0' (a second plane, tilted by 0 degrees)"),
+        (["0 0 -1", "0 0 -2"], {"height": -1.0}, "geom 'p1' (a second plane, tilted by 0 degrees)"),
+        (
+            ["0 0 0 {30}", "0 0 0 {-10}"],
+            {"slope_deg": 10.0, "downhill_deg": 90.0},
+            "geom 'p0' (a second plane, tilted by 30 degrees)",
+        ),
+        (["0 0 9"], {"height": 9.0}, None),
+        (["0 -9 0 {-90}", "0 0 0"], {}, "geom 'p0' (a second plane, tilted by 90 degrees)"),
+    ],
+)
+def test_the_most_level_plane_below_is_the_ground(read, planes, floor, named):
+    geoms = ""
+    for i, plane in enumerate(planes):
+        place, _, angle = plane.partition(" {")
+        turn = f'euler="{np.deg2rad(float(angle[:-1] or 0))} 0 0"' if angle else ""
+        geoms += f'<geom name="p{i}" type="plane" size="5 5 1" pos="{place}" {turn}/>'
+    found = read(model().replace("<worldbody>", f"<worldbody>{geoms}"))
+    ground = found.experiment["world"]["ground"]
+    keys = {key: x for key, x in ground.get("floor", {}).items() if key != "type"}
+    assert keys == pytest.approx(floor)
+    planes = [phrase for phrase in found.left_out if "second plane" in phrase]
+    assert planes == ([named] if named else [])
+
+
+def test_a_motor_of_a_tendon_needs_a_free_joint(read):
+    """The motor of the first tendon follows the command of the only free joint."""
+    tendons = "".join(f'<fixed name="{t}"><joint joint="h" coef="1"/></fixed>' for t in "tu")
+    text = model(extra=f"<tendon>{tendons}</tendon>", actuators=MOTOR + '<motor tendon="t"/>')
+    words = "tendon 't': it has a motor, but each of its joints has a motor or gives its command"
+    with pytest.raises(ExchangeError, match=words):
+        read(text)
+    found = read(text, drop=True)
+    assert words in found.dropped[0] and "tendons" not in found.experiment["creature"]
+    text = model(
+        extra=f"<tendon>{tendons}</tendon>", actuators='<motor tendon="t"/><motor tendon="u"/>'
+    )
+    found = read(text, drop=True)
+    assert [tendon["name"] for tendon in found.experiment["creature"]["tendons"]] == ["t"]
+    assert "tendon 'u': it has a motor" in found.dropped[0]
+
+
 def test_a_foreign_model_keeps_its_numbers(read):
     found = read(OTHERS, motor_gain=0.7)
-    assert found.left_out == ("2 lights", "1 camera")
+    assert found.left_out == ("friction between bodies of the animal", "2 lights", "1 camera")
     creature = creature_of(found)
     names = ("torso", "hip", "knee", "tail")
     assert tuple(body.name for body in creature.bodies) == names
@@ -401,7 +604,7 @@ OTHER = '<body name="other">{}<geom size="1"/></body>'
         ),
         (
             model(free='<joint name="root" type="free" damping="1" armature="0.1"/>'),
-            "joint 'root': it is a free joint with damping, armature. Allowed: <freejoint/>",
+            "joint 'root': it is a free joint with damping 1, armature 0.1, which change the ac",
         ),
         (
             model(
@@ -466,8 +669,9 @@ def test_refused_parts_can_be_dropped(read):
         "all hang on the world by joints",
     )
     assert [body["name"] for body in found.experiment["creature"]["bodies"]] == ["trunk", "limb"]
-    driven = ball.replace("<geom", '<body name="arm"><joint name="j"/><geom size="1"/></body><geom')
-    tendon = '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
+    arm = '<body name="arm"><joint name="j"/><joint name="k" axis="1 0 0"/><geom size="1"/></body>'
+    driven = ball.replace("<geom", f"{arm}<geom")
+    tendon = '<tendon><fixed name="t"><joint joint="k" coef="1"/></fixed></tendon>'
     for more, kept in (("", "trunk"), ('<motor tendon="t"/>', "other")):
         actuators = f'{MOTOR}<motor joint="j"/>{more}'
         found = read(model(actuators=actuators, beside=driven, extra=tendon), drop=True)
@@ -501,8 +705,9 @@ def test_a_dropped_ball_leaves_the_other_joints_of_its_body(read):
 def test_a_limit_that_a_motor_of_a_tendon_never_reaches_is_accepted(read):
     """Twice 1.4 N and the joint's own motor of 0.1 N m give 2.9 N m, within 3 N m."""
     text = model(
-        joints=HINGE.replace("/>", ' actuatorfrcrange="-3 3"/>'),
-        extra='<tendon><fixed name="t"><joint joint="h" coef="-2"/></fixed></tendon>',
+        joints=HINGE.replace("/>", ' actuatorfrcrange="-3 3"/><joint name="k" axis="1 0 0"/>'),
+        extra='<tendon><fixed name="t"><joint joint="h" coef="-2"/><joint joint="k" coef="1"/>'
+        "</fixed></tendon>",
         actuators='<motor tendon="t" ctrlrange="-1.4 1.4"/><motor joint="h" ctrlrange="-.1 .1"/>',
     )
     tendon = read(text).experiment["creature"]["tendons"][0]

@@ -150,7 +150,10 @@ def test_a_mesh_becomes_the_hull_of_its_corners(read, tmp_path):
     assert files == [tmp_path / "ring.yaml", tmp_path / "ring_meshes" / "trunk.stl"]
     again = load_config(tmp_path / "ring.yaml").creature.build()
     np.testing.assert_allclose(again.bodies[0].shape.volume, ring.bodies[0].shape.volume, rtol=1e-6)
-    ball = creature_of(read(model(trimesh.creation.icosphere(4, 0.1)))).bodies[0].shape
+    found = read(model(trimesh.creation.icosphere(4, 0.1)))
+    words = "the hull of its mesh, with 2562 corners, becomes one with 100"
+    assert found.changed == (f"unnamed geom of body 'trunk': {words}",)
+    ball = creature_of(found).bodies[0].shape
     assert isinstance(ball, ConvexMesh) and len(ball.vertices) == 100
     assert ball.volume == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=0.1)
 
