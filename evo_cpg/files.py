@@ -2,10 +2,15 @@
 
 import contextlib
 import csv
+import hashlib
 import io
 import json
 import os
+import platform
+import re
+import shutil
 import stat
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,6 +18,11 @@ from typing import IO, Any
 
 from evo_cpg.errors import UserError
 from evo_cpg.system import resolved
+
+# Part of the names of temporary files. It names the machine, because the locks of a network file
+# system may hold for one machine only. `tempfile` draws the characters that follow.
+_PARTIAL = f".part-{hashlib.sha256(platform.node().encode()).hexdigest()[:6]}-"
+_TEMPORARY = re.compile(rf"\..+{re.escape(_PARTIAL)}[a-z0-9_]{{8}}(\.\w+)?")
 
 
 class OutputError(UserError, OSError):
@@ -43,6 +53,79 @@ def require_place(path: Path) -> Path:
 
 
 @contextlib.contextmanager
+def beside(path: Path, folder: bool = False) -> Iterator[Path]:
+    """Yield an empty temporary file or folder beside a path, and delete it after the block.
+
+    A kill leaves it behind. So it is locked, and the next block deletes what is in the same folder
+    without a lock.
+
+    Args:
+        path: path of the final file or folder.
+        folder: whether to make a folder.
+    """
+    _delete_abandoned(path.parent)
+    # A unique name keeps programs apart that write the same file.
+    prefix, suffix = f".{path.name}{_PARTIAL}", path.suffix.lower()
+    while True:
+        if folder:
+            name = tempfile.mkdtemp(dir=path.parent, prefix=prefix)
+        else:
+            handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=suffix)
+            os.close(handle)
+        lock = _locked(name, wait=True)
+        # Another process may have deleted it before it was locked.
+        if os.path.exists(name):
+            break
+    try:
+        yield Path(name)
+    finally:
+        _delete(name)
+        if lock is not None:
+            os.close(lock)
+
+
+def _delete_abandoned(folder: Path) -> None:
+    """Delete temporary files and folders of killed processes."""
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        found = [entry.path for entry in entries if _TEMPORARY.fullmatch(entry.name)]
+        for name in found:
+            lock = _locked(name, wait=False)
+            if lock is not None:
+                _delete(name)
+                os.close(lock)
+
+
+def _delete(name: str) -> None:
+    if os.path.isdir(name):
+        shutil.rmtree(name, ignore_errors=True)
+    else:
+        Path(name).unlink(missing_ok=True)
+
+
+def _locked(name: str, wait: bool) -> int | None:
+    """Lock a file or folder, and return its descriptor, or None without locks.
+
+    Args:
+        name: path of the file or folder.
+        wait: whether to wait for another holder. Otherwise the result is None.
+    """
+    if sys.platform == "win32":
+        return None
+    import fcntl
+
+    descriptor = None
+    try:
+        # A network file system locks only what is open for writing, and so no folders.
+        descriptor = os.open(name, os.O_RDONLY if os.path.isdir(name) else os.O_RDWR)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:
+        if descriptor is not None:
+            os.close(descriptor)
+        return None
+    return descriptor
+
+
+@contextlib.contextmanager
 def in_one_piece(path: Path) -> Iterator[Path]:
     """Yield a temporary file in the same folder, which replaces the file after the ``with`` block.
 
@@ -59,18 +142,10 @@ def in_one_piece(path: Path) -> Iterator[Path]:
     if os.path.islink(path):
         path = resolved(path)
     try:
-        # A unique name keeps programs apart that write the same file.
-        handle, name = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix.lower()
-        )
-        os.close(handle)
-        partial = Path(name)
-        try:
+        with beside(path) as partial:
             yield partial
             os.chmod(partial, _permissions(path))
             os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
     except OutputError:
         raise
     except OSError as error:

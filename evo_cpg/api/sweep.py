@@ -135,7 +135,8 @@ def claim(folder: Path, plan: Mapping[str, Any]) -> None:
             )
         return
     if folder.is_file() or (
-        folder.is_dir() and any(path.name != locks.FILE for path in folder.iterdir())
+        folder.is_dir()
+        and any(not path.name.startswith((locks.FILE, f".{_PLAN}.")) for path in folder.iterdir())
     ):
         raise RunFolderError(f"{folder} is not empty and holds no sweep. Choose another --out")
     write_text(make_folder(folder) / _PLAN, json.dumps(plan, indent=2))

@@ -19,7 +19,7 @@ from evo_cpg.api.opened import Opened
 from evo_cpg.api.progress import Generations, working
 from evo_cpg.api.warm_start import Start
 from evo_cpg.config.build import require_genes
-from evo_cpg.config.fingerprint import fingerprint
+from evo_cpg.config.fingerprint import changes_of_fitness, changes_since, fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
@@ -185,19 +185,31 @@ def reopen_run(
         source: file of the configuration, if known.
 
     Returns:
-        A sentence for each difference from the earlier machine.
+        A sentence about changes of the configuration, and one for each difference from the earlier
+        machine.
 
     Raises:
         ConfigError: there are no genes to evolve.
         OutputError: the folder cannot be written.
+        RunFolderError: after a change, earlier individuals would have another fitness.
         TooLargeError: the run needs more memory than the machine has.
     """
     folder = run.folder
+    before = folder.read_meta()
+    changed = changes_since(before.get("fingerprint"), run.config)
+    changed = [each for each in changed if each != "evolution.generations"]
+    spoilt = changes_of_fitness(before.get("fingerprint"), run.config) if folder.newest else []
+    if spoilt:
+        raise RunFolderError(
+            f"{folder.path}: changed since the run was last started: {', '.join(spoilt)}. Its "
+            "champion was evaluated without the change, so new individuals cannot be compared with "
+            "it. Undo the change, or start a new run from this population with `evo-cpg train "
+            f"{folder.config} --from {folder.path} --start population --out ...`"
+        )
     require_genes(run.experiment, folder.config)
     require_memory(run.experiment)
     # Call this before writing anything: it starts JAX, which may find no device.
     here = machine_fingerprint(run.experiment.simulation.engine, devices)
-    before = folder.read_meta()
     folder.reopen(dump_config(run.config))
     noted = {"resumed": now(), "fingerprint": fingerprint(run.config), "processes": processes}
     noted |= here
@@ -205,8 +217,11 @@ def reopen_run(
         # The run was killed before meta.json was written.
         noted = _known(run, devices, source, processes)
     folder.update_meta(**noted)
-    found = machine_changes(before, here)
-    return [f"{folder.path}: {difference}. Bits may differ" for difference in found]
+    found = [f"{difference}. Bits may differ" for difference in machine_changes(before, here)]
+    if changed:
+        words = f"changed since the run was last started: {', '.join(changed)}"
+        found.insert(0, f"{words}. The run continues with the changes")
+    return [f"{folder.path}: {difference}" for difference in found]
 
 
 def _genes(experiment: Experiment, start: ArrayLike) -> np.ndarray:

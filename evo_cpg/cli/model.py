@@ -1,13 +1,13 @@
 """`evo-cpg model`: draw a creature on a page in the browser."""
 
 import itertools
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from evo_cpg.cli.completion import complete_config
+from evo_cpg.cli.errors import tell
 from evo_cpg.cli.options import Browser, Port
 
 
@@ -36,7 +36,7 @@ def model(
         print(server.address)
         print("Control-C ends the program.", flush=True)
         if browser and not opened(server.address):
-            print("No browser was found. Open the address yourself.", file=sys.stderr)
+            tell(f"No browser was found. Open the address yourself. {server.reach}.")
         try:
             server.serve_forever()
         except KeyboardInterrupt:

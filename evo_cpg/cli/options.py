@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 import typer
 
 from evo_cpg.cli.completion import complete_config, complete_folder
-from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.errors import UsageError, warn
 
 
 class What(enum.StrEnum):
@@ -65,6 +65,18 @@ def run_folders(given: list[Path] | None) -> list[Path] | None:
     return given and [find_run(each) for each in given]
 
 
+def name_replaced(overrides: list[str] | None) -> list[str] | None:
+    """Return the overrides, with a warning for each that a later one replaces."""
+    from evo_cpg.config.keys import replaces
+
+    given = [(override.partition("=")[0], override) for override in overrides or []]
+    for i, (key, override) in enumerate(given):
+        for other, _ in given[:i]:
+            if replaces(key, other):
+                warn(f"{other} is given twice. Only the last value counts: {override}")
+    return overrides
+
+
 Config = Annotated[
     Path,
     typer.Argument(
@@ -85,7 +97,11 @@ Run = Annotated[
 ]
 Overrides = Annotated[
     list[str] | None,
-    typer.Argument(metavar="KEY=VALUE", help="Settings to change, such as seed=3."),
+    typer.Argument(
+        metavar="KEY=VALUE",
+        help="Settings to change, such as seed=3.",
+        callback=name_replaced,
+    ),
 ]
 Port = Annotated[
     int, typer.Option(min=0, max=65535, help="Port of the page (default: a free one).")

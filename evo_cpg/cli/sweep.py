@@ -85,7 +85,7 @@ def sweep(
     folder, plan = config, read_plan(config)
     if plan is None:
         folder = out or Path("runs") / f"{config.stem}_sweep"
-        plan = new_plan(config, overrides, _varied(grid, settings))
+        plan = new_plan(config, overrides, _varied(overrides, grid, settings))
     elif overrides or grid or settings or out:
         raise UsageError(
             f"sweep: {config} is a sweep, which can only be continued unchanged. Leave out other "
@@ -109,10 +109,20 @@ def sweep(
         raise typer.Exit(ExitCode.FAULT)
 
 
-def _varied(grid: Sequence[str], settings: Path | None) -> "list[Setting]":
+def _varied(
+    overrides: Sequence[str], grid: Sequence[str], settings: Path | None
+) -> "list[Setting]":
+    from evo_cpg.config.keys import replaces
     from evo_cpg.config.settings import combine, read_settings
 
-    axes = dict(_axis(word) for word in grid)
+    axes: dict[str, list[Any]] = {}
+    for word in grid:
+        key, values = _axis(word)
+        for other in [*(override.partition("=")[0] for override in overrides), *axes]:
+            if replaces(key, other):
+                twice = "is given twice" if key == other else f"would replace {other}"
+                raise UsageError(f"sweep: {key} {twice}. Give all its values in one --grid {key}=")
+        axes[key] = values
     if not axes and settings is None:
         raise UsageError(
             "sweep: nothing is varied. Name keys and values, such as "
@@ -126,7 +136,7 @@ def _varied(grid: Sequence[str], settings: Path | None) -> "list[Setting]":
 
 
 def _axis(word: str) -> tuple[str, list[Any]]:
-    """Return key and values of ``key=a,b,c``."""
+    """Return key and values of ``key=a,b,c``, of ``key=[a,b,c]`` or of ``key=[a,b],[c,d]``."""
     import yaml
 
     from evo_cpg.config.yaml_text import parse_yaml
@@ -134,13 +144,16 @@ def _axis(word: str) -> tuple[str, list[Any]]:
     key, equals, text = word.partition("=")
     if not (key and equals and text):
         raise UsageError(f"--grid: {word!r} is not KEY=VALUE,VALUE,...")
-    listed = text if text.startswith("[") else f"[{text}]"
     try:
-        values = parse_yaml(listed)
+        values = parse_yaml(f"[{text}]")
     except yaml.YAMLError:
         values = None
+    if isinstance(values, list) and len(values) == 1 and isinstance(values[0], list):
+        values = values[0]
     if not isinstance(values, list) or not values:
-        raise UsageError(f"--grid: {text!r} is not a list of values, such as 1,2,3")
+        raise UsageError(
+            f"--grid: {text!r} is not a list of values, such as 1,2,3 or [0,1],[2,3] for vectors"
+        )
     return key, values
 
 
@@ -149,7 +162,7 @@ def _chosen(members: "Sequence[Member]", only: Sequence[str]) -> "list[Member]":
     for name in only:
         if name not in known:
             raise UsageError(f"--only: there is no setting {name!r}. Allowed: {', '.join(known)}")
-    return [known[name] for name in only] or list(members)
+    return [known[name] for name in dict.fromkeys(only)] or list(members)
 
 
 def _evolve(

@@ -26,7 +26,7 @@ from evo_cpg.cli.champions import open_and_build
 from evo_cpg.cli.distributed import Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError, tell, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.config.fingerprint import changes_since, fingerprint
+from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import load_run_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
@@ -84,12 +84,6 @@ def resume_run(
         opened = open_and_build(run)
         opened.require_configured()
         folder, config, experiment = opened.folder, opened.config, opened.experiment
-        changed = changes_since(folder.read_meta().get("fingerprint"), config)
-        if changed and team.leads:
-            warn(
-                f"{run}: changed since the run was last started: {', '.join(changed)}. "
-                "The run continues with the changes"
-            )
         if generations is not None:
             config = load_run_config(folder.config, [f"evolution.generations={generations}"])
             experiment = experiment._replace(generations=generations)

@@ -7,7 +7,7 @@ import typer
 
 from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.errors import ExitCode, UsageError, tell
-from evo_cpg.cli.options import Strict
+from evo_cpg.cli.options import Strict, name_replaced
 
 
 def validate(
@@ -33,6 +33,7 @@ def validate(
     paths = [Path(word) for word in configs if word not in overrides]
     if not paths:
         raise UsageError(f"validate: {overrides[0]} is a setting. Name a configuration file, too")
+    name_replaced(overrides)
     wrong = 0
     for given in paths:
         path = given

@@ -8,7 +8,6 @@ the newest champion.
 import contextlib
 import math
 import os
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from evo_cpg.cli.completion import complete_folder
-from evo_cpg.cli.errors import UsageError, message_for, warn
+from evo_cpg.cli.errors import UsageError, message_for, tell, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
 from evo_cpg.cli.options import Browser, Port
 from evo_cpg.cli.streams import is_read
@@ -131,7 +130,7 @@ def _on_a_page(run: Path, port: int, browser: bool) -> None:
         print(server.address)
         print("Control-C ends the program.", flush=True)
         if browser and not opened(server.address):
-            print("No browser was found. Open the address yourself.", file=sys.stderr)
+            tell(f"No browser was found. Open the address yourself. {server.reach}.")
         followed.start()
         with contextlib.suppress(KeyboardInterrupt):
             server.serve_forever()

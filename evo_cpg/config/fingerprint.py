@@ -11,7 +11,16 @@ from typing import Any
 
 from evo_cpg.config.former import without_former_values
 from evo_cpg.config.own_classes import own_parts
+from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
+
+_SOURCE = "the source of "
+# Beginnings of changes that leave every individual's fitness as it is, except those that
+# `changes_of_fitness` adds.
+_HARMLESS = (
+    *("name", "seed", "runs", "creature.name", "evolution.", "audit.", "measures", "engine"),
+    *("instruction_set", _SOURCE),
+)
 
 
 def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
@@ -25,7 +34,7 @@ def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
         key: hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
         for key, value in _by_key(without_former_values(config.model_dump(mode="json")))
     }
-    return {"config": parts, "code": _code_digests(config)}
+    return {"config": parts, "code": _code_digests(own_parts(config).values())}
 
 
 def changes_since(before: Any, config: ExperimentConfig) -> list[str]:
@@ -44,6 +53,18 @@ def changes_since(before: Any, config: ExperimentConfig) -> list[str]:
     return [each for each in changes(before, now) if each not in new]
 
 
+def changes_of_fitness(before: Any, config: ExperimentConfig) -> list[str]:
+    """Return those of `changes_since` that may change fitness, or an elite's place on its map."""
+    parts = [part for key, part in own_parts(config).items() if key != ("evolution",)]
+    harmful = ["evolution.axes", *(_SOURCE + module for module in _code_digests(parts))]
+    harmful += [f"audit.{name}" for name in ("disqualify", *config.audit.disqualify)]
+    if not config.noise.silent:
+        # The seed draws the noise in which an individual was evaluated.
+        harmful.append("seed")
+    found = changes_since(before, config)
+    return [each for each in found if each in harmful or not each.startswith(_HARMLESS)]
+
+
 def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
     """Return the differences between two fingerprints: configuration keys, then modules.
 
@@ -52,7 +73,7 @@ def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
         now: current fingerprint.
     """
     found = []
-    for kind, form in (("config", "{}"), ("code", "the source of {}")):
+    for kind, form in (("config", "{}"), ("code", _SOURCE + "{}")):
         old = before.get(kind) if isinstance(before, dict) else None
         if not isinstance(old, dict):
             continue
@@ -71,13 +92,13 @@ def _by_key(sections: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield f"{name}.{key}".rstrip("."), value
 
 
-def _code_digests(config: ExperimentConfig) -> dict[str, str]:
+def _code_digests(parts: Iterable[CustomConfig]) -> dict[str, str]:
     """Return SHA-256 digests of the source of the user's own classes, by imported module.
 
     Imported modules are included if they are in the same folder or below it.
     """
     digests: dict[str, str] = {}
-    for part in own_parts(config).values():
+    for part in parts:
         module = sys.modules[part.type.partition(":")[0]]
         path = _source_of(module)
         if path is not None:

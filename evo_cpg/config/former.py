@@ -40,12 +40,17 @@ def current_name(place: Any, name: str | int) -> str | int:
     return new if name not in known and new in known else name
 
 
+def newest_key(key: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a key of a configuration under its new name."""
+    *section, name = key
+    return (*section, RENAMED[name]) if _SECTIONS.get(name) == tuple(section) else key
+
+
 def current_key(key: tuple[str, ...]) -> tuple[str, ...]:
     """Return a key of a configuration under its new name, with a warning if it had another."""
-    *section, name = key
-    if name not in RENAMED or _SECTIONS[name] != tuple(section):
+    new = newest_key(key)
+    if new == key:
         return key
-    new = (*section, RENAMED[name])
     warnings.warn(
         f"{'.'.join(key)} is now called {'.'.join(new)}. The former name works until version 2.0",
         FormerKeyWarning,

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from evo_cpg.config.errors import Key
-from evo_cpg.config.former import current_name
+from evo_cpg.config.former import current_name, newest_key
 
 _T = TypeVar("_T")
 
@@ -24,6 +24,15 @@ def parts_of(text: str) -> tuple[str, ...]:
     """Return the parts of a key in text. Names of joint axes contain a dot, and are one part."""
     spanned = _SPANNED.fullmatch(text)
     return (*spanned[1].split("."), spanned[2]) if spanned else tuple(text.split("."))
+
+
+def replaces(key: str, other: str) -> bool:
+    """Return whether a value for a key replaces an earlier value for another key."""
+    new, old = (
+        [part.lstrip("0") or "0" if part.isdigit() else part for part in newest_key(parts_of(text))]
+        for text in (key, other)
+    )
+    return old[: len(new)] == new
 
 
 def follow(place: Any, key: Key) -> tuple[Any, int]:

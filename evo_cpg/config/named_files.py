@@ -1,5 +1,7 @@
 """Files that replace numbers in a configuration: meshes of bodies, heights of ground."""
 
+import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,10 @@ from evo_cpg.creature.mesh import MeshError, convex_mesh, few_corners_hull
 from evo_cpg.system import lend_matplotlib_a_folder
 
 MESH_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
+# Values that mark missing heights in maps, m.
+_MISSING = (-9999.0, -32767.0, -32768.0, float(np.finfo(np.float32).min))
+# A number with a decimal comma, next to another delimiter.
+_DECIMAL_COMMA = re.compile(r'\d,\d+[";\t]|[";\t] *-?\d+,\d|\d,\d+ +-?\d')
 _ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
 
@@ -86,11 +92,13 @@ def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
         try:
             if suffix in _ARRAYS:
                 # Memory mapping detects a header that promises more than the file contains.
-                heights = np.load(path, mmap_mode="r", allow_pickle=False)
+                heights, scaled = np.load(path, mmap_mode="r", allow_pickle=False), False
+                if heights.dtype.kind not in "iuf":
+                    raise ValueError(f"its values are {heights.dtype}, and not real numbers")
             elif suffix in _TABLES:
-                heights = np.loadtxt(path, delimiter="," if suffix == ".csv" else None)
+                heights, scaled = _table(path), False
             else:
-                heights = _image(path, relief.lowest, relief.highest)
+                heights, scaled = _image(path, relief.lowest, relief.highest)
             if heights.ndim == 2 and max(heights.shape) <= MOST_HEIGHTS:
                 heights = np.asarray(heights, float)
         except Exception as error:
@@ -102,12 +110,28 @@ def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
         elif not all(2 <= count <= MOST_HEIGHTS for count in heights.shape):
             size = " x ".join(map(str, heights.shape))
             problem = f"{size} heights. Allowed: 2 to {MOST_HEIGHTS} along each axis"
+        elif np.isin(heights, _MISSING).any():
+            missing = heights[np.isin(heights, _MISSING)][0]
+            problem = f"{missing:g} marks missing heights in maps. Fill them in"
+        elif not scaled and {"lowest", "highest"} & given.keys():
+            problem = "its heights are in metres already. Leave out lowest and highest"
         if problem is not None:
             raise KeyProblem((), f"{relief.file}: {problem}")
     return heights.tolist()
 
 
-def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
+def _table(path: Path) -> np.ndarray:
+    """Return the numbers of a table whose delimiters are commas, semicolons or spaces."""
+    # Spreadsheets begin a file with a byte order mark.
+    text = re.sub("#.*", "", path.read_text(encoding="utf-8-sig"))
+    if _DECIMAL_COMMA.search(text):
+        raise ValueError("it has decimal commas. Write decimal points")
+    delimiter = ";" if ";" in text else "," if "," in text else None
+    return np.loadtxt(io.StringIO(text), delimiter=delimiter, quotechar='"')
+
+
+def _image(path: Path, lowest: float, highest: float) -> tuple[np.ndarray, bool]:
+    """Return the heights of an image, and whether they were scaled."""
     lend_matplotlib_a_folder()
     from matplotlib.image import imread
     from PIL import Image
@@ -115,9 +139,18 @@ def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
     with Image.open(path) as image:
         if max(image.size) > MOST_HEIGHTS:
             raise ValueError(f"{image.width} x {image.height} pixels, more than {MOST_HEIGHTS}")
+        if image.mode in ("F", "I") and image.format != "PNG":
+            # 32 bits are not a shade of grey but a height. Matplotlib would cut it off at 255.
+            return np.asarray(image, float)[::-1].T, False
+        if not image.mode.startswith("I"):
+            colours = np.asarray(image.convert("RGBA"))
+            if (colours[..., 3] < 255).any():
+                raise ValueError("it has transparent pixels, whose height is unknown. Fill them in")
+            if np.ptp(colours[..., :3], axis=-1).any():
+                raise ValueError("it is coloured, but only shades of grey mean a height")
     pixels = np.asarray(imread(path))
     full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
     grey = pixels if pixels.ndim == 2 else pixels[..., :3].mean(-1)
     # Rows run downwards in the image, which is towards -y on the ground. The second axis of the
     # heights runs towards +y.
-    return lowest + (highest - lowest) / full * grey[::-1].T
+    return lowest + (highest - lowest) / full * grey[::-1].T, True

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.keys import replaces
 from evo_cpg.config.load import as_overrides, read_yaml
 
 # Largest number of settings: more than a user would compare.
@@ -56,7 +57,8 @@ def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> l
         named: settings by name (if empty, the grid is used alone).
 
     Raises:
-        ValueError: there are too many settings, or two have the same name.
+        ValueError: there are too many settings, two have the same name, or a key of the grid
+            replaces a value of a named setting.
     """
     short = _short_names(grid)
     count = max(1, len(named))
@@ -66,6 +68,9 @@ def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> l
         raise ValueError(f"a sweep has at most {_MOST} settings, got {count}")
     settings: list[Setting] = []
     for name, values in named.items() or [("", {})]:
+        for key, other in itertools.product(grid, values):
+            if replaces(key, other):
+                raise ValueError(f"the grid's {key} would replace {other} of the setting {name!r}")
         for chosen in itertools.product(*grid.values()):
             point = dict(zip(grid, chosen, strict=True))
             parts = [name] if name else []
@@ -95,6 +100,8 @@ def _word(value: Any) -> str:
     if isinstance(value, dict):
         known = [value[key] for key in ("algorithm", "type") if key in value]
         value = known[0] if known else value
+    if isinstance(value, list):
+        return "_".join(map(_word, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -1,6 +1,7 @@
 """Mesh files that a user gives to the page: checked, and written beside the document."""
 
 import re
+import unicodedata
 from pathlib import Path
 
 from evo_cpg.config.errors import KeyProblem
@@ -9,7 +10,7 @@ from evo_cpg.config.named_files import MESH_SUFFIXES, read_mesh
 from evo_cpg.drawing.document import DrawingError
 from evo_cpg.files import write_whole
 
-# Longest name before the suffix, characters.
+# Longest name before the suffix, bytes.
 _LONGEST = 100
 
 
@@ -27,12 +28,14 @@ def add_mesh_file(document: Path, name: str, content: bytes) -> dict[str, str]:
     Raises:
         DrawingError: it is no mesh that a body can have, or another file has its name.
     """
-    bare = re.sub(r"[^A-Za-z0-9_.-]+", "_", re.split(r"[/\\]", name)[-1]).lstrip("._")
-    stem, dot, suffix = bare.rpartition(".")
-    bare = f"{stem[:_LONGEST]}{dot}{suffix[:_LONGEST]}"
-    place = document.parent / bare
-    if place.suffix.lower() not in MESH_SUFFIXES:
+    # Some systems write an accent apart from its letter.
+    given_name = unicodedata.normalize("NFC", re.split(r"[/\\]", name)[-1])
+    stem, dot, suffix = given_name.rpartition(".")
+    if f"{dot}{suffix}".lower() not in MESH_SUFFIXES:
         raise DrawingError(f"{name[:80]}: a mesh is a file {', '.join(MESH_SUFFIXES)}")
+    stem = re.sub(r"[^\w.-]+", "_", stem).lstrip("._").encode()[:_LONGEST].decode(errors="ignore")
+    bare = f"{stem or 'mesh'}.{suffix}"
+    place = document.parent / bare
     if len(content) > LARGEST:
         raise DrawingError(f"{bare}: more than the limit of {LARGEST // 2**20} MiB")
     is_new = not place.exists()

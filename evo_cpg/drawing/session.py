@@ -4,7 +4,9 @@ import threading
 import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from evo_cpg.config.errors import KeyProblem
 from evo_cpg.config.trust import is_trusted, trusting
@@ -22,6 +24,7 @@ from evo_cpg.drawing.trying import How, simulate
 from evo_cpg.errors import UserError
 
 Answer = dict[str, Any]
+Generations = Annotated[int, Field(ge=1, le=1_000_000)]
 
 # Requests that mean the same on a page that shows a former state of the document.
 _ALWAYS = ("open", "stop", "champion", "watch")
@@ -197,11 +200,9 @@ class Session:
 
         threading.Thread(target=work, daemon=True).start()
 
-    def _train(self, generations: int | None = None) -> None:
+    def _train(self, generations: Generations | None = None) -> None:
         if self._run and self._run.is_running:
             raise DrawingError("a run is going on. Stop it first")
-        if generations is not None and not 1 <= generations <= 1_000_000:
-            raise DrawingError(f"generations: must be at least 1, got {generations}")
         if self.document.is_changed:
             raise DrawingError("save first: a run reads the file")
         found = problems(self.document.data, self.document.path)

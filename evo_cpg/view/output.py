@@ -4,7 +4,6 @@ import contextlib
 import os
 import re
 import subprocess
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, cast
@@ -14,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from evo_cpg.errors import UserError
-from evo_cpg.files import OutputError, cannot_write, in_one_piece, require_place
+from evo_cpg.files import OutputError, beside, cannot_write, in_one_piece, require_place
 from evo_cpg.system import scratch_file
 
 # A palette for each frame. For one common palette, ffmpeg would hold the whole film in memory.
@@ -153,8 +152,8 @@ def save_numbered(pictures: Iterable[Image.Image], path: Path) -> None:
     """
     folder = path.parent.absolute()
     try:
-        with tempfile.TemporaryDirectory(prefix=".frames.", dir=folder.parent) as kept:
-            partial = Path(kept) / "frames"
+        with beside(folder, folder=True) as kept:
+            partial = kept / "frames"
             partial.mkdir()
             for number, picture in enumerate(pictures):
                 picture.save(partial / (path.name % number))

@@ -10,7 +10,7 @@ import yaml
 import evo_cpg as evo
 from evo_cpg.api.opened import open_run
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.fingerprint import changes, changes_since, fingerprint
+from evo_cpg.config.fingerprint import changes, changes_of_fitness, changes_since, fingerprint
 from evo_cpg.config.former import FormerKeyWarning, with_former_values, without_former_values
 from evo_cpg.config.load import load_config, load_run_config
 from evo_cpg.config.numbers import number_at, with_numbers
@@ -68,6 +68,35 @@ def test_a_key_that_the_earlier_version_lacked_counts_if_it_is_set(finished_run)
     assert changes_since(before, config.model_copy(update={"runs": 1})) == []
     assert changes_since(before, config.model_copy(update={"runs": 7})) == ["runs"]
     assert changes_since(None, config) == []
+
+
+@pytest.mark.parametrize(
+    ("given", "change", "harmful"),
+    [
+        ("", "world.gravity=1", True),
+        ("", "creature.light_sensors=[]", True),
+        ("", "simulation.substeps=7", True),
+        ("", "noise.push=0.1", True),
+        ("", "task={type: distance}", True),
+        ("", "controller.cpg.time_scale=2", True),
+        ("evolution={type: map_elites, axes: [{name: speed, range: [0, 1], cells: 4}]}",
+         "evolution.axes.0.range=[0, 2]", True),
+        ("", "audit.disqualify=[speed]", True),
+        ("audit.disqualify=[speed]", "audit.speed=0.5", True),
+        ("", "audit.speed=0.5", False),
+        ("noise.push=0.1", "seed=3", True),
+        ("", "seed=3", False),
+        ("", "name=other", False),
+        ("", "creature.name=other", False),
+        ("", "evolution.mutation_rate=0.3", False),
+    ],
+)  # fmt: skip
+def test_changes_of_the_search_leave_the_fitness(given, change, harmful):
+    given = [given] if given else []
+    before = fingerprint(load_config(CONFIG, given))
+    found = load_config(CONFIG, [*given, change])
+    assert changes_since(before, found) != []
+    assert bool(changes_of_fitness(before, found)) is harmful
 
 
 def test_former_name_of_a_key_works_with_a_warning(tmp_path):

@@ -146,9 +146,7 @@ def test_resume_refuses_fewer_generations_and_another_population(finished_run, c
     written = config.read_text()
     config.write_text(written.replace("population: 8", "population: 12"))
     code, _, err = cli("resume", folder)
-    warning, err = err.splitlines()
-    assert code == 2 and "warning" in warning and "changed since the run" in warning
-    assert "config.yaml was changed: it now has" in err
+    assert code == 2 and "config.yaml was changed: it now has" in err
     assert "12 individuals" in err and "Start a new run instead" in err
     assert config.read_text() == written.replace("population: 8", "population: 12")
 
@@ -192,3 +190,26 @@ def test_resume_refuses_to_drop_a_metric_of_a_strategy(finished_run, cli, tmp_pa
     RunFolder(folder).save(done._replace(history=history))
     code, _, err = cli("resume", folder, "--generations", GENERATIONS + 1)
     assert code == 2 and "metrics.csv would drop spread, but all its rows must have" in err
+
+
+def test_resume_refuses_changes_of_the_fitness(finished_run, cli, tmp_path):
+    """The champion would keep the fitness of other conditions, so better individuals were lost."""
+    folder = RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
+    written = yaml.safe_load(folder.config.read_text())
+    written["world"]["water"]["density"] = 1200.0
+    folder.config.write_text(yaml.safe_dump(written))
+    before = {path: path.read_bytes() for path in folder.path.rglob("*") if path.is_file()}
+    for more in ((), ("--generations", GENERATIONS + 1)):
+        code, _, err = cli("resume", folder.path, *more)
+        assert code == 2 and "last started: world.water. Its champion was evaluated without" in err
+        assert f"train {folder.config} --from {folder.path} --start population" in err
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_resume_continues_with_changes_of_the_search(finished_run, cli, tmp_path):
+    folder = RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
+    text = folder.config.read_text()
+    folder.config.write_text(text.replace("mutation_rate: 0.05", "mutation_rate: 0.3"))
+    code, _, err = cli("resume", folder.path, "--generations", GENERATIONS + 1)
+    assert code == 0 and "evolution.mutation_rate. The run continues with the changes" in err
+    assert rows(folder.path)[:GENERATIONS] == rows(finished_run)

@@ -19,6 +19,7 @@ import pytest
 import evo_cpg as evo
 from evo_cpg.api.machine import machine_changes, machine_fingerprint
 from evo_cpg.cli.errors import ExitCode
+from evo_cpg.config.fingerprint import changes_since
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder
@@ -71,6 +72,7 @@ def test_run_of_1_0_loads(name):
     assert recording.position.shape[1] == len(experiment.creature.bodies)
     newest = folder.load()
     assert newest is not None and newest.generation == 2
+    assert changes_since(folder.read_meta()["fingerprint"], experiment.config) == []
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from evo_cpg.api import sweep as sweeps
 from evo_cpg.api.sweep import new_plan, read_plan
 from evo_cpg.cli import champions
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.sweep import _varied
 from evo_cpg.cli.sweep import sweep as run_sweep
 from evo_cpg.cli.verify import verify
 from evo_cpg.config.load import as_overrides
@@ -192,13 +193,34 @@ def test_a_run_of_a_sweep_can_be_verified(swept, capsys):
         ({"grid": ("seed",)}, "'seed' is not KEY=VALUE,VALUE"),
         ({"grid": ("seed=[1",)}, "is not a list of values"),
         ({"grid": ("name=!!int x",)}, "'!!int x' is not a list of values"),
+        ({"grid": ("seed=[],",)}, r"is not a list of values, such as 1,2,3 or \[0,1\],\[2,3\]"),
         ({"grid": ("seed=1,1",)}, "two settings would be called 'seed=1'"),
+        ({"grid": ("seed=1", "seed=2")}, r"seed is given twice\. Give all its values in one"),
+        ({"grid": ("seed=1,2",), "given": ("seed=3",)}, "seed is given twice"),
+        (
+            {"grid": ("evolution.sigma=4,8", "evolution={type: real},{type: random}"), "given": ()},
+            r"evolution would replace evolution\.sigma",
+        ),
+        (
+            {"grid": ("controller.cpg.sensory_feedback=0,1", "controller.cpg.constant_input=0,1")},
+            "constant_input would replace controller",
+        ),
         ({"only": ("there",)}, r"no setting 'there'\. Allowed: mutation_rate=0.02, mutation_rate"),
     ],
 )
 def test_wrong_options_are_refused(tmp_path, given, words):
     with pytest.raises(UsageError, match=words):
         sweep(tmp_path / "sweep", **given)
+
+
+@pytest.mark.parametrize("text", ["[1,2],[3,4]", "[[1,2],[3,4]]", " [1, 2] , [3, 4]"])
+def test_a_grid_may_hold_vectors(text):
+    found = _varied((), (f"simulation.start={text}",), None)
+    assert [setting.values for setting in found] == [
+        {"simulation.start": [1, 2]},
+        {"simulation.start": [3, 4]},
+    ]
+    assert [setting.name for setting in found] == ["start=1_2", "start=3_4"]
 
 
 def test_a_wrong_setting_is_refused_before_any_run(tmp_path):

@@ -172,6 +172,20 @@ def test_a_long_setting_is_not_read_as_a_file_name(refused):
 
 
 @pytest.mark.parametrize(
+    ("earlier", "later"),
+    [
+        ("seed=1", "seed=2"),
+        ("creature.bodies.1.repeat=2", "creature.bodies.01.repeat=3"),
+        ("evolution.population=40", "evolution={type: random}"),
+    ],
+)
+def test_an_override_that_another_replaces_is_named(cli, earlier, later):
+    code, _, err = cli("validate", CONFIG, earlier, later)
+    words = f"{earlier.partition('=')[0]} is given twice. Only the last value counts: {later}"
+    assert code == 0 and words in err
+
+
+@pytest.mark.parametrize(
     ("mesh", "scale", "expected"),
     [
         (lambda: trimesh.creation.annulus(0.05, 0.1, 0.1), 1, "it is not convex"),
@@ -474,7 +488,7 @@ def test_a_creature_without_genes_is_drawn_and_exported(cli, tmp_path):
     ],
 )
 def test_zero_and_empty_values_are_rejected(cli, override, words):
-    code, out, err = cli("validate", CONFIG, *TINY, override)
+    code, out, err = cli("validate", CONFIG, override)
     assert (code, out) == (2, "") and words in err and err.count("\n") == 1
 
 

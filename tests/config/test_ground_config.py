@@ -89,6 +89,72 @@ def test_saved_configuration_contains_the_heights_of_a_file(suffix, tmp_path):
     assert (relief.corner, relief.spacing) == ((-0.5, -0.25), 0.5)
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("bom.csv", b"\xef\xbb\xbf0,300\n-1,2.5\n"),
+        ("spreadsheet.csv", b"0;300\r\n-1;2.5\r\n"),
+        ("quoted.csv", b'"0","300"\n"-1","2.5"\n'),
+        ("spaces.csv", b"0 300\n-1  2.5\n"),
+        ("tabs.txt", b"# x; y\n0\t300\n-1\t2.5\n"),
+        ("commas.txt", b"0, 300\n-1, 2.5\n"),
+        ("float.tif", np.float32),
+        ("whole.tif", np.int32),
+        ("whole.npy", np.int16),
+    ],
+)
+def test_heights_in_metres_keep_their_values(tmp_path, name, text):
+    heights = np.array([[0, 300], [-1, 2.5]])
+    if isinstance(text, bytes):
+        (tmp_path / name).write_bytes(text)
+    elif name.endswith("npy"):
+        np.save(tmp_path / name, heights.astype(text))
+    else:
+        Image.fromarray(heights.T[::-1].astype(text)).save(tmp_path / name)
+    found = build(f"floor={{type: relief, file: {tmp_path / name}}}").floor.heights
+    whole = isinstance(text, type) and issubclass(text, np.integer)
+    np.testing.assert_array_equal(found, heights.astype(int) if whole else heights)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.csv", b"0,5;1\n2;3\n", "decimal commas"),
+        ("a.csv", b'"0,5","1"\n"2","3"\n', "decimal commas"),
+        ("a.txt", b"0,5 1,5\n2 3\n", "decimal commas"),
+        ("a.csv", b"0,1\n2,-9999\n", "-9999 marks missing heights"),
+        ("a.csv", b"0,1\n2,nan\n", "finite numbers"),
+        ("a.csv", b"0,1\n2,\n", "cannot be read"),
+        ("a.npy", np.array([[0, 1j], [1, 2]]), "complex128, and not real numbers"),
+        ("a.npy", np.full((300, 2), "x"), "<U1, and not real numbers"),
+        ("a.tif", np.float32([[0, -3.4028235e38], [1, 2]]), "marks missing heights"),
+        ("a.png", np.uint8([[[255, 0, 0]] * 2] * 2), "it is coloured"),
+        ("a.png", np.uint8([[[9, 9, 9, 0]] * 2] * 2), "transparent pixels"),
+        ("a.csv", b"0,1\n2,3\n", "in metres already"),
+        ("a.tif", np.float32([[0, 1], [2, 3]]), "in metres already"),
+    ],
+)
+def test_heights_that_would_mean_something_else_are_rejected(tmp_path, name, content, words):
+    path = tmp_path / name
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif name.endswith("npy"):
+        np.save(path, content)
+    else:
+        Image.fromarray(content).save(path)
+    with pytest.raises(ConfigError, match=words):
+        build(f"floor={{type: relief, highest: 2, file: {path}}}")
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "LA", "RGBA"])
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_white_is_highest_in_every_kind_of_image(tmp_path, mode, suffix):
+    path = tmp_path / f"a.{suffix}"
+    Image.fromarray(np.uint8([[0, 255], [255, 0]])).convert(mode).save(path)
+    found = build(f"floor={{type: relief, highest: 2, file: {path}}}").floor.heights
+    np.testing.assert_array_equal(found, [[2, 0], [0, 2]])
+
+
 def test_an_animal_stands_at_its_start():
     """It stands as high above a plateau as above level ground, with the given heading."""
     level = build_experiment(load_config(HEXAPOD), HEXAPOD).simulation.situations[0]

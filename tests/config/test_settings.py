@@ -46,6 +46,8 @@ def test_duplicate_names_and_too_many_settings_are_rejected():
         combine({"seed": [1, 1]}, {})
     with pytest.raises(ValueError, match="at most 1000 settings, got 10000"):
         combine({"seed": list(range(100)), "world.gravity": list(range(100))}, {})
+    with pytest.raises(ValueError, match=r"evolution would replace evolution\.elites of .*'few'"):
+        combine({"evolution": [{"type": "random"}]}, {"few": {"evolution.elites": 1}})
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,14 @@ def test_another_origin_is_refused_even_with_the_token(server, headers):
     assert ask(server, "/open", {}, Origin=server.origin, Sec_Fetch_Site="same-origin")[0] == 200
 
 
+@pytest.mark.parametrize("host", ["localhost:{port}", "127.0.0.1:1", "lab.example:{port}"])
+def test_a_forwarded_port_is_answered_with_the_way(server, host):
+    port = server.server_address[1]
+    status, answer = ask(server, f"/?token={server.token}", Host=host.format(port=port))
+    assert status == 403 and f"only at {server.origin}" in answer["error"]
+    assert f"ssh -L {port}:127.0.0.1:{port} " in answer["error"]
+
+
 def test_no_websocket_and_no_other_method_opens(server):
     handshake = {
         "Connection": "Upgrade",
@@ -172,6 +180,7 @@ def test_meshes_are_checked_before_they_are_kept(server, tmp_path):
         assert "error" in upload(name, content)
         assert not (tmp_path / name).exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my_part.stl"]
+    assert upload("%E5%BD%A2.stl", good) == {"file": "形.stl"}
     # A ring is a body only as its convex hull, about which the page asks.
     ring = bytes(trimesh.creation.annulus(0.05, 0.1, 0.1, sections=16).export(file_type="glb"))
     answer = upload("ring.glb", ring)
@@ -270,7 +279,8 @@ def test_a_session_refuses_in_words(server):
 
     assert "without a folder" in error("/save", name="../x.yaml")
     assert "must be the name of a .yaml file" in error("/save", name="x.txt")
-    assert "at least 1, got 0" in error("/train", generations=0)
+    for number, words in ((0, "greater than or equal to 1"), (2.5, "whole number")):
+        assert words in error("/train", generations=number)
     assert "save first" in error("/train")
     assert "there is no run" in error("/watch")
     assert "there is no run" in error("/live_page")

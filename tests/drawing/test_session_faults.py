@@ -139,6 +139,23 @@ def test_a_long_name_of_a_mesh_is_shortened(session, tmp_path):
     assert "exists with other content" in session.upload("b.stl", good)["error"]
 
 
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("形.stl", "形.stl"),
+        ("körper.STL", "körper.STL"),
+        ("ko\u0308rper.stl", "körper.stl"),
+        ("形" * 200 + ".stl", "形" * 33 + ".stl"),
+        ("!!!.stl", "mesh.stl"),
+        (".stl", "mesh.stl"),
+    ],
+)
+def test_a_mesh_keeps_the_letters_of_its_name(session, tmp_path, name, kept):
+    good = bytes(trimesh.creation.box((0.2, 0.1, 0.1)).export(file_type="stl"))
+    assert session.upload(name, good) == {"file": kept}
+    assert (tmp_path / kept).read_bytes() == good
+
+
 RUN = """
 import os, signal, sys, time
 from pathlib import Path

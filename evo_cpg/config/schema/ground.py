@@ -190,8 +190,8 @@ class ReliefFileConfig(Section):
 
     Attributes:
         file: array (.npy), table (.csv, .txt) or image with the heights.
-        lowest: height of black in an image, m.
-        highest: height of white in an image, m.
+        lowest: height of black in an image of 8 or 16 bits, m.
+        highest: height of white in an image of 8 or 16 bits, m.
     """
 
     file: str

@@ -478,7 +478,9 @@
     const usual = state.data.evolution?.generations ?? 50;
     const given = await ask("Train a run in the folder runs, beside the file", { words: "generations", value: String(usual), act: "Train" });
     if (given === null) return;
-    const answer = await request("train", { generations: Math.round(Number(given)) || null });
+    // An empty field means the file's number. The server refuses what is no number.
+    const count = Number.isFinite(Number(given)) ? Number(given) : given;
+    const answer = await request("train", { generations: given.trim() ? count : null });
     if (!answer.error) watch();
   });
   $("stop").addEventListener("click", () => request("stop"));

@@ -64,6 +64,15 @@ class PageServer(socketserver.ThreadingMixIn, http.server.HTTPServer):
         """Address of the page, with the token."""
         return f"{self.origin}/?token={self.token}"
 
+    @property
+    def reach(self) -> str:
+        """Advice on how to reach the page from another machine."""
+        port = self.server_address[1]
+        return (
+            f"To open it on another machine, run `ssh -L {port}:{HOST}:{port} USER@THIS-MACHINE` "
+            "there, and open the printed address there"
+        )
+
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore connections that the browser drops. Print a fault of this program."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
@@ -129,7 +138,8 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
         given = token if token is not None else self.headers.get("X-Token", "")
         own = self.headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin")
         if f"http://{host}" != origin:
-            self.refuse(HTTPStatus.FORBIDDEN, "wrong host")
+            words = f"the page answers only at {origin}, with this port. {self.server.reach}"
+            self.refuse(HTTPStatus.FORBIDDEN, words)
         elif self.headers.get("Origin", origin) != origin or not own:
             self.refuse(HTTPStatus.FORBIDDEN, "wrong origin")
         elif not secrets.compare_digest(given.encode(), self.server.token.encode()):
