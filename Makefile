@@ -13,7 +13,7 @@ DEV := $(VENV)/.installed-dev
 RUN := runs/swim-$(shell date +%Y%m%d-%H%M%S)
 
 .DEFAULT_GOAL := help
-.PHONY: help swim test test-all test-slow test-shapes test-jax test-mutants test-wheel test-matrix test-compatibility traces check bench docs format clean
+.PHONY: help swim test test-all test-slow test-shapes test-rounding test-jax test-mutants test-wheel test-matrix test-compatibility traces check bench docs format clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -36,6 +36,9 @@ test-shapes: $(DEV) ## run the fast tests with the shapes of all arrays checked
 
 test-mutants: $(DEV) ## put mistakes into the code, one at a time, and see whether the tests notice
 	$(BIN)/python benchmarks/mutants.py
+
+test-rounding: $(DEV) ## run the fast tests seven times, each with another rounding; about 40 minutes
+	$(BIN)/python benchmarks/rounding.py
 
 test-jax: $(DEV) ## physics, oscillators and their derivatives on plain JAX, without native code
 	$(BIN)/pytest --engine=jax tests/spatial tests/physics tests/control

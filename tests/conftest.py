@@ -8,6 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import rounding
 import xla_flags
 
 # JAX reads these at its start, so they are set before any import of JAX. Each device has one
@@ -17,7 +18,7 @@ os.environ["JAX_PLATFORMS"] = "cpu"
 os.environ["NPROC"] = "1"
 # Most tests write their own configurations with the repository's creatures.
 os.environ["EVO_CPG_TRUST"] = "1"
-os.environ["XLA_FLAGS"] = " ".join(("--xla_force_host_platform_device_count=2", *xla_flags.quick()))
+os.environ["XLA_FLAGS"] = " ".join((*rounding.prepare(), *xla_flags.quick()))
 
 import hypothesis
 import jax
@@ -34,6 +35,8 @@ if os.environ.get("EVO_CPG_TESTS_SHAPES"):
     _CHECKED = [f"evo_cpg.{path.parent.name}" for path in _PACKAGE.glob("*/__init__.py")]
     _CHECKED = sorted(set(_CHECKED) - {"evo_cpg.fusion", "evo_cpg.cli"})
     jaxtyping.install_import_hook(_CHECKED, "runtime_checks.typechecker")
+
+rounding.nudge()
 
 from costs import Costs
 from evo_cpg.fusion import engine
