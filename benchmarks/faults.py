@@ -44,7 +44,7 @@ from evo_cpg.errors import UserError
 ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
 
-_SMALL = ("simulation.steps=120", "evolution.generations=40")
+_SMALL = ("simulation.seconds=2", "evolution.generations=40")
 _PAIR = (*_SMALL, "creature.bodies.1.repeat=1", "creature.bodies.1.joint.axes=[z]")
 _SWIM = (*_PAIR, "evolution.population=16", "evolution.elites=4", "world.water.form_resolution=1")
 _LIGHTS = "simulation.trials=[{light: {bearing_deg: 30}}, {light: {bearing_deg: -30}}]"
@@ -56,12 +56,17 @@ KINDS = {
     "several lights": ("iwadate2010_swimmer", (*_SWIM, _LIGHTS)),
     "learning": (
         "iwadate2010_swimmer",
-        (*_SWIM, "simulation.steps=30", "evolution.learning.every=4", "evolution.learning.steps=1"),
+        (
+            *_SWIM,
+            "simulation.seconds=0.5",
+            "evolution.learning.every=4",
+            "evolution.learning.steps=1",
+        ),
     ),
     "noise and trials": ("iwadate2010_swimmer", (*_SWIM, *_NOISE, "simulation.trials=3")),
     "walkers side by side": (
         "fukui2003_model1",
-        ("simulation.steps=60", "runs=3", "evolution.generations=40", "noise.friction=0.2"),
+        ("simulation.seconds=1", "runs=3", "evolution.generations=40", "noise.friction=0.2"),
     ),
 }
 
@@ -504,7 +509,7 @@ def hour(out: Path, minutes: int) -> dict[str, Any]:
     """Train one run, and inspect it once a minute."""
     run = out / "hour"
     words = command(
-        "train", CONFIGS / "iwadate2010_swimmer.yaml", "simulation.steps=200",
+        "train", CONFIGS / "iwadate2010_swimmer.yaml", "simulation.seconds=3.333",
         "evolution.generations=1000000", "--out", run,
     )  # fmt: skip
     process = subprocess.Popen(

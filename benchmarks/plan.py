@@ -22,7 +22,7 @@ MODELS = ROOT / "benchmarks" / "models"
 # Overrides for three of the swimmer's ten bodies, a small population and short trials.
 SMALL_SWIMMER = (
     "creature.bodies.1.repeat=2",
-    "simulation.steps=60",
+    "simulation.seconds=1",
     "evolution.population=32",
     "evolution.elites=4",
 )

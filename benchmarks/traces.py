@@ -52,7 +52,7 @@ _PLACES = 10
 
 # Sections of a configuration that do not change the motion.
 _WITHOUT_EFFECT = {"name", "seed", "runs", "noise", "measures", "evolution", "audit"}
-_TRIALS_WITHOUT_EFFECT = {"steps", "trials"}
+_TRIALS_WITHOUT_EFFECT = {"seconds", "trials"}
 
 Trace = dict[str, Any]
 

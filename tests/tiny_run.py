@@ -16,7 +16,7 @@ TINY = (
     "creature.bodies.1.repeat=2",
     "world.water.form_resolution=1",
     "controller.brain.hidden=[4]",
-    "simulation.steps=60",
+    "simulation.seconds=1",
     "evolution.population=8",
     "evolution.elites=2",
     "evolution.generations=4",
@@ -31,7 +31,7 @@ VISCOUS = ("world.water.viscosity=0.001", "world.water.law=null", "world.water.s
 
 # Enough generations of enough length to stop a run in the middle, on a busy machine too.
 GENERATIONS = 30
-LONG = (*PAIR, "simulation.steps=300", f"evolution.generations={GENERATIONS}")
+LONG = (*PAIR, "simulation.seconds=5", f"evolution.generations={GENERATIONS}")
 
 
 def program(

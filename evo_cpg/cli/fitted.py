@@ -198,7 +198,7 @@ def _trial_of(recording: MeasuredMotion, config: ExperimentConfig) -> Experiment
     """Return the configuration with a single trial, as long as the recording."""
     rate = config.simulation.control_rate_hz
     steps = max(1, math.ceil(float(recording.time.max()) * rate - 1e-9))
-    trial = config.simulation.model_copy(update={"steps": steps, "trials": 1})
+    trial = config.simulation.model_copy(update={"seconds": steps / rate, "trials": 1})
     return config.model_copy(update={"simulation": trial})
 
 

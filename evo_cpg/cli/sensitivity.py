@@ -70,7 +70,7 @@ def sensitivity(
                 f"{steps / rate:g} s, the length of a trial of {run}"
             )
         steps = round(control_steps)
-    trial = config.simulation.model_copy(update={"steps": steps})
+    trial = config.simulation.model_copy(update={"seconds": steps / rate})
     if isinstance(trial.trials, list):
         trial = trial.model_copy(update={"trials": trial.trials[:1]})
     config = config.model_copy(update={"simulation": trial})

@@ -14,6 +14,9 @@ Place = tuple[str | int, ...]
 # If a key has the wrong type, pydantic ends the location of the error with this part.
 _OF_KEY = "[key]"
 
+# Units that are multiples of ours, so that the bare number would mean something else.
+_OTHER_UNITS = {"ms", "min", "h", "mm", "cm", "km", "g", "rad"}
+
 _SIMPLE = {
     "string": ("text", "texts"),
     "number": ("a number", "numbers"),
@@ -219,9 +222,11 @@ def _simple_kind(option: Schema) -> str | None:
 
 
 def _number_or_text(text: str) -> Any:
-    """Return the number that a text begins with, or the text."""
+    """Return the number that a text begins with, or the text, also if its unit needs a factor."""
     plain = text.replace("\N{MINUS SIGN}", "-").replace(",", ".")
     words = plain.split()
+    if words[1:] and words[1] in _OTHER_UNITS:
+        return text
     for kind in (int, float):
         try:
             return kind(words[0])

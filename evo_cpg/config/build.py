@@ -204,7 +204,7 @@ def build_simulation(
         task=task,
         control_rate=config.simulation.control_rate_hz,
         substeps=config.simulation.substeps,
-        steps=config.simulation.steps,
+        steps=chosen(lambda: config.simulation.steps),
         noise=noise,
         situations=situations,
         engine=engine,

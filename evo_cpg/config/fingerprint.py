@@ -79,7 +79,9 @@ def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
             continue
         names = {*old, *now[kind]}
         found += [
-            form.format(name) for name in sorted(names) if old.get(name) != now[kind].get(name)
+            form.format(name).replace("simulation.steps", "simulation.seconds")
+            for name in sorted(names)
+            if old.get(name) != now[kind].get(name)
         ]
     return found
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from evo_cpg.config.errors import KeyProblem
+from evo_cpg.config.schema.trial import MOST_STEPS, SimulationConfig
 
 # New names of keys, which the former names may replace until version 2.0.
 RENAMED = {"sensory_feedback": "constant_input"}
@@ -51,11 +52,7 @@ def current_key(key: tuple[str, ...]) -> tuple[str, ...]:
     new = newest_key(key)
     if new == key:
         return key
-    warnings.warn(
-        f"{'.'.join(key)} is now called {'.'.join(new)}. The former name works until version 2.0",
-        FormerKeyWarning,
-        stacklevel=2,
-    )
+    _warn(f"{'.'.join(key)} is now called {'.'.join(new)}")
     return new
 
 
@@ -74,6 +71,44 @@ def use_current_names(data: dict[str, Any]) -> None:
             if new in place:
                 raise KeyProblem((*section, former), f"is given twice, also as {new}")
             place[new] = place.pop(former)
+    simulation = data.get("simulation")
+    if isinstance(simulation, dict) and {"steps", "seconds"} <= simulation.keys():
+        raise KeyProblem(("simulation", "steps"), "is given twice, also as seconds")
+
+
+def with_seconds(data: dict[str, Any], warns: bool = True) -> dict[str, Any]:
+    """Return a configuration in which `seconds` replaces the former number of control steps.
+
+    Call this after all overrides, because the duration depends on the control rate.
+
+    Raises:
+        KeyProblem: the number of steps is wrong.
+    """
+    simulation = data.get("simulation")
+    if not isinstance(simulation, dict) or "steps" not in simulation:
+        return data
+    steps = simulation["steps"]
+    is_number = isinstance(steps, int | float) and not isinstance(steps, bool)
+    if not (is_number and 1 <= steps <= MOST_STEPS and steps == int(steps)):
+        raise KeyProblem(
+            ("simulation", "steps"),
+            f"{repr(steps)[:60]}: must be a whole number of control steps, from 1 to {MOST_STEPS}. "
+            "For a duration, set simulation.seconds",
+        )
+    rest = {key: value for key, value in simulation.items() if key != "steps"}
+    rate = rest.get("control_rate_hz", SimulationConfig().control_rate_hz)
+    if isinstance(rate, int | float) and rate > 0:
+        # The check refuses any other rate.
+        rest["seconds"] = steps / rate
+        words = f"{steps} control steps are {rest['seconds']:.6g} s"
+        if warns:
+            _warn(f"simulation.steps is now called simulation.seconds: {words}")
+    return data | {"simulation": rest}
+
+
+def _warn(change: str) -> None:
+    words = f"{change}. The former name works until version 2.0"
+    warnings.warn(words, FormerKeyWarning, stacklevel=3)
 
 
 def _with_name(found: dict[str, Any], old: str, new: str) -> dict[str, Any]:
@@ -87,7 +122,7 @@ def with_former_values(data: dict[str, Any]) -> dict[str, Any]:
         data = _changed(data, section, lambda found, values=values: values | found)
     for former, section in _SECTIONS.items():
         data = _renamed(data, section, former, RENAMED[former])
-    return data
+    return with_seconds(data, warns=False)
 
 
 def without_former_values(data: dict[str, Any]) -> dict[str, Any]:
@@ -100,7 +135,15 @@ def without_former_values(data: dict[str, Any]) -> dict[str, Any]:
         data = _changed(data, section, lambda found, values=values: known(found, values))
     for former, section in _SECTIONS.items():
         data = _renamed(data, section, RENAMED[former], former)
-    return data
+    return _changed(data, ("simulation",), _with_steps)
+
+
+def _with_steps(found: dict[str, Any]) -> dict[str, Any]:
+    """Return the section of a trial with the former key for its duration."""
+    if "seconds" not in found:
+        return found
+    steps = SimulationConfig(**found).steps
+    return {key: value for key, value in found.items() if key != "seconds"} | {"steps": steps}
 
 
 def _renamed(data: dict[str, Any], section: tuple[str, ...], old: str, new: str) -> dict[str, Any]:

@@ -11,7 +11,12 @@ import yaml
 
 from evo_cpg.config.errors import ConfigError, Key, KeyProblem, under
 from evo_cpg.config.files import read_small
-from evo_cpg.config.former import current_key, use_current_names, with_former_values
+from evo_cpg.config.former import (
+    current_key,
+    use_current_names,
+    with_former_values,
+    with_seconds,
+)
 from evo_cpg.config.keys import follow, is_index, parts_of, value_at
 from evo_cpg.config.lines import located
 from evo_cpg.config.named_files import read_heights, read_mesh
@@ -98,6 +103,7 @@ def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
 
 
 def _check(data: dict[str, Any]) -> ExperimentConfig:
+    data = with_seconds(data)
     config = checked(ExperimentConfig, data)
     for key, value, problem in _misread(data, config.model_dump()):
         raise KeyProblem(key, f"{short(value)}: {problem}")
@@ -268,6 +274,9 @@ def _apply(data: dict[str, Any], override: str) -> None:
         place, known = place[part], known + 1
     if known == len(parents) and isinstance(place, dict):
         place[last] = value
+        if parents == ["simulation"] and last in ("steps", "seconds"):
+            # The override replaces the duration in either form.
+            place.pop("seconds" if last == "steps" else "steps", None)
     elif known == len(parents) and isinstance(place, list) and is_index(last, place):
         place[int(last)] = value
     else:

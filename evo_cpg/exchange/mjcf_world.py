@@ -99,7 +99,7 @@ def experiment(
         displaced: whether the root can move.
         springs: whether a motor follows angles.
     """
-    simulation: dict[str, Any] = {"control_rate_hz": 60, "substeps": 4, "steps": 600}
+    simulation: dict[str, Any] = {"control_rate_hz": 60, "substeps": 4, "seconds": 10}
     if clearance > _ALIKE:
         simulation["start_clearance"] = tidy(clearance)
     walks = bool(world.get("ground")) and world["gravity"] > 0 and displaced

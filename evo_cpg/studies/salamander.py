@@ -140,8 +140,8 @@ def _evaluated_in(workshop: Workshop, world: str, name: str) -> dict[str, list[l
         if world == "shore" and name != "shore":
             # Animals that did not evolve at the shore have no depth sensor.
             declared, source = workshop.member(world).config, workshop.member(world).source
-            steps = f"simulation.steps={declared.simulation.steps}"
-            config = load_config(source, ["creature.depth_sensors=[]", steps])
+            seconds = f"simulation.seconds={declared.simulation.seconds}"
+            config = load_config(source, ["creature.depth_sensors=[]", seconds])
             simulation = build_experiment(config, source).simulation
         genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
         measured = dataclasses.replace(simulation, measures=measures("tilt"))

@@ -46,9 +46,9 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Number of runs, generations and control steps with --quick. Terms of the last second need a trial
-# of at least one second.
-_QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
+# Number of runs and generations, and duration of a trial (s), with --quick. Terms of the last
+# second need a trial of at least one second.
+_QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_SECONDS = 2, 2, 1
 # The population allows five islands of four individuals.
 _QUICK_POPULATION, _QUICK_ELITES = 20, 2
 
@@ -288,7 +288,7 @@ def markdown(table: Table) -> str:
 def _smaller(source: Path, overrides: Sequence[str], count: int) -> list[str]:
     """Return overrides that make runs small enough for a test."""
     evolution = load_config(source, overrides).evolution.model_dump()
-    small = [f"runs={min(count, _QUICK_RUNS)}", f"simulation.steps={_QUICK_STEPS}"]
+    small = [f"runs={min(count, _QUICK_RUNS)}", f"simulation.seconds={_QUICK_SECONDS}"]
     small.append(f"evolution.generations={_QUICK_GENERATIONS}")
     if evolution["population"] > _QUICK_POPULATION:
         small.append(f"evolution.population={_QUICK_POPULATION}")

@@ -178,7 +178,7 @@ def test_intervals_hold_the_friction_of_a_sliding_block():
                     "floor": {"slope_deg": 20.0},
                 },
             },
-            "simulation": {"steps": 40},
+            "simulation": {"seconds": 40 / 60},
             "controller": {"type": "evo_cpg.control.commanded:Commanded"},
             "task": {"type": "distance"},
         },
@@ -214,7 +214,7 @@ def test_intervals_hold_the_drag_of_a_coasting_plate():
                 "bodies": [plate],
             },
             "world": {"water": {"form_drag": 1.0, "skin_drag": 0.05}},
-            "simulation": {"steps": 60, "substeps": 1},
+            "simulation": {"seconds": 1, "substeps": 1},
             "controller": {"type": "evo_cpg.control.commanded:Commanded"},
             "task": {"type": "distance"},
         },
@@ -240,7 +240,7 @@ def test_intervals_hold_the_drag_of_a_driven_swimmer():
     This case is hard: the path determines the drags only to a fifth of their values.
     """
     keys = ["world.water.form_drag", "world.water.skin_drag"]
-    overrides = ["simulation.steps=90", "simulation.substeps=1", "world.water.skin_drag=0.1"]
+    overrides = ["simulation.seconds=1.5", "simulation.substeps=1", "world.water.skin_drag=0.1"]
     parameters = parametrise(load_config(CONFIG, [*TINY, *overrides]), CONFIG, keys)
     simulation = parameters.experiment.simulation
     dofs = simulation.world.tree.dof_count
@@ -285,7 +285,7 @@ def test_intervals_hold_the_constants_of_an_oscillator():
                 "bodies": bodies,
             },
             "world": {"water": None, "gravity": 0.0},
-            "simulation": {"steps": 120, "substeps": 1},
+            "simulation": {"seconds": 2, "substeps": 1},
             "controller": {
                 "type": "brain_cpg",
                 "brain": {"hidden": [2]},

@@ -16,7 +16,7 @@ DENSITY, LENGTH = "creature.materials.body.density", "creature.bodies.1.shape.si
 @pytest.fixture(scope="module")
 def experiment():
     jax.devices()
-    loaded = evo.load(CONFIG, [*TINY, "simulation.steps=30"])
+    loaded = evo.load(CONFIG, [*TINY, "simulation.seconds=0.5"])
     return loaded.with_fitness(lambda terms: terms["energy"])
 
 
@@ -55,7 +55,7 @@ def test_one_program_serves_all_populations(experiment, genomes, numbers):
 @pytest.mark.slow
 def test_a_longer_limb_shelters_other_surface_points(genomes):
     """Other points are sheltered in each body. They have no area, even at the surface."""
-    loaded = evo.load(CONFIG, [*TINY, "simulation.steps=30", "world.water.surface=0.02"])
+    loaded = evo.load(CONFIG, [*TINY, "simulation.seconds=0.5", "world.water.surface=0.02"])
     loaded = loaded.with_fitness(lambda terms: terms["energy"])
     lengths = number_at(loaded.config, LENGTH) * np.array([1.0, 1.3, 2.5])
     together = loaded.evaluate(0, genomes, {LENGTH: lengths})
@@ -88,7 +88,7 @@ def test_bodies_that_do_not_fit_the_plan_are_built_one_by_one(experiment, genome
 @pytest.mark.slow
 def test_a_new_pair_of_colliding_limbs_makes_a_new_plan():
     hips = [f"creature.bodies.{i}.joint.at.0" for i in (1, 3)]
-    loaded = evo.load(WALKER, ["simulation.steps=3"]).with_numbers(dict.fromkeys(hips, 1.2))
+    loaded = evo.load(WALKER, ["simulation.seconds=0.05"]).with_numbers(dict.fromkeys(hips, 1.2))
     genomes = loaded.random_genomes(0, 2)
     apart = {key: np.array([1.2, 1.3]) for key in hips}
     assert np.isfinite(loaded.evaluate(0, genomes, apart).fitness).all()
@@ -105,7 +105,7 @@ def test_a_new_pair_of_colliding_limbs_makes_a_new_plan():
 @pytest.mark.slow
 def test_a_kink_refuses_the_derivative_but_not_the_value():
     """The initial height follows the longest lower leg."""
-    loaded = evo.load(WALKER, ["simulation.steps=2"])
+    loaded = evo.load(WALKER, ["simulation.seconds=0.0333"])
     key = "creature.bodies.2.shape.size.2"
     genome, length = loaded.random_genomes(0, 1)[0], np.array([number_at(loaded.config, key)])
     fitness = loaded.fitness_function(numbers=[key])
@@ -149,7 +149,7 @@ def test_values_that_change_the_layout_are_refused(experiment, genomes):
     ids=["two bodies", "three bodies"],
 )
 def test_the_gradient_by_body_numbers_equals_finite_differences(overrides):
-    loaded = evo.load(CONFIG, [*TINY, *overrides, "simulation.steps=8"])
+    loaded = evo.load(CONFIG, [*TINY, *overrides, "simulation.seconds=0.1333"])
     experiment = loaded.with_fitness(lambda terms: terms["energy"])
     genome = experiment.random_genomes(0, 1)[0].astype(np.float64)
     values = np.array([900.0, 0.2])

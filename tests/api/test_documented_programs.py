@@ -22,7 +22,9 @@ ROOT = Path(__file__).parents[2]
 def programs(page: str) -> list[str]:
     """Return the Python blocks of a page, with shorter trials and fewer individuals."""
     found = re.findall(r"```python\n(.+?)```", (ROOT / page).read_text(), re.S)
-    short = [one.replace('"simulation.steps": 300', '"simulation.steps": 10') for one in found]
+    short = [
+        one.replace('"simulation.seconds": 5', '"simulation.seconds": 0.1667') for one in found
+    ]
     # The smaller animal is a file of the working folder.
     name, path = '"iwadate2010_swimmer"', '"configs/iwadate2010_swimmer.yaml"'
     short = [one.replace(f"load({name}", f"load({path}") for one in short]
@@ -125,7 +127,7 @@ def test_the_documented_rower_has_no_resting_oscillator(here, monkeypatch):
     *_, config = configs("docs/own.md")
     (here / "rower.yaml").write_text(config)
     # The run is short, and the body is the body of the page.
-    short = {"simulation.steps": 30, "evolution.generations": 1, "evolution.population": 8}
+    short = {"simulation.seconds": 0.5, "evolution.generations": 1, "evolution.population": 8}
     experiment = evo.load("rower.yaml", short | {"evolution.elites": 2})
     controller = experiment.parts.simulation.controller
     assert isinstance(controller, BrainCpg)
@@ -182,7 +184,7 @@ def test_the_task_of_the_tutorial_trains(here, monkeypatch):
     config = yaml.safe_load((here / "configs" / "turtle.yaml").read_text())
     config |= yaml.safe_load(sections) | {"creature": "configs/creatures/turtle.yaml"}
     (here / "turtle.yaml").write_text(yaml.safe_dump(config))
-    short = {"simulation.steps": 120, "evolution.generations": 3, "evolution.population": 16}
+    short = {"simulation.seconds": 2, "evolution.generations": 3, "evolution.population": 16}
     trained = evo.train(evo.load("turtle.yaml", short | {"evolution.elites": 4}), "runs/diver")
     depth, energy = trained.terms["depth"], trained.terms["energy"]
     # An animal at rest has the fitness 0.

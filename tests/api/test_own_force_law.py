@@ -229,7 +229,7 @@ def test_a_force_law_trains_replays_and_balances_energy(glider):
 def test_a_number_of_a_law_has_a_derivative(glider):
     """Compare the derivative with a central difference of rebuilt simulations."""
     source = glider / "glider.yaml"
-    config = load_config(source, ["simulation.steps=5"])
+    config = load_config(source, ["simulation.seconds=0.0833"])
     parameters = parametrise(config, source, ["world.forces.0.options.area"])
     genes = jnp.full((3, 1), 1.0)
 
@@ -291,9 +291,9 @@ def test_a_law_beyond_native_code_runs_on_plain_jax(glider, request):
     if request.config.getoption("--engine") == "jax":
         pytest.skip("everything runs on plain JAX")
     law = {"type": "plate:Strange", "options": {"body": "fluke", "area": 0.03}}
-    strange = evo.load("glider.yaml", {"world.forces": [law], "simulation.steps": 2})
+    strange = evo.load("glider.yaml", {"world.forces": [law], "simulation.seconds": 0.0333})
     genes = np.full((1, 3), 1.0, np.float32)
     with pytest.warns(EngineWarning, match=r"Strange.wrench runs on plain JAX.*fft"):
         found = strange.evaluate(0, genes).fitness
-    same = evo.load("glider.yaml", {"simulation.steps": 2}).evaluate(0, genes).fitness
+    same = evo.load("glider.yaml", {"simulation.seconds": 0.0333}).evaluate(0, genes).fitness
     np.testing.assert_allclose(found, same, rtol=1e-4)

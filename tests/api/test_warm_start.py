@@ -13,7 +13,7 @@ from evo_cpg.api.warm_start import warm_start
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from tiny_run import CONFIG, PAIR
 
-SHORT = (*PAIR, "simulation.steps=20", "evolution.generations=2", "runs=2")
+SHORT = (*PAIR, "simulation.seconds=0.3333", "evolution.generations=2", "runs=2")
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ CHANGED = "config.yaml has changed since the champion evolved"
 WALKER = REPOSITORY / "configs" / "fukui2003_model2.yaml"
 MEASURES = ("speed", "power", "cost_of_transport", "duty_factor", "airborne")
 SMALL_WALK = (
-    "simulation.steps=120",
+    "simulation.seconds=2",
     "runs=1",
     "evolution.population=4",
     "evolution.elites=2",
@@ -46,7 +46,7 @@ def swimmer(cli, tmp_path_factory) -> Path:
     """Make a run of three bodies that swim for two seconds, with its page."""
     run = tmp_path_factory.mktemp("swimmer") / "run"
     planar = "creature.bodies.1.joint.axes=[z]"
-    settings = (*TINY, planar, "simulation.steps=240", "evolution.generations=2")
+    settings = (*TINY, planar, "simulation.seconds=4", "evolution.generations=2")
     code, _, complaint = cli("train", CONFIG, *settings, "--out", run)
     assert code == 0, complaint
     code, out, complaint = cli("analyse", run)
@@ -243,12 +243,12 @@ def test_the_half_step_result_is_shown_for_its_champion_only(swimmer, tmp_path):
 def test_the_page_lists_differences_from_the_paper(swimmer):
     """The run differs from the shipped configuration, whose comments name the paper's values."""
     page = page_of(swimmer)
-    row = "<tr><td><code>simulation.steps</code></td><td>2000</td><td>{}</td>"
-    assert row.format("240") in page and row.format("paper") in page
+    row = "<tr><td><code>simulation.seconds</code></td><td>33.3333</td><td>{}</td>"
+    assert row.format("4") in page and row.format("paper") in page
     found = paper_differences(load_config(WALKER, SMALL_WALK))
     assert found is not None
     changed = {each.key: (each.shipped, each.own) for each in found.differences}
-    assert changed["simulation.steps"] == (1200, 120)
+    assert changed["simulation.seconds"] == (20, 2)
     assert changed["runs"] == (8, 1)
     assert changed["measures"] == ([], None) and changed["measures.0"] == (None, "speed")
     whose = {note.key: note.ours for note in found.notes}

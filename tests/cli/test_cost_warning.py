@@ -79,5 +79,9 @@ def test_the_same_animal_has_the_same_digest():
         return animal_digest(load_config(CONFIG, [*PAIR, *overrides]))
 
     assert digest() == digest("seed=7", "name=other", "evolution.generations=9")
-    others = ["simulation.steps=61", "creature.bodies.1.repeat=3", "controller.brain.hidden=[5]"]
+    others = [
+        "simulation.seconds=1.01667",
+        "creature.bodies.1.repeat=3",
+        "controller.brain.hidden=[5]",
+    ]
     assert len({digest(), *map(digest, others)}) == 4

@@ -26,7 +26,7 @@ from tiny_run import CONFIG, PAIR, environment
 MANY = (*PAIR, "evolution.population=40")
 
 # Long enough to lose a process during the run.
-ENDLESS = (*MANY, "simulation.steps=3000", "evolution.generations=5000")
+ENDLESS = (*MANY, "simulation.seconds=50", "evolution.generations=5000")
 
 
 def rows(folder: Path) -> list[dict[str, str]]:

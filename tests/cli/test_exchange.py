@@ -71,7 +71,9 @@ def test_an_imported_model_trains_at_once(cli, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cart.xml").write_text(CART)
     assert cli("import", "cart.xml", "--drop")[0] == 0
-    small = "evolution.generations=2 evolution.population=4 evolution.elites=1 simulation.steps=2"
+    small = (
+        "evolution.generations=2 evolution.population=4 evolution.elites=1 simulation.seconds=.03"
+    )
     code, _, err = cli("train", "cart.yaml", *small.split())
     assert code == 0, err
 

@@ -44,7 +44,7 @@ FALL = {
         ],
     },
     "world": {"water": {"form_drag": 0.8}},
-    "simulation": {"steps": 20, "substeps": 1},
+    "simulation": {"seconds": 20 / 60, "substeps": 1},
     "controller": {"type": "evo_cpg.control.commanded:Commanded"},
     "task": {"type": "distance"},
 }

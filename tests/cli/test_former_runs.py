@@ -11,10 +11,16 @@ import evo_cpg as evo
 from evo_cpg.api.opened import open_run
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import changes, changes_of_fitness, changes_since, fingerprint
-from evo_cpg.config.former import FormerKeyWarning, with_former_values, without_former_values
-from evo_cpg.config.load import load_config, load_run_config
+from evo_cpg.config.former import (
+    FormerKeyWarning,
+    with_former_values,
+    with_seconds,
+    without_former_values,
+)
+from evo_cpg.config.load import dump_config, load_config, load_run_config
 from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.schema.trial import SimulationConfig
 from evo_cpg.physics.fluid import Drag
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG
@@ -55,6 +61,9 @@ def test_fingerprint_of_1_0_is_unchanged(finished_run, tmp_path):
     cpg = dumped["controller"]["cpg"]
     assert cpg.pop("feedback") is None
     cpg["sensory_feedback"] = cpg.pop("constant_input")
+    trial = dumped["simulation"]
+    assert trial.pop("seconds") == 5.0
+    trial["steps"] = 300
     assert without_former_values(former.model_dump(mode="json")) == dumped
     now = fingerprint(load_config(folder.config))
     assert changes(before, now) == ["world.water"]
@@ -121,6 +130,53 @@ def test_former_name_of_a_key_works_with_a_warning(tmp_path):
     both = "controller.cpg={sensory_feedback: 1.0, constant_input: 1.0}"
     with pytest.warns(FormerKeyWarning), pytest.raises(ConfigError, match="given twice, also as"):
         load_config(CONFIG, [both])
+
+
+@pytest.mark.parametrize(
+    ("written", "overrides", "steps", "words"),
+    [
+        ("steps: 300", (), 300, "300 control steps are 5 s."),
+        ("steps: 601, control_rate_hz: 100", (), 601, "601 control steps are 6.01 s."),
+        ("steps: 300", ("simulation.control_rate_hz=100",), 300, "300 control steps are 3 s."),
+        ("steps: 300", ("simulation.seconds=2",), 120, None),
+        ("seconds: 2", ("simulation.steps=300",), 300, "300 control steps are 5 s."),
+        ("seconds: 2", ("simulation={steps: 7}",), 7, "7 control steps are 0.116667 s."),
+    ],
+)
+def test_a_number_of_steps_stays_exact(tmp_path, written, overrides, steps, words):
+    path = tmp_path / "mine.yaml"
+    shutil.copytree(CONFIG.parent / "creatures", tmp_path / "creatures")
+    text = CONFIG.read_text().partition("simulation:")
+    rest = text[2][text[2].index("\n\n") :]
+    path.write_text(f"{text[0]}simulation: {{{written}}}{rest}")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        config = load_config(path, overrides)
+    assert config.simulation.steps == steps
+    assert [words in str(each.message) for each in caught] == [True] * (words is not None)
+    # The program writes the duration, and reads the number of steps of former runs without a word.
+    (tmp_path / "config.yaml").write_text(dump_config(config))
+    assert load_run_config(tmp_path / "config.yaml") == config
+
+
+def test_every_number_of_steps_becomes_a_duration():
+    for rate in (7.0, 30, 59.94, 60, 100 / 3, 1000):
+        for steps in (1, 2, 17, 59, 1999, 999_999, 1_000_000):
+            (found,) = with_seconds(
+                {"simulation": {"steps": steps, "control_rate_hz": rate}}, False
+            ).values()
+            assert SimulationConfig(**found).steps == steps
+
+
+def test_a_duration_is_given_once():
+    with pytest.raises(ConfigError, match="given twice, also as seconds"):
+        load_config(CONFIG, ["simulation={steps: 60, seconds: 1}"])
+
+
+def test_a_changed_duration_is_named_by_its_key(finished_run):
+    config = load_run_config(RunFolder(finished_run).config)
+    longer = load_run_config(RunFolder(finished_run).config, ["simulation.seconds=9"])
+    assert changes_of_fitness(fingerprint(config), longer) == ["simulation.seconds"]
 
 
 def test_numbers_are_found_under_their_former_names():

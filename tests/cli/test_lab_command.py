@@ -75,7 +75,7 @@ def test_champion_of_a_run_keeps_its_brain(finished_run, cli, tmp_path):
         (("tow=0.1", "w=3"), "'w' is no knob"),
         (("u=1", "--run", "1"), "is a configuration, not a run folder"),
         (("u=1", "--out", "{animal}"), "tiny.yaml is a file. --out is a folder"),
-        (("u=1", "simulation.steps=9"), "is a whole number (60), and only real numbers can vary"),
+        (("u=1", "simulation.substeps=9"), "is a whole number (2), and only real numbers can vary"),
     ],
 )
 def test_wrong_words_have_one_clear_line(animal, cli, words, message):

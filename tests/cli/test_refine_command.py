@@ -117,7 +117,7 @@ def test_a_folder_without_a_run_is_refused(cli, tmp_path):
 def test_refined_postures_stay_graded(cli, tmp_path):
     folder = RunFolder(tmp_path / "run")
     config = REPOSITORY / "configs" / "fukui2003_model1.yaml"
-    settings = "simulation.steps=120", "evolution.generations=3"
+    settings = "simulation.seconds=2", "evolution.generations=3"
     code, _, err = cli("train", config, *settings, "--out", folder.path)
     assert code == 0, err
     code, _, err = cli("refine", folder.path, *QUICK)

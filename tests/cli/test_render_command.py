@@ -30,7 +30,7 @@ def film(cli, tmp_path_factory):
 @pytest.fixture(scope="module")
 def two_runs(cli, tmp_path_factory):
     folder = tmp_path_factory.mktemp("two") / "run"
-    overrides = (*PAIR, "runs=2", "evolution.generations=5", "simulation.steps=30")
+    overrides = (*PAIR, "runs=2", "evolution.generations=5", "simulation.seconds=0.5")
     code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     assert code == 0, err
     return folder

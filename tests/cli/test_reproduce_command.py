@@ -21,7 +21,7 @@ from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from tiny_run import PAIR
 
-SHORT = (*PAIR, "simulation.steps=30", "evolution.generations=3")
+SHORT = (*PAIR, "simulation.seconds=0.5", "evolution.generations=3")
 CONFIG = "iwadate2010_swimmer"
 
 

@@ -38,7 +38,7 @@ def test_the_table_ranks_the_requested_keys(finished_run, cli, tmp_path):
     ("arguments", "words"),
     [
         (["world.water.form_darg"], "did you mean world.water.form_drag"),
-        (["simulation.steps"], "is a whole number"),
+        (["simulation.substeps"], "is a whole number"),
         (["--seconds", 99], "--seconds: 99 s is not allowed"),
         (["--seconds", 0.02], "Allowed: 0.0333 to "),
         (["--seconds", "nan"], "--seconds"),

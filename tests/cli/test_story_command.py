@@ -21,7 +21,7 @@ from tiny_run import CONFIG, PAIR
 @pytest.fixture(scope="module")
 def run(cli, tmp_path_factory):
     folder = tmp_path_factory.mktemp("told") / "run"
-    overrides = (*PAIR, "evolution.generations=6", "simulation.steps=60")
+    overrides = (*PAIR, "evolution.generations=6", "simulation.seconds=1")
     code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     assert code == 0, err
     return folder

@@ -24,7 +24,7 @@ from evo_cpg.view import search_plots
 from pictures import ink
 from tiny_run import CONFIG, PAIR
 
-SHORT = (*PAIR, "simulation.steps=20", "evolution.generations=3", "runs=2")
+SHORT = (*PAIR, "simulation.seconds=0.3333", "evolution.generations=3", "runs=2")
 GRID = ("evolution.mutation_rate=0.02,0.3",)
 
 

@@ -25,7 +25,7 @@ from tiny_run import CONFIG, PAIR, environment, program
 
 pytest.importorskip("submitit")
 
-SHORT = (*PAIR, "simulation.steps=20", "evolution.generations=3")
+SHORT = (*PAIR, "simulation.seconds=0.3333", "evolution.generations=3")
 # Enough for a job to start before another job has ended.
 GENERATIONS = 600
 LONG = (*PAIR, f"evolution.generations={GENERATIONS}")

@@ -29,7 +29,7 @@ def test_a_missing_argument_gets_an_example(usage_error, command, words):
         (("--generations", "3"), "evolution.generations=3"),
         (("--population=80",), "evolution.population=80"),
         (("--seed", "7"), "seed=7"),
-        (("--steps",), "simulation.steps=VALUE"),
+        (("--seconds",), "simulation.seconds=VALUE"),
     ],
 )
 def test_an_option_that_is_a_setting_is_written_as_one(usage_error, arguments, setting):

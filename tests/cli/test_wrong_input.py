@@ -477,7 +477,7 @@ def test_a_creature_without_genes_is_drawn_and_exported(cli, tmp_path):
     [
         ("evolution.generations=0", "evolution.generations: 0: must be greater than"),
         ("evolution.population=0", "evolution.population: 0: must be greater than"),
-        ("simulation.steps=0", "simulation.steps: 0: must be greater than"),
+        ("simulation.seconds=0", "simulation.seconds: 0: must be greater than"),
         ("simulation.trials=0", "simulation.trials: 0: must be greater than"),
         ("simulation.trials=[]", "simulation.trials: []: must have at least 1, has 0"),
         ("runs=0", "runs: 0: must be greater than"),

@@ -270,9 +270,15 @@ def test_unknown_key_gets_the_nearest_valid_key(key, value, expected):
         ("world__water__sheltered", 1, "1: must be true or false"),
         ("world__water__law", "newton", "'newton': must be 'normal', 'isotropic' or null"),
         ("world__water__viscosity", 0, "0: must be greater than 0"),
-        ("simulation__steps", 0, "0: must be greater than or equal to 1"),
-        ("simulation__steps", 10**12, "1000000000000: must be less than or equal"),
-        ("simulation__steps", 1.5, "1.5: must be a whole number"),
+        ("simulation__seconds", 0, "0: must be greater than 0"),
+        ("simulation__seconds", 1e6, "1e+06 s have 60000000 control steps. Allowed: 1000000"),
+        ("simulation__control_rate_hz", 1e6, "33.3333 s have 33333333 control steps"),
+        ("simulation__steps", 0, "0: must be a whole number of control steps, from 1"),
+        ("simulation__steps", 10**12, "1000000000000: must be a whole number of control"),
+        ("simulation__steps", 1.5, "1.5: must be a whole number of control steps"),
+        ("simulation__steps", float("inf"), "inf: must be a whole number of control steps"),
+        ("simulation__steps", float("nan"), "nan: must be a whole number of control steps"),
+        ("simulation__steps", "12 s", "'12 s': must be a whole number of control steps, from 1"),
         ("simulation__control_rate_hz", "fast", "'fast': must be a number"),
         ("seed", -1, "-1: must be greater than or equal to 0"),
         ("seed", True, "True: must be a number"),
@@ -644,10 +650,10 @@ def test_unreadable_files_are_rejected(tmp_path):
 @pytest.mark.parametrize("text", ["1e-3", "1E-3", "1.e-3", ".1e-2", "+1e-3", "0.001"])
 def test_numbers_may_be_written_with_an_exponent(tmp_path, text):
     path = tmp_path / "x.yaml"
-    path.write_text(f"{SMALL}\nworld: {{gravity: {text}}}\nsimulation: {{steps: 1e3}}\n")
+    path.write_text(f"{SMALL}\nworld: {{gravity: {text}}}\nsimulation: {{seconds: 1e3}}\n")
     config = load_config(path)
     assert config.world.gravity == 0.001
-    assert config.simulation.steps == 1000
+    assert config.simulation.seconds == 1000
 
 
 @pytest.mark.parametrize(

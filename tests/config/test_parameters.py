@@ -40,7 +40,7 @@ SWIMMING = (
 # At other values, many derivatives are zero by symmetry or at rest.
 SWIMMER = (
     *TINY,
-    "simulation.steps=18",
+    "simulation.seconds=0.3",
     "simulation.substeps=1",
     "simulation.start_heading_deg=10",
     "world.water.density=1100",
@@ -92,7 +92,7 @@ WALKER = {
         },
     },
     # Long enough for a foot to slip.
-    "simulation": {"steps": 45, "substeps": 2},
+    "simulation": {"seconds": 0.75, "substeps": 2},
     "controller": {"type": "brain_cpg", "brain": {"hidden": [3]}},
     "task": {"type": "walk"},
 }
@@ -171,7 +171,7 @@ def test_derivatives_of_a_walker_equal_finite_differences():
         ("form_drag", "does not exist: did you mean world.water.form_drag?"),
         ("creature.bodies.7.shape.size.0", r"bodies.7.*does not exist"),
         ("creature.bodies.1.shape", "a section or a list.*creature.bodies.1.shape.size.0"),
-        ("simulation.steps", r"is a whole number \(18\)"),
+        ("simulation.seconds", "changes nothing in a trial"),
         ("world.water.law", "is 'normal', not a number"),
         ("simulation.control_rate_hz", "changes more than numbers"),
         ("controller.cpg.cross_weight", "changes more than numbers"),

@@ -192,7 +192,7 @@ def shapes(start=None, **world):
             "name": "shapes",
             "creature": yaml.safe_load(SHAPES),
             "world": world,
-            "simulation": {"steps": 5, **(start or {})},
+            "simulation": {"seconds": 5 / 60, **(start or {})},
             "task": {"type": "walk"},
         },
         CONFIG,

@@ -72,7 +72,9 @@ def problem(data: dict) -> str:
         ("controller.brain.hidden", 3, "must be a list of whole numbers. Write [3]"),
         ("measures", "speed", "must be a list of texts. Write [speed]"),
         ("audit.disqualify", "speed", "'penetration' or 'overlap'. Write [speed]"),
-        ("simulation.steps", [10], "[10]: must be a whole number. Write 10"),
+        ("simulation.seconds", [10], "[10]: must be a number. Write 10"),
+        ("simulation.seconds", "12 s", "'12 s': must be a number. Write 12"),
+        ("simulation.substeps", [10], "[10]: must be a whole number. Write 10"),
         # A section in place of a list, and a single value in place of a section.
         ("creature.light_sensors", {"body": "head"}, "Write [{body: head}]"),
         ("creature.light_sensors", ["head"], "Write {body: head}"),

@@ -120,7 +120,7 @@ def require_motion(document: Document) -> bool:
             build_experiment(load_config(path), path)
         return False
     data = document.data
-    data["simulation"] = {**(data.get("simulation") or {}), "steps": 3}
+    data["simulation"] = {**(data.get("simulation") or {}), "seconds": 0.05}
     config = complete_config(data, document.path)
     simulation = build_experiment(config, document.path).simulation
     frames = record_all(simulation, np.full((simulation.genome.count, 1), 0.5))

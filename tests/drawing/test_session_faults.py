@@ -174,7 +174,10 @@ def _trained(folder: Path) -> Path:
     session.answer("edit", ADD)
     eye = {"part": "body", "place": [0.1, 0, 0], "axis": [1, 0, 0]}
     session.answer("edit", {"command": "add_eye", "given": eye})
-    for key, value in {("evolution", "generations"): 100_000, ("simulation", "steps"): 20}.items():
+    for key, value in {
+        ("evolution", "generations"): 100_000,
+        ("simulation", "seconds"): 0.333,
+    }.items():
         given = {"key": list(key), "value": value}
         session.answer("edit", {"command": "set_value", "given": given})
     session.answer("save", {})

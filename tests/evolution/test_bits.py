@@ -145,7 +145,7 @@ def test_children_fill_every_place_if_all_diverged():
             assert not (child == genes.T).all(1).any()
 
 
-@pytest.mark.parametrize("dtype", [jnp.float16, jnp.float32])
+@pytest.mark.parametrize("dtype", [jnp.int8, jnp.float32])
 def test_genes_stay_bits_in_their_own_type(dtype):
     settings = [{"mutation": mutation} for mutation in MUTATIONS]
     lines = [bits(dtype=dtype)] * len(settings)
@@ -227,8 +227,8 @@ def test_about_half_of_the_children_of_a_generation_mutate():
 
 
 def test_random_bits_are_0_and_1_equally_often():
-    drawn = np.asarray(random_bits(jax.random.key(5), GENES, 1000, jnp.float16))
-    assert drawn.shape == (GENES, 1000) and drawn.dtype == np.float16
+    drawn = np.asarray(random_bits(jax.random.key(5), GENES, 1000, jnp.int8))
+    assert drawn.shape == (GENES, 1000) and drawn.dtype == np.int8
     assert np.isin(drawn, [0.0, 1.0]).all()
     assert binomtest(int(drawn.astype(int).sum()), drawn.size, 0.5).pvalue > 0.01
     assert chisquare(drawn.sum(1, dtype=int)).pvalue > 0.01

@@ -33,7 +33,7 @@ def trial(path, *overrides):
 
 @pytest.fixture(scope="module")
 def swimmer():
-    return trial(CONFIG, *PAIR, "simulation.steps=90", "simulation.substeps=4")
+    return trial(CONFIG, *PAIR, "simulation.seconds=1.5", "simulation.substeps=4")
 
 
 def test_missing_mujoco_raises(swimmer, monkeypatch):
@@ -69,7 +69,7 @@ def test_motors_agree_in_both_programs(actuator):
     """Our steps are 1/960 s here, and MuJoCo's 1/2000 s. Limits of joints are other laws there."""
     own_motor = f"creature.bodies.1.joint.actuator={actuator}"
     free = "creature.bodies.1.joint.limits_deg=null"
-    long = "simulation.steps=60", "simulation.substeps=16"
+    long = "simulation.seconds=1", "simulation.substeps=16"
     experiment, genes, steps = trial(CONFIG, *PAIR, own_motor, free, *long)
     simulation = experiment.simulation
     own = own_opinion(simulation, steps)
@@ -96,7 +96,7 @@ KINDS = f"""creature.bodies=[
 def test_slides_balls_and_a_planar_root_agree_in_both_programs():
     """A head slides and turns in the plane, with a slide, a ball and an eccentric hinge behind."""
     experiment, genes, steps = trial(
-        CONFIG, *TINY, KINDS, "simulation.steps=60", "simulation.substeps=8"
+        CONFIG, *TINY, KINDS, "simulation.seconds=1", "simulation.substeps=8"
     )
     simulation = experiment.simulation
     own = own_opinion(simulation, steps)
@@ -113,7 +113,7 @@ def test_slides_balls_and_a_planar_root_agree_in_both_programs():
 def test_mujocos_animal_carries_water_and_sheds_it():
     """A chain of five bodies with reactive thrust, in steps of 1/960 s here and 1/2000 s there."""
     chain = [*PAIR, "creature.bodies.1.repeat=4", "world.water.reactive_thrust=true"]
-    experiment, _, steps = trial(CONFIG, *chain, "simulation.steps=60", "simulation.substeps=16")
+    experiment, _, steps = trial(CONFIG, *chain, "simulation.seconds=1", "simulation.substeps=16")
     own = own_opinion(experiment.simulation, steps)
     other = second_opinion(experiment.simulation, experiment.creature, steps)
     assert np.abs(own.joint_angle).max() > 0.1 and own.displacement > 5e-3
@@ -140,7 +140,7 @@ def test_an_animal_in_water_is_not_airborne(swimmer):
 def test_mujocos_animal_in_water_is_not_airborne():
     """The animal floats a metre above the floor of a pool 3 m deep."""
     pool = ["world.ground={}", "world.water.surface=3", "simulation.start_clearance=1"]
-    experiment, _, steps = trial(CONFIG, *PAIR, *pool, "simulation.steps=12")
+    experiment, _, steps = trial(CONFIG, *PAIR, *pool, "simulation.seconds=0.2")
     own = own_opinion(experiment.simulation, steps)
     commanded = second_opinion(experiment.simulation, experiment.creature, steps)
     assert (own.airborne, commanded.airborne) == (0.0, 0.0)
@@ -187,7 +187,7 @@ def test_the_controller_feels_loads_of_mujocos_animal():
 def test_a_standing_hexapod_has_equal_heights_in_both_programs():
     """A hexapod holds one posture with hard contacts. Heights agree to 2 mm."""
     path = CONFIG.with_name("hexapod.yaml")
-    experiment, _, _ = trial(path, "simulation.steps=1")
+    experiment, _, _ = trial(path, "simulation.seconds=0.0167")
     simulation = dataclasses.replace(experiment.simulation, steps=120)
     assert isinstance(simulation.controller, PostureController)
     genes = np.zeros((simulation.controller.gene_count, 1), np.float32)

@@ -39,7 +39,7 @@ SWIMMER = {
         ],
     },
     "world": {"water": {"form_resolution": 1, "reactive_thrust": True, "form_drag": 0.1}},
-    "simulation": {"steps": 240, "substeps": 1},
+    "simulation": {"seconds": 4, "substeps": 1},
     "controller": {
         "type": "brain_cpg",
         "rate_gain": 12.0,

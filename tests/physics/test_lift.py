@@ -347,7 +347,7 @@ creature:
         {parent: trunk, at: [0.05, 0.08, 0], child_at: [0.01, -0.13, 0], axes: [x, -y],
          limits_deg: [-60, 60], actuator: {gain: 5}}
 world: {water: {viscosity: 0.001, lift: true}}
-simulation: {steps: 30}
+simulation: {seconds: 0.5}
 controller: {type: brain_cpg}
 task: {type: distance}
 """

@@ -35,7 +35,7 @@ CASES = {
     ),
     "walker": (
         WALKER,
-        ("simulation.steps=6",),
+        ("simulation.seconds=0.1",),
         (
             "creature.materials.leg.density",
             "creature.bodies.0.shape.size.0",
@@ -54,7 +54,7 @@ CASES["viscous swimmer"] = (
 # The hopper is the walker's torso with the upper half of one leg: two bodies to compile, not nine.
 CASES["hopper"] = (
     WALKER,
-    ("simulation.steps=6", "evolution.mutated_genes=[2,20]"),
+    ("simulation.seconds=0.1", "evolution.mutated_genes=[2,20]"),
     CASES["walker"][2],
 )
 CASES["hopper on hills"] = (
@@ -148,7 +148,7 @@ def test_batched_bodies_equal_single_bodies(case, dtype, error, request):
 )
 def test_a_part_of_every_array_may_be_traced(name, overrides):
     path = REPOSITORY / "configs" / f"{name}.yaml"
-    config = load_config(path, ["simulation.steps=2", *overrides])
+    config = load_config(path, ["simulation.seconds=0.0333", *overrides])
     simulation = build_experiment(config, path).simulation
     leaves = jax.tree_util.tree_leaves_with_path(simulation)
     places = [i for i, (_, leaf) in enumerate(leaves) if is_number(leaf) and np.size(leaf) > 1]
@@ -192,7 +192,7 @@ def test_a_traced_build_equals_a_numpy_build(case):
 
 def test_a_compiled_program_serves_other_bodies():
     path, overrides, keys = CASES["swimmer"]
-    config = load_config(path, [*overrides, "simulation.steps=5"])
+    config = load_config(path, [*overrides, "simulation.seconds=0.0833"])
     batched = build_batch(config, path, numbers(config, keys))
     others = build_batch(config, path, numbers(config, keys, seed=1), like=batched)
     genes = genes_of(batched.common, np.float32)

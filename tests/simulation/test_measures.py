@@ -49,7 +49,7 @@ def evaluated(request):
     """Evaluation of some animals, and their recordings."""
     on_ground = request.param != "iwadate2010_swimmer"
     names = [name for name in MEASURES if on_ground or name not in GROUND_MEASURES]
-    settings = {"simulation.steps": STEPS, "measures": names}
+    settings = {"simulation.seconds": STEPS / 60, "measures": names}
     config = one_leg() if request.param == "one leg" else f"configs/{request.param}.yaml"
     experiment = evo.load(config, settings)
     genomes = experiment.random_genomes(3, 4)

@@ -73,7 +73,7 @@ def test_the_deepest_penetration_and_overlap_count():
 @pytest.mark.parametrize("engine", ["auto", pytest.param("jax", marks=pytest.mark.slow)])
 def test_one_step_beyond_the_speed_limit_disqualifies(engine):
     path = CONFIG
-    config = load_config(path, [*PAIR, f"engine={engine}", "simulation.steps=40"])
+    config = load_config(path, [*PAIR, f"engine={engine}", "simulation.seconds=0.6667"])
     free = build_experiment(config, path).simulation
     genes = free.genome.random(jax.random.key(3), (6,), jnp.float32)
     frames = quick_jit(lambda g: rollout(free, g, observers=Recorder(6)))(genes)

@@ -19,7 +19,7 @@ ARMS = [f"arm{j}_1.y" for j in range(1, 6)]
 def constant_drive(*changes):
     """Return 8 s of motion of a starfish whose brain sets u = 0.5 and b = 5.5 everywhere."""
     path = REPOSITORY / "configs/starfish.yaml"
-    experiment = build_experiment(load_config(path, ["simulation.steps=480", *changes]), path)
+    experiment = build_experiment(load_config(path, ["simulation.seconds=8", *changes]), path)
     simulation = experiment.simulation
     genes = jnp.zeros((simulation.controller.gene_count, 1), jnp.float32)
     with using(simulation.engine):

@@ -11,7 +11,7 @@ from tiny_run import CONFIG, PAIR
 
 def test_a_swimmer_keeps_its_displacement_at_half_the_step():
     """Motion in water is not chaotic, so the difference falls with the step."""
-    config = load_config(CONFIG, [*PAIR, "simulation.steps=240"])
+    config = load_config(CONFIG, [*PAIR, "simulation.seconds=4"])
     simulation = build_experiment(config, CONFIG).simulation
     genes = np.asarray(simulation.genome.random(jax.random.key(1), (16,), np.float32)).T
     found = displacements(simulation, genes)

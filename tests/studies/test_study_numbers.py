@@ -58,7 +58,7 @@ def test_overrides_change_springs_and_lengths_of_all_eight_boxes():
 
 
 def test_an_animal_without_drive_stays_where_it_is():
-    config = load_config(CONFIG, [*PAIR, "simulation.steps=120", "noise.push=0.02"])
+    config = load_config(CONFIG, [*PAIR, "simulation.seconds=2", "noise.push=0.02"])
     simulation = build_experiment(config, CONFIG).simulation
     controller = simulation.controller
     genes = silent_genes(controller)[:, None]

@@ -26,7 +26,7 @@ CPUINFO = Path("/proc/cpuinfo")
 NOTED = Path(__file__).with_name("noted_bits.json")
 
 WALKERS = (
-    "runs=2", "simulation.steps=40", "evolution.generations=3", "evolution.population=6",
+    "runs=2", "simulation.seconds=0.6667", "evolution.generations=3", "evolution.population=6",
     "evolution.elites=2", "evolution.rank_probabilities=[0.5, 0.3, 0.2]",
 )  # fmt: skip
 KINDS = {
@@ -36,7 +36,7 @@ KINDS = {
     ),
     "swimmer that learns": (
         "iwadate2010_swimmer",
-        (*PAIR, "simulation.steps=10", "evolution.learning={every: 2, elites: 1, steps: 1}"),
+        (*PAIR, "simulation.seconds=0.1667", "evolution.learning={every: 2, elites: 1, steps: 1}"),
     ),
     "walkers on ground of any friction": (
         "fukui2003_model1", (*WALKERS, "noise.friction=0.2", "noise.tilt_deg=1"),

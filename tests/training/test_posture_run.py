@@ -22,7 +22,7 @@ creature:
       joint:
         {parent: body, at: [-0.11, 0, 0], child_at: [0.11, 0, 0], axes: [y], limits_deg: [-75, 75],
          actuator: {gain: 0.5, stiffness: 10, torque_limit: 5}}
-simulation: {steps: 120}
+simulation: {seconds: 2}
 controller: {type: postures}
 task: {light: {distance: 1.0}}
 evolution: {type: bits, generations: 4, mutated_genes: [2, 10]}

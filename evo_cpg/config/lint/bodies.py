@@ -288,7 +288,7 @@ def no_rate(case: Case) -> Iterator[LintWarning]:
 def weak_motors(case: Case) -> Iterator[LintWarning]:
     """Warn if no motor could turn even its own body by a degree in the whole trial."""
     simulation = case.config.simulation
-    time = simulation.steps / simulation.control_rate_hz
+    time = simulation.seconds
     found = []
     motors = [
         (joint, motor, axis, dof.kind == "slide")

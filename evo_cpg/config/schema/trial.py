@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, field_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
 
 from evo_cpg.config.schema.section import (
     Count,
@@ -16,6 +16,7 @@ from evo_cpg.config.schema.task import LightConfig
 from evo_cpg.config.schema.typical import Direction
 
 _MOST_TRIALS = 10_000
+MOST_STEPS = 1_000_000
 
 
 class SituationConfig(OpenSection):
@@ -49,7 +50,7 @@ class SimulationConfig(Section):
     Attributes:
         control_rate_hz: control steps per second, 1/s.
         substeps: number of physics steps in a control step.
-        steps: number of control steps.
+        seconds: duration, s, rounded to whole control steps (at least one).
         start: x and y of the root's centre at the start, m.
         start_heading_deg: rotation to the left at the start, degrees.
         start_clearance: distance of the creature's nearest point from the ground at the start, m.
@@ -60,7 +61,7 @@ class SimulationConfig(Section):
 
     control_rate_hz: Positive = 60.0
     substeps: Count = 2
-    steps: Count = 2000
+    seconds: Annotated[Positive, Field(validate_default=True)] = 2000 / 60
     start: tuple[Finite, Finite] = (0.0, 0.0)
     start_heading_deg: Annotated[Finite, Direction()] = 0.0
     start_clearance: NotNegative = 0.0
@@ -71,6 +72,19 @@ class SimulationConfig(Section):
     def situations(self) -> list[SituationConfig]:
         """Situations of the trials, or empty if only a number of trials is given."""
         return self.trials if isinstance(self.trials, list) else []
+
+    @property
+    def steps(self) -> int:
+        """Number of control steps."""
+        return max(1, round(self.seconds * self.control_rate_hz))
+
+    @field_validator("seconds")
+    @classmethod
+    def _is_countable(cls, seconds: float, info: ValidationInfo) -> float:
+        steps = round(seconds * info.data.get("control_rate_hz", 0.0))
+        if steps > MOST_STEPS:
+            raise ValueError(f"{seconds:g} s have {steps} control steps. Allowed: {MOST_STEPS}")
+        return seconds
 
     @field_validator("trials", mode="before")
     @classmethod
