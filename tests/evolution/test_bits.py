@@ -145,7 +145,7 @@ def test_children_fill_every_place_if_all_diverged():
             assert not (child == genes.T).all(1).any()
 
 
-@pytest.mark.parametrize("dtype", [jnp.int8, jnp.float32])
+@pytest.mark.parametrize("dtype", [jnp.bfloat16, jnp.float32])
 def test_genes_stay_bits_in_their_own_type(dtype):
     settings = [{"mutation": mutation} for mutation in MUTATIONS]
     lines = [bits(dtype=dtype)] * len(settings)
