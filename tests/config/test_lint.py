@@ -356,8 +356,8 @@ MISTAKES = {
     "free fall": (
         CONFIG,
         ["world.water=null"],
-        "world.gravity",
-        "the animal falls from start to end",
+        "world.ground",
+        "the animal falls from start to end and counts as diverged after 10.2 s, at 100 m/s",
     ),
     "ground under water by default": (
         CONFIG,
