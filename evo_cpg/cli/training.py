@@ -247,10 +247,8 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
                     show(_standing(rows), rows[0]["seconds"])
                     lost = all(row["diverged"] == experiment.strategy.population for row in rows)
                     if lost and rows[0]["generation"] == 0:
-                        problem = about_step(experiment.simulation)
-                        warn(
-                            f"{folder.path}: no individual of generation 0 is left. {problem}".rstrip()
-                        )
+                        step = about_step(experiment.simulation)
+                        warn(f"{folder.path}: all of generation 0 diverged. {step}".rstrip())
                     if scalars is not None:
                         scalars.add(rows)
 

@@ -64,7 +64,7 @@ def test_thin_plates_get_a_number_of_substeps(cli, folder):
     )
     code, _, err = cli("train", "x.yaml", "evolution.generations=1", "--out", "run")
     assert code == 2
-    assert "no individual of generation 0 is left. simulation.substeps: 1: 8 of 8 random" in err
+    assert "all of generation 0 diverged. simulation.substeps: 1: 8 of 8 random" in err
 
 
 @pytest.mark.parametrize("name", ["eel", "fish", "salamander_swim", "hexapod"])

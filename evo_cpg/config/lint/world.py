@@ -171,14 +171,12 @@ def nothing_to_hold_it(case: Case) -> Iterator[LintWarning]:
     empty = world.water is None and world.ground is None and not world.forces
     if world.gravity and empty and not hangs:
         simulation = case.config.simulation
-        fallen = world.gravity * simulation.steps / simulation.control_rate_hz
-        time = WILDEST_SPEED / world.gravity
-        lost = f" and counts as diverged after {time:.3g} s, at {WILDEST_SPEED:g} m/s"
+        speed = world.gravity * simulation.steps / simulation.control_rate_hz
         yield case.warning(
             ("world", "ground"),
-            "there is neither water nor ground, so the animal falls from start to end"
-            + (lost if fallen > WILDEST_SPEED else "")
-            + ". Give the world a ground (ground: {}) or water (water: {}), or set gravity to 0",
+            "there is neither water nor ground, so the animal falls from start to end, to "
+            f"{speed:.3g} m/s. Above {WILDEST_SPEED:g} m/s it counts as diverged. Give the world a "
+            "ground (ground: {}) or water (water: {}), or set gravity to 0",
         )
 
 
