@@ -12,7 +12,11 @@ import os
 CHANGE = os.environ.get("EVO_CPG_TESTS_ROUNDING", "")
 
 # OpenBLAS' kernels and XLA's names of the instruction sets.
-_SETS = {"sse": ("Nehalem", "SSE4_2"), "avx2": ("Haswell", "AVX2"), "avx512": ("SkylakeX", "AVX512")}
+_SETS = {
+    "sse": ("Nehalem", "SSE4_2"),
+    "avx2": ("Haswell", "AVX2"),
+    "avx512": ("SkylakeX", "AVX512"),
+}
 
 
 def prepare() -> list[str]:

@@ -20,7 +20,7 @@ from evo_cpg.api.training import (
     reopen_run,
 )
 from evo_cpg.api.warm_start import What, warm_start
-from evo_cpg.cli.advice import advise, animal_digest, expected_to_compile
+from evo_cpg.cli.advice import about_step, advise, animal_digest, expected_to_compile
 from evo_cpg.cli.building import build
 from evo_cpg.cli.champions import open_and_build
 from evo_cpg.cli.distributed import Distribution, require_same, together
@@ -239,6 +239,10 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
 
                 def report(rows: list[dict[str, float]]) -> None:
                     show(_standing(rows), rows[0]["seconds"])
+                    lost = all(row["diverged"] == experiment.strategy.population for row in rows)
+                    if lost and rows[0]["generation"] == 0:
+                        step = about_step(experiment.simulation)
+                        warn(f"{folder.path}: all of generation 0 diverged. {step}".rstrip())
                     if scalars is not None:
                         scalars.add(rows)
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.completion import complete_config
-from evo_cpg.cli.errors import ExitCode, UsageError, tell
+from evo_cpg.cli.errors import ExitCode, UsageError, tell, warn
 from evo_cpg.cli.options import Strict, name_replaced
 
 
@@ -23,7 +23,8 @@ def validate(
     strict: Strict = False,
 ) -> None:
     """Check configuration files without running them."""
-    from evo_cpg.cli.advice import advise
+    from evo_cpg.api.display import working
+    from evo_cpg.cli.advice import about_step, advise, is_light_in_water
     from evo_cpg.cli.building import build, read_config
     from evo_cpg.config.build import require_genes
     from evo_cpg.config.errors import ConfigError
@@ -52,6 +53,11 @@ def validate(
                 f"{experiment.simulation.genome.count} genes"
             )
             advise(given, experiment.simulation)
+            if is_light_in_water(experiment.simulation):
+                with working("testing the physics step"):
+                    problem = about_step(experiment.simulation)
+                if problem:
+                    warn(f"{given}: {problem}")
     if wrong:
         raise SystemExit(ExitCode.WRONG_INPUT)
 

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from evo_cpg.config.errors import KeyProblem
+from evo_cpg.config.errors import Key, KeyProblem
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.schema.task import DEFAULT_LIGHT
 from evo_cpg.config.schema.trial import SituationConfig
-from evo_cpg.creature.creature import Creature, lowest_along, lowest_height, neutral_pose
+from evo_cpg.creature.creature import Creature, length_of, lowest_along, lowest_height, neutral_pose
 from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.kinematics import kinematics
@@ -28,8 +28,16 @@ from evo_cpg.spatial.decisions import Condition, chosen, searched
 from evo_cpg.spatial.numerics import Number, Triple, as_vector, is_traced, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
-# Largest number of steps to find the height at which an animal stands, and its accuracy, m.
-_START_STEPS, _START_ACCURACY = 200, 1e-5
+# Largest number of steps to find the height at which an animal stands, and its accuracy: in m, and
+# as a fraction of the distance from the origin, because float32 resolves 1.2e-7 of it.
+_START_STEPS, _START_ACCURACY, _START_ROUNDING = 200, 1e-5, 5e-7
+
+# Largest spacing of float32 at the start along x, y and z, over the creature's length times the
+# physics step in s. Each step rounds a position by up to half the spacing. At 0.006 the turtle, which
+# moves only 0.01 lengths in a second, is right to 2.4 %, and at 0.024 it is wrong by a third.
+# Heights do not drift, because the ground holds the animal: the hexapod walks as far as at height 0
+# up to 0.24, and diverges at 2.
+_COARSEST = (0.006, 0.006, 0.1)
 
 # Largest distance of a light, in lengths of the creature. No creature moves that far in a trial.
 _FARTHEST_LIGHT = 1000.0
@@ -58,13 +66,13 @@ def build_situations(
         if same is not None:
             begin = begins[same]
         else:
+            here: Key = ("simulation", "start") if entry.start is None else (*key, "start")
             height = _start_height(creature, world, x, y, heading, settings.start_clearance)
             if height is None:
-                raise KeyProblem(
-                    ("simulation", "start") if entry.start is None else (*key, "start"),
-                    f"no place to stand at ({x:g}, {y:g}). Is it inside an obstacle?",
-                )
+                problem = f"no place to stand at ({x:g}, {y:g}). Is it inside an obstacle?"
+                raise KeyProblem(here, problem)
             begin = Situation((x, y, height), heading)
+            _require_resolved(creature, begin.start_position, h, here)
             if settings.start_pose == "settled":
                 begin = _settled(settling, world, h, begin)
         begins.append(begin)
@@ -81,6 +89,34 @@ def build_situations(
             raise KeyProblem((*key, "light") if own else ("task", "light"), problem)
         situations.append(begin._replace(light=goal))
     return tuple(situations)
+
+
+def _require_resolved(creature: Creature, place: Triple, h: Number, start: Key) -> None:
+    """Check that float32 resolves the motion at the start.
+
+    Args:
+        creature: the creature.
+        place: position of the start, m. Known numbers are checked, and traced ones are not.
+        h: physics step, s.
+        start: key of x and y.
+
+    Raises:
+        KeyProblem: the start is too far from the origin.
+    """
+    length = length_of(creature)
+    if is_traced(place, h, length):
+        return
+    for axis, here, coarsest in zip("xyz", place, _COARSEST, strict=True):
+        # Below this power of two, neighbouring numbers differ by at most ``coarsest * length * h``.
+        most = 2.0 ** (24 + np.floor(np.log2(coarsest * length * h)))
+        if abs(here) >= most:
+            raise KeyProblem(
+                ("world", "ground", "floor") if axis == "z" else start,
+                f"the animal of {length:.3g} m would start at {axis} = {here:g} m, where float32 "
+                f"resolves only {np.spacing(np.float32(abs(here))):.2g} m. It would stand still or "
+                f"move wrongly in steps of {h:.2g} s. Allowed: less than {most:g} m from the "
+                f"origin. Subtract about {here:.6g} m from the world's {axis} coordinates",
+            )
 
 
 def _root_place(creature: Creature, begin: Situation) -> Triple:
@@ -200,6 +236,9 @@ def _start_height(
         rise = start_clearance - lowest_along(creature, seen) + floor.height
         return (rise - normal[0] * x - normal[1] * y) / normal[2]
 
+    def accuracy(here: Number) -> Number:
+        return xp.maximum(_START_ACCURACY, _START_ROUNDING * xp.max(abs(xp.array([x, y, here]))))
+
     def search() -> float | None:
         gap, numbers = _gaps.of(world)
         here = height
@@ -207,7 +246,7 @@ def _start_height(
         for _ in range(_START_STEPS):
             reached, rise = gap(numbers, x, y, heading, here)
             missing = start_clearance - float(reached)
-            if abs(missing) < _START_ACCURACY:
+            if abs(missing) < accuracy(here):
                 return here + missing / float(rise)
             here += missing
         return None
@@ -230,7 +269,7 @@ def _start_height(
             return count + 1, here, clearance - stopped_gap(here)[0]
 
         def is_apart(carry: tuple[Array, Array, Array]) -> Array:
-            return (abs(carry[2]) >= _START_ACCURACY) & (carry[0] < _START_STEPS)
+            return (abs(carry[2]) >= accuracy(found)) & (carry[0] < _START_STEPS)
 
         begin = jnp.asarray(found, float)
         clearance = jax.lax.stop_gradient(jnp.asarray(start_clearance, float))
@@ -243,9 +282,8 @@ def _start_height(
     def stands(found: float | None) -> Condition:
         if found is None or not is_traced(world, x, y, heading, height):
             return not is_traced(world, x, y, heading, height)
-        return abs(start_clearance - _gap(world, x, y, heading, followed(found))[0]) < (
-            _START_ACCURACY
-        )
+        here = followed(found)
+        return abs(start_clearance - _gap(world, x, y, heading, here)[0]) < accuracy(here)
 
     found = searched(search, stands)
     return None if found is None else followed(found)

@@ -8,7 +8,8 @@
 - The whole body is one mesh if it is convex. Otherwise it is as few convex pieces as possible, from
   end to end.
 
-Pieces meet at a section and never overlap, so their masses and moments add up exactly.
+Pieces meet at a section and never overlap, so their masses and moments add up exactly. A loft that
+meets itself, such as a closed ring, is refused.
 
 An elliptic section is a polygon of `_ROUND` corners with the area of the ellipse. Volumes of
 cylinders and cones are therefore exact, and their inertias are correct to 1e-4.
@@ -39,6 +40,10 @@ _CREASE = 0.82
 # Distance of a corner beyond the plane of the next section, as a fraction of the body's size, and
 # excess of a hull's volume over that of its pieces, as a fraction. Both are rounding.
 _CROSSING, _HOLLOW = 1e-9, 1e-9
+# Radius of a ball in the common space of two slices, as a fraction of the body's size, above which
+# they overlap. Slices that only touch have a radius of about 1e-7 m, which is the tolerance of the
+# linear program.
+_OVERLAP = 1e-6
 
 
 class LoftSection(NamedTuple):
@@ -99,11 +104,12 @@ def loft(sections: tuple[LoftSection, ...], corners: int | None = None) -> tuple
             the rectangle of width and height, and has a flat lower side.
 
     Raises:
-        MeshError: the spine turns back, sections cross, a section has no size, or a piece cannot
-            be a mesh.
+        MeshError: the spine turns back, sections cross, a section has no size, the loft meets
+            itself, or a piece cannot be a mesh.
     """
     rings = _rings(sections, corners)
     slices = [_made(rings[i : i + 2], i) for i in range(len(rings) - 1)]
+    _require_apart(sections, rings)
     pieces, first = [], 0
     while first < len(slices):
         last, piece = first, slices[first]
@@ -166,6 +172,40 @@ def _rings(sections: tuple[LoftSection, ...], corners: int | None) -> list[np.nd
                 "spine less"
             )
     return rings
+
+
+def _require_apart(sections: tuple[LoftSection, ...], rings: list[np.ndarray]) -> None:
+    """Check that no two slices overlap. Neighbours meet at the plane of their section.
+
+    Raises:
+        MeshError: two slices overlap, so their common space would count twice.
+    """
+    places = np.array([each.at for each in sections])
+    normals, slices = _normals(places), [np.concatenate(both) for both in itertools.pairwise(rings)]
+    size = np.ptp(np.concatenate(rings), axis=0).max()
+    for (i, one), (j, other) in itertools.combinations(enumerate(slices), 2):
+        ahead = ((other - places[i + 1]) @ normals[i + 1]).min()
+        behind = ((places[j] - one) @ normals[j]).min()
+        near = (one.min(0) < other.max(0)).all() and (other.min(0) < one.max(0)).all()
+        # The plane of a section between the slices often separates them.
+        apart = max(ahead, behind) > -_CROSSING * size or not near
+        if not apart and _common_radius(one, other) > _OVERLAP * size:
+            raise MeshError(
+                f"the loft meets itself: the part between sections {i} and {i + 1} overlaps the "
+                f"part between sections {j} and {j + 1}, so their common space would count twice. "
+                f"Move them apart, make them smaller, or end the loft at section {j}"
+            )
+
+
+def _common_radius(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the radius of the largest ball within two hulls, negative if they are apart, m."""
+    from scipy.optimize import linprog
+    from scipy.spatial import ConvexHull
+
+    # Qhull's rows are outward unit normals and negative offsets.
+    rows = np.concatenate([ConvexHull(points).equations for points in (one, other)])
+    inside = np.column_stack([rows[:, :3], np.ones(len(rows))])
+    return linprog([0, 0, 0, -1], inside, -rows[:, 3], bounds=[(None, None)] * 4).x[3]
 
 
 def _require_sizes(sections: tuple[LoftSection, ...]) -> None:

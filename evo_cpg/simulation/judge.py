@@ -19,7 +19,7 @@ from evo_cpg.simulation.task import Task, Transition
 # the root (m/s). No animal of metre size moves so fast, and the time step no longer resolves such
 # motion.
 _WILDEST_RATE = 1e3
-_WILDEST_SPEED = 1e2
+WILDEST_SPEED = 1e2
 
 
 class Outcome(NamedTuple):
@@ -122,4 +122,4 @@ def is_sane(state: State) -> Bool[Array, " *n"]:
     rate = jnp.abs(state.angular_velocity).max(0)
     if state.qd.shape[0]:
         rate = jnp.maximum(rate, jnp.abs(state.qd).max(0))
-    return (speed < _WILDEST_SPEED) & (rate < _WILDEST_RATE)
+    return (speed < WILDEST_SPEED) & (rate < _WILDEST_RATE)

@@ -388,8 +388,8 @@ MISTAKES = {
     "free fall": (
         CONFIG,
         ["world.water=null"],
-        "world.gravity",
-        "the animal falls from start to end",
+        "world.ground",
+        "the animal falls from start to end, to 327 m/s. Above 100 m/s it counts as diverged",
     ),
     "ground under water by default": (
         CONFIG,

@@ -222,12 +222,38 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
             ["world.ground={}", STONE, "simulation.start=[4, 0]", "simulation.trials=[{}]"],
             "simulation.start: no place to stand at (4, 0). Is it inside an obstacle?",
         ),
+        (
+            ["simulation.start=[0, -1e5]"],
+            "simulation.start: the animal of 2.18 m would start at y = -100000 m, where float32 "
+            "resolves only 0.0078 m. It would stand still or move wrongly in steps of 0.0083 s. "
+            "Allowed: less than 2048 m from the origin. Subtract about -100000 m from the world's "
+            "y coordinates",
+        ),
+        (["simulation.trials=[{}, {start: [5e5, 5e6]}]"], "simulation.trials.1.start: the animal"),
+        (["world.ground={floor: {height: 3e4}}"], "world.ground.floor: the animal of 2.18 m would"),
     ],
 )
 def test_invalid_situations_and_lights_are_rejected(overrides, words):
     with pytest.raises(ConfigError) as refused:
         built(*overrides)
     assert words in str(refused.value)
+
+
+@pytest.mark.parametrize("height", [300, 3000])
+@pytest.mark.parametrize(
+    "floor",
+    [
+        "{{type: relief, heights: [[{0}, {0}], [{0}, {0}]]}}",
+        "{{type: shore, stop: 1, start_height: {0}, stop_height: {0}}}",
+    ],
+)
+def test_high_ground_carries_an_animal(floor, height):
+    """It starts as on a level plane, up to the rounding of float32."""
+    starts = [
+        situations("1", f"world.ground.floor={given}", path=HEXAPOD)[0].start_position[2]
+        for given in (floor.format(height), f"{{height: {height}}}")
+    ]
+    assert starts[0] == pytest.approx(starts[1], abs=4 * float(np.spacing(np.float32(height))))
 
 
 def test_an_unused_start_is_not_checked():

@@ -1,5 +1,7 @@
 """Lofts against closed forms: volumes, moments, bends, mirror images and errors."""
 
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -187,3 +189,33 @@ def test_sections_that_make_no_body_are_refused():
     bent = [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.1, 0.1, 0.0)]
     with pytest.raises(MeshError, match="sections 0 and 1 cross"):
         loft(tuple(LoftSection(at, 0.5, 0.1) for at in bent))
+
+
+def around(degrees: float, radius: float = 0.3, rise: float = 0.0) -> tuple[Piece, ...]:
+    """Return a loft of 28 slices along an arc or a helix, 0.04 m wide and 0.06 m high."""
+    angles = np.radians(np.linspace(0, degrees, 29))
+    rows = np.column_stack([radius * np.sin(angles), -radius * np.cos(angles), rise * angles])
+    return loft(tuple(LoftSection(tuple(row), 0.04, 0.06) for row in rows.tolist()))
+
+
+def hairpin(apart: float) -> tuple[Piece, ...]:
+    """Return two parallel beams of 0.04 m that are joined at one end."""
+    x, y = [0.0, 0.1, 0.2, 0.2 + apart / 2, 0.2, 0.1, 0.0], [0, 0, 0, 0.5, 1, 1, 1]
+    rows = zip(x, np.multiply(y, apart).tolist(), strict=True)
+    return loft(tuple(LoftSection((*row, 0.0), 0.04, 0.04) for row in rows), 4)
+
+
+@pytest.mark.parametrize(
+    ("make", "where"),
+    [
+        (lambda: around(350), None),
+        (lambda: around(400), "0 and 1 overlaps the part between sections 25 and 26"),
+        (lambda: around(500, rise=0.02), None),
+        (lambda: around(500, rise=0.005), "0 and 1 overlaps the part between sections 20 and 21"),
+        (lambda: hairpin(0.04), None),
+        (lambda: hairpin(0.0399), "0 and 1 overlaps the part between sections 5 and 6"),
+    ],
+)
+def test_a_loft_that_meets_itself_is_refused(make, where):
+    with contextlib.nullcontext() if where is None else pytest.raises(MeshError, match=where):
+        make()

@@ -11,6 +11,7 @@ from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfi
 from evo_cpg.creature.creature import lowest_height
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.lift import make_plate_lift
+from evo_cpg.simulation.judge import WILDEST_SPEED
 
 # Largest movement by gravity in a physics step, as a fraction of a body's half thickness. At 0.6
 # the body sinks into the ground by 0.05 of that. At 2 a floating body never rests.
@@ -168,10 +169,13 @@ def nothing_to_hold_it(case: Case) -> Iterator[LintWarning]:
     world, hangs = case.config.world, any(body.hangs for body in case.config.creature.bodies)
     empty = world.water is None and world.ground is None and not world.forces
     if world.gravity and empty and not hangs:
+        simulation = case.config.simulation
+        speed = world.gravity * simulation.steps / simulation.control_rate_hz
         yield case.warning(
-            ("world", "gravity"),
-            "there is neither water nor ground, so the animal falls from start to end. Give the "
-            "world a ground (ground: {}) or water (water: {}), or set gravity to 0",
+            ("world", "ground"),
+            "there is neither water nor ground, so the animal falls from start to end, to "
+            f"{speed:.3g} m/s. Above {WILDEST_SPEED:g} m/s it counts as diverged. Give the world a "
+            "ground (ground: {}) or water (water: {}), or set gravity to 0",
         )
 
 
