@@ -36,11 +36,12 @@ if os.environ.get("EVO_CPG_TESTS_SHAPES"):
     _CHECKED = sorted(set(_CHECKED) - {"evo_cpg.fusion", "evo_cpg.cli"})
     jaxtyping.install_import_hook(_CHECKED, "runtime_checks.typechecker")
 
-rounding.nudge()
-
 from costs import Costs
 from evo_cpg.fusion import engine
 from evo_cpg.fusion.backend.machine import keep_code_in
+
+# Tests import the rest of the package later.
+rounding.nudge()
 
 # Equal programs are compiled once, such as an experiment in several tests, or a run that is started
 # and resumed. Each process has its own temporary folder.

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from evo_cpg.config.errors import KeyProblem
-from evo_cpg.config.schema.trial import MOST_STEPS, SimulationConfig
 
-# New names of keys, which the former names may replace until version 2.0.
+# New names of keys, which the former names may still replace.
 RENAMED = {"sensory_feedback": "constant_input"}
 
 # Sections of the renamed keys.
@@ -87,6 +86,9 @@ def with_seconds(data: dict[str, Any], warns: bool = True) -> dict[str, Any]:
     simulation = data.get("simulation")
     if not isinstance(simulation, dict) or "steps" not in simulation:
         return data
+    # Shell completion reads keys without JAX, which this imports.
+    from evo_cpg.config.schema.trial import MOST_STEPS, SimulationConfig
+
     steps = simulation["steps"]
     is_number = isinstance(steps, int | float) and not isinstance(steps, bool)
     if not (is_number and 1 <= steps <= MOST_STEPS and steps == int(steps)):
@@ -107,7 +109,7 @@ def with_seconds(data: dict[str, Any], warns: bool = True) -> dict[str, Any]:
 
 
 def _warn(change: str) -> None:
-    words = f"{change}. The former name works until version 2.0"
+    words = f"{change}. The former name still works"
     warnings.warn(words, FormerKeyWarning, stacklevel=3)
 
 
@@ -140,6 +142,8 @@ def without_former_values(data: dict[str, Any]) -> dict[str, Any]:
 
 def _with_steps(found: dict[str, Any]) -> dict[str, Any]:
     """Return the section of a trial with the former key for its duration."""
+    from evo_cpg.config.schema.trial import SimulationConfig
+
     if "seconds" not in found:
         return found
     steps = SimulationConfig(**found).steps

@@ -33,8 +33,8 @@ from evo_cpg.spatial.rotation import euler_to_matrix
 _START_STEPS, _START_ACCURACY, _START_ROUNDING = 200, 1e-5, 5e-7
 
 # Largest spacing of float32 at the start along x, y and z, over the creature's length times the
-# physics step in s. Each step rounds a position by up to half the spacing. At 0.006 the turtle, which
-# moves only 0.01 lengths in a second, is right to 2.4 %, and at 0.024 it is wrong by a third.
+# physics step in s. Each step rounds a position by up to half the spacing. At 0.006 the turtle is
+# right to 2.4 %, although it moves only 0.01 lengths in a second. At 0.024 it is wrong by a third.
 # Heights do not drift, because the ground holds the animal: the hexapod walks as far as at height 0
 # up to 0.24, and diverges at 2.
 _COARSEST = (0.006, 0.006, 0.1)

@@ -253,7 +253,7 @@ def test_lint_reports_no_falling_if_a_law_may_hold_the_creature(glider):
     falls = [d.key for d in lint(load_config(glider / "glider.yaml", held), "glider.yaml")]
     free = [*held, "world.forces=[]"]
     there = [d.key for d in lint(load_config(glider / "glider.yaml", free), "glider.yaml")]
-    assert ("world", "gravity") in there and ("world", "gravity") not in falls
+    assert ("world", "ground") in there and ("world", "ground") not in falls
 
 
 @pytest.mark.parametrize(

@@ -114,7 +114,7 @@ def test_former_name_of_a_key_works_with_a_warning(tmp_path):
     shutil.copytree(CONFIG.parent / "creatures", tmp_path / "creatures")
     path.write_text(CONFIG.read_text().replace("constant_input:", "sensory_feedback:"))
     assert "sensory_feedback: 0.0" in path.read_text()
-    words = f"{key} is now called {new}. The former name works until version 2.0"
+    words = f"{key} is now called {new}. The former name still works"
 
     def found(*overrides: str, times: int) -> float:
         with warnings.catch_warnings(record=True) as caught:
@@ -199,7 +199,7 @@ def test_command_warns_of_a_former_key_in_one_line(cli):
     _, _, err = cli("validate", CONFIG, "controller.cpg.sensory_feedback=0.1")
     assert err.splitlines()[0] == (
         "evo-cpg: warning: controller.cpg.sensory_feedback is now called "
-        "controller.cpg.constant_input. The former name works until version 2.0"
+        "controller.cpg.constant_input. The former name still works"
     )
 
 

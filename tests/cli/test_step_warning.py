@@ -41,7 +41,7 @@ def plates(thickness: float) -> str:
     water = {"viscosity": 1e-3, "reactive_thrust": True}
     return yaml.safe_dump(
         {"name": "x", "creature": creature, "world": {"water": water},
-         "simulation": {"steps": 120, "substeps": 1}, "controller": {"type": "steady:Steady"},
+         "simulation": {"seconds": 2, "substeps": 1}, "controller": {"type": "steady:Steady"},
          "task": {"type": "distance"}, "evolution": {"population": 4, "elites": 1}}
     )  # fmt: skip
 

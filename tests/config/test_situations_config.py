@@ -226,7 +226,7 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
             ["simulation.start=[0, -1e5]"],
             "simulation.start: the animal of 2.18 m would start at y = -100000 m, where float32 "
             "resolves only 0.0078 m. It would stand still or move wrongly in steps of 0.0083 s. "
-            "Allowed: less than 2048 m from the origin. Subtract about -100000 m from the world's "
+            "Allowed: less than 1024 m from the origin. Subtract about -100000 m from the world's "
             "y coordinates",
         ),
         (["simulation.trials=[{}, {start: [5e5, 5e6]}]"], "simulation.trials.1.start: the animal"),
