@@ -79,6 +79,15 @@ def pytest_configure(config):
         engine.is_native = lambda: False
 
 
+def pytest_collection_modifyitems(items):
+    """Skip tests of runs from other processes, which `rounding` does not change."""
+    if rounding.of_this_process_alone():
+        skip = pytest.mark.skip(reason="compares with a process that rounds as usual")
+        for item in items:
+            if "finished_run" in item.fixturenames:
+                item.add_marker(skip)
+
+
 def pytest_collection_finish(session):
     """Exclude imported and collected objects, which stay, from garbage collection."""
     gc.collect()

@@ -32,6 +32,11 @@ def prepare() -> list[str]:
     return flags
 
 
+def of_this_process_alone() -> bool:
+    """Return whether processes that tests start do not have the change."""
+    return CHANGE == "nudged" or CHANGE in _SETS
+
+
 def nudge() -> None:
     """Apply the change to the package: its instruction set, or its masses and places."""
     if CHANGE in _SETS:
@@ -44,6 +49,7 @@ def nudge() -> None:
 
 def _nudge_masses_and_places() -> None:
     """Move masses and joints of all trees, and all starts, by one unit in the last place."""
+    import jax
     import numpy as np
 
     from evo_cpg.creature import tree
@@ -53,7 +59,7 @@ def _nudge_masses_and_places() -> None:
 
     def nudged(numbers):
         known = isinstance(numbers, np.ndarray) and numbers.dtype == np.float64
-        return np.nextafter(numbers, np.inf) if known else numbers
+        return numbers * (1 + np.finfo(np.float64).eps) if known else numbers
 
     @functools.wraps(built)
     def build_tree(*given, **options):
@@ -66,7 +72,7 @@ def _nudge_masses_and_places() -> None:
         found = resting(*given, **options)
         if found.base is not None:
             return found
-        unit = 1 + np.finfo(found.position.dtype).eps
-        return dataclasses.replace(found, position=found.position * unit)
+        unit = np.finfo(found.position.dtype).eps * jax.lax.stop_gradient(found.position)
+        return dataclasses.replace(found, position=found.position + unit)
 
     tree.build_tree, state.resting_state = build_tree, resting_state
