@@ -260,7 +260,7 @@ class Settling:
             state, friction = found
             here = self._at(np.zeros(len(self.free)), state, friction)
             values, modes = np.linalg.eigh(here.stiffness)
-            if values[0] > -_UNSTABLE:
+            if values.min(initial=0.0) > -_UNSTABLE:
                 self._require_hold(here.total)
                 stiff = np.abs(values) > _SOFTEST
                 give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
@@ -305,7 +305,7 @@ class Settling:
             limit = older * friction.limit + (1 - older) * touch.limit
             friction = friction._replace(limit=limit)
             here = self._at(np.zeros(len(self.free)), state, friction)
-            if np.abs(here.force).max() < _EXACT:
+            if np.abs(here.force).max(initial=0.0) < _EXACT:
                 return state, friction
         return None
 
@@ -313,7 +313,7 @@ class Settling:
         """Go downhill until the forces are small. Return None if they do not become small."""
         for _ in range(_STEPS):
             here = self._at(np.zeros(len(self.free)), state, friction)
-            largest = np.abs(here.force).max()
+            largest = np.abs(here.force).max(initial=0.0)
             if largest < _EXACT:
                 return state, friction
             if not np.isfinite(largest):

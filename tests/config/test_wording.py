@@ -142,7 +142,11 @@ def places(data: object, key: tuple = ()) -> Iterator[tuple]:
 
 @pytest.mark.parametrize(
     ("name", "every"),
-    [("salamander_amphibious", 16), ("fukui2003_model1", 4), ("swimmer_gaits", 4)],
+    [
+        pytest.param("salamander_amphibious", 16, marks=pytest.mark.slow),
+        ("fukui2003_model1", 4),
+        ("swimmer_gaits", 4),
+    ],
 )
 def test_messages_contain_no_pydantic_terms(name, every):
     data = parse_yaml(dump_config(load_config(REPOSITORY / "configs" / f"{name}.yaml")))

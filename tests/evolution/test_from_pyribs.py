@@ -266,7 +266,7 @@ def test_genes_are_clipped_after_the_draw():
     assert state.cells["count"] >= 1
 
 
-@pytest.mark.parametrize("es", ["sep_cma_es", "openai_es"])
+@pytest.mark.parametrize("es", [pytest.param("sep_cma_es", marks=pytest.mark.slow), "openai_es"])
 def test_it_searches_bits(es):
     """Fitness is the number of bits that agree with a pattern."""
     pattern = np.tile([1.0, 0, 1, 1, 0], GENES // 5)

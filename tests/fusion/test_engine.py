@@ -184,7 +184,9 @@ def trying(monkeypatch, tmp_path, code):
 def test_a_self_test_that_aborts_falls_back(monkeypatch, tmp_path):
     runs = trying(monkeypatch, tmp_path, "import os; os.abort()")
     assert_falls_back("the self-test failed")
-    assert len(runs) == 1 and not list(tmp_path.glob("native-tried-*"))
+    # Each instruction set is tried once.
+    assert len({run[-1] for run in runs}) == len(runs) > 0
+    assert not list(tmp_path.glob("native-tried-*"))
 
 
 def test_a_self_test_that_finds_other_numbers_falls_back(monkeypatch, tmp_path):

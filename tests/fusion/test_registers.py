@@ -133,7 +133,9 @@ def natively(function, x, instructions="host"):
         return jax.jit(functools.partial(fuse, function, batch_ndim=1))(x)
 
 
-@pytest.mark.parametrize("instructions", SETS)
+@pytest.mark.parametrize(
+    "instructions", ["host", *(pytest.param(name, marks=pytest.mark.slow) for name in SETS[1:])]
+)
 @pytest.mark.parametrize("count", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3)), 40])
 def test_many_waiting_values_are_kept(count, instructions):
     """Each of a hundred products is used twice, far apart."""

@@ -154,8 +154,8 @@ def on(instructions):
 @pytest.mark.parametrize("instructions", ["avx512", "avx2", "neon"])
 def test_bits_do_not_depend_on_the_vector_width(instructions):
     """All of these instruction sets multiply and add in one instruction."""
-    assert_same(on(instructions), of_all())
+    assert_same(on(instructions), on("host"))
 
 
 def test_without_fused_multiply_add_results_are_close():
-    assert_close(on("sse"), of_all())
+    assert_close(on("sse"), on("host"))

@@ -82,7 +82,7 @@ def test_contact_points_have_the_combined_values():
     np.testing.assert_allclose(world.contact_model.dynamic_friction, 0.4, rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["box", "sphere"])
+@pytest.mark.parametrize("name", ["box", pytest.param("sphere", marks=pytest.mark.slow)])
 def test_restitution_is_the_ratio_of_speeds(name):
     """The ratio of speeds is within 0.05 of the setting, for drops from 0.2 to 1 m.
 

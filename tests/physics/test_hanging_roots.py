@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from creatures import accelerations, in_water, quick_jit, random_creature, random_state
-from evo_cpg.creature.creature import NO_MASS, WORLD, Body, Creature, Joint, Material
+from evo_cpg.creature.creature import NO_MASS, WORLD, Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import Tree, build_tree
@@ -130,7 +130,7 @@ def test_hanging_trees_accelerate_as_in_mujoco(kinds):
     np.testing.assert_allclose(turned, data.xmat[body], rtol=0, atol=1e-12)
 
 
-def pendulum(stiffness: float = 0.0) -> World:
+def pendulum(stiffness: float = 0.0, actuator: Actuator | None = None) -> World:
     """Return a box that hangs by its end on a hinge along y."""
     joint = Joint(
         WORLD,
@@ -139,6 +139,7 @@ def pendulum(stiffness: float = 0.0) -> World:
         ((0.0, 1.0, 0.0),),
         (-9.0,),
         (9.0,),
+        actuator=actuator,
         stiffness=stiffness,
     )
     body = Body("bob", Box(SIZE), Material(DENSITY))
@@ -191,6 +192,13 @@ def test_pendulum_settles_where_its_spring_carries_it():
     assert abs(found.q[0]) == pytest.approx(q, rel=1e-9)
     across = np.array([-np.sin(HEADING), np.cos(HEADING), 0.0])
     assert (found.position - START) @ across == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_motor_holds_a_root_that_settles():
+    """A velocity servo holds its joint, so nothing is free to move."""
+    world = pendulum(actuator=Actuator(5.0))
+    assert Settling(world, 1 / 240).settle(Situation(START, HEADING)).state.q == [0.0]
 
 
 def planar(hangs: bool) -> Creature:

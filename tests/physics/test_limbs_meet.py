@@ -218,7 +218,13 @@ def test_a_recording_has_the_mean_force_of_every_pair(x64):
     assert mean.max() > 0.1
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    "shape",
+    [
+        pytest.param(shape, marks=[] if shape == "capsules" else pytest.mark.slow)
+        for shape in SHAPES
+    ],
+)
 def test_overlapping_limbs_separate_slowly(x64, shape):
     """The push-out does little work at any depth: the speed stays below 0.5 m/s."""
     world, run = adrift(shape, "z")

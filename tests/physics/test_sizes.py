@@ -109,8 +109,7 @@ def test_a_floating_box_bobs_like_a_spring(size):
         ("floor", SIZES[0]),
         pytest.param("floor", SIZES[1], marks=pytest.mark.slow),
         pytest.param("floor", SIZES[2], marks=pytest.mark.slow),
-        ("block", SIZES[0]),
-        *(pytest.param("block", size, marks=pytest.mark.slow) for size in SIZES[1:]),
+        *(pytest.param("block", size, marks=pytest.mark.slow) for size in SIZES),
     ],
 )
 def test_a_box_comes_to_rest_on_the_ground(on, size):

@@ -269,9 +269,8 @@ def test_gradients_equal_central_differences(animal):
     assert np.mean(sure) > (0.75 if on_land else 0.95)
 
 
-@pytest.mark.parametrize(
-    "animal", ["pair", pytest.param("swimmer", marks=pytest.mark.slow)], indirect=True
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("animal", ["pair", "swimmer"], indirect=True)
 def test_gradients_in_float32(animal):
     """The median error of gradients is below the sum of one rounding error per step.
 

@@ -63,13 +63,12 @@ def untimed(rows):
     return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[pytest.mark.slow] if name == "pyribs" else [])
-        for name in STRATEGIES
-    ],
-)
+FAST_STRATEGIES = [
+    pytest.param(name, marks=[pytest.mark.slow] if name == "pyribs" else []) for name in STRATEGIES
+]
+
+
+@pytest.mark.parametrize("name", FAST_STRATEGIES)
 def test_a_resumed_run_has_the_bits_of_an_uninterrupted_one(name, tmp_path):
     strategy = STRATEGIES[name]()
     whole = train(made(strategy), folder_at(tmp_path / "whole"))
@@ -173,7 +172,7 @@ def test_every_elite_of_a_map_replays_as_recorded(name, tmp_path):
             assert one.terms[axis.name] - 1e-6 <= high or place == axis.cells - 1
 
 
-@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize("name", FAST_STRATEGIES)
 def test_metrics_have_their_names(name, tmp_path):
     strategy = STRATEGIES[name]()
     done = train(made(strategy, 1), folder_at(tmp_path))
