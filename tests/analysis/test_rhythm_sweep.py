@@ -92,7 +92,15 @@ def is_what_simulation_shows(
 
 @pytest.mark.parametrize(
     ("weight", "gain"),
-    [(3.0, 4.0), (3.0, 2.5), (4.0, 3.5), (3.0, 2.01), (50.0, 60.0), (1.5, 2.0), (LEAST + 0.02, 4)],
+    [
+        (3.0, 4.0),
+        (50.0, 60.0),
+        (LEAST + 0.02, 4),
+        *(
+            pytest.param(*pair, marks=pytest.mark.slow)
+            for pair in [(3.0, 2.5), (4.0, 3.5), (3.0, 2.01), (1.5, 2.0)]
+        ),
+    ],
 )
 def test_a_pair_within_the_bounds_oscillates(weight, gain):
     assert is_what_simulation_shows(chain(pair_weight=weight), gain) == "rhythm"

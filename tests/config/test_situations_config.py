@@ -239,7 +239,7 @@ def test_invalid_situations_and_lights_are_rejected(overrides, words):
     assert words in str(refused.value)
 
 
-@pytest.mark.parametrize("height", [300, 3000])
+@pytest.mark.parametrize("height", [300, pytest.param(3000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "floor",
     [

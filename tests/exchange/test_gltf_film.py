@@ -51,7 +51,13 @@ SCENES = {
 }
 
 
-@pytest.fixture(scope="module", params=SCENES, ids=str)
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(name, marks=pytest.mark.slow if name in ("shore", "stones") else [])
+        for name in SCENES
+    ],
+)
 def scene(request):
     make, move, settings = SCENES[request.param]
     creature, recording = make(), move(4.0)

@@ -133,6 +133,7 @@ def trial():
     return outcome.terms, [as_recording(long, frames, names, i) for i in range(len(GENES[0]))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("individual", range(3))
 def test_cost_of_transport_and_slip_follow_from_the_recording(trial, individual):
     terms, recordings = trial
