@@ -26,7 +26,8 @@ from evo_cpg.creature.creature import NO_LIMIT, WORLD, TorqueMotor, neutral_pose
 from evo_cpg.exchange.mjcf_import import Imported, read_model
 from evo_cpg.exchange.refusals import ExchangeError
 
-# Largest relative difference of numbers that count as equal. MuJoCo stores quaternions.
+# Largest relative difference of numbers that count as equal. They are rounded, because MuJoCo
+# stores the axes of an inertia as a quaternion.
 _EQUAL = 1e-9
 
 
@@ -58,13 +59,14 @@ class Part:
 
 @dataclasses.dataclass
 class Reading:
-    """A model.
+    """A model, read from its file or from the result of the import.
 
     Attributes:
         bodies: mass properties of the moving bodies, by the name of their first link.
         joints: lower and upper limit (rad or m), and torque of the motor (N m or N), by the name of
             the moved body.
-        names: names of the links and joints whose sentences concern a body.
+        names: names of the links and joints that make up each body. A sentence of the import may
+            name any of them.
     """
 
     bodies: dict[str, Part] = dataclasses.field(default_factory=dict)
@@ -73,7 +75,7 @@ class Reading:
 
 
 def read_urdf(text: str) -> Reading:
-    """Read a URDF. Limits of 0 to 0 weld, and the link ``world`` is no body."""
+    """Read a URDF. Limits of 0 to 0 make a weld, and the link ``world`` is the fixed world."""
     robot = _tree(text)
     links = {link.get("name", ""): link for link in robot.findall("link")}
     below: dict[str, list[Element]] = {name: [] for name in links}
@@ -133,7 +135,7 @@ def imported_reading(imported: Imported) -> Reading:
 
 
 def differences(file: Reading, imported: Reading) -> Iterator[tuple[str, str]]:
-    """Yield the name of each body that differs, and the difference in a word of the import."""
+    """Yield the name of each body that differs, and the word for the difference in messages."""
     for name in file.bodies.keys() | imported.bodies.keys():
         if name not in file.bodies or name not in imported.bodies:
             yield name, "body"
@@ -175,7 +177,7 @@ def compare(path: Path, file: Reading, drop: bool) -> tuple[list[str], list[str]
 def models(folder: Path) -> Iterator[tuple[Path, Reading]]:
     """Yield the files in a folder with at least two moving bodies, and their readings.
 
-    The reading of a file with faults is empty, so that only a refusal is right.
+    The reading of a file with faults is empty, so that every import except a refusal differs.
     """
     for path in sorted(folder.rglob("*.urdf")):
         try:
@@ -206,7 +208,7 @@ def report(folder: Path, drop: bool, write: Callable[[str], object] = print) -> 
 
 
 class _Parser(HTMLParser):
-    """A reader of tags that no fault of the XML stops."""
+    """A reader of tags that continues after a fault in the XML, unlike a strict parser."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -2,10 +2,10 @@
 
     python -m benchmarks.imported_mjcf FOLDER...
 
-Every file of at least two moving bodies is imported, with ``--drop`` if it is refused without. The
-comparison takes mass, inertia, joint limits and motors from MuJoCo's own model of the file. The
-largest force of a motor is measured: it gets the largest command. A difference counts as said if
-the import names the element among what it changed or dropped. The command fails if a
+Every file of at least two moving bodies is imported, with ``--drop`` if it is refused without. Each
+creature is compared with MuJoCo's own model of the file: mass, inertia, joint limits and motors.
+The largest force of a motor is measured in MuJoCo, with the largest command. A difference counts as
+said if the import names the element among what it changed or dropped. The command fails if a
 difference is unsaid.
 """
 
@@ -30,7 +30,7 @@ from evo_cpg.exchange.refusals import ExchangeError
 # Largest relative difference of equal numbers.
 _ALIKE = 1e-6
 
-# Command beyond all limits. MuJoCo ignores commands above 1e10.
+# Command beyond all limits, but below 1e10, because MuJoCo ignores larger commands.
 _HUGE = 1e9
 
 
@@ -118,7 +118,7 @@ def _differing_bodies(both: Imports) -> Iterator[Difference]:
         )
         if not np.isclose(tree.mass[i], weights.sum(), rtol=_ALIKE):
             yield Difference(both.name("body", lead), f"{weights.sum():g} kg: {tree.mass[i]:g}")
-        # The import may have turned the world.
+        # The import turns the world if gravity is tilted. Only the moments are then comparable.
         moments = [np.linalg.eigvalsh(tensor) for tensor in (expected, found)]
         tilted = np.any(model.opt.gravity[:2])
         pair = moments if tilted else (expected, found)
@@ -191,7 +191,7 @@ def _differing_motors(both: Imports) -> Iterator[Difference]:
             yield Difference(element, f"gear, stiffness, gain {expected}: {found}")
         limit = float(laws.torque_limit[place])
         measured = _largest_forces(model, number, bool(spring or gain))
-        # A motor without limits gives what its command demands.
+        # A motor without limits gives what its command demands, so large forces count as equal.
         most = 0.5 * _HUGE * abs(gear * float(model.actuator_gainprm[number, 0]))
         theirs, ours = (np.minimum(np.abs(x), most) for x in (measured, limit))
         if not np.allclose(theirs, ours, rtol=_ALIKE):
@@ -234,7 +234,7 @@ def _reached(model: Any, number: int, servo: bool) -> np.ndarray:
 
 
 def report(folders: Sequence[Path]) -> int:
-    """Write a line for each file and a table, and return the number of files with an unsaid one."""
+    """Write a line for each file and a table. Return how many files have an unsaid difference."""
     counts: Counter[str] = Counter()
     reasons: Counter[str] = Counter()
     for path in (path for folder in folders for path in models(folder)):

@@ -1,4 +1,4 @@
-"""The fast tests with other roundings: `make test-rounding`.
+"""Run the fast tests with other roundings: `make test-rounding`.
 
 The verdict of a test must not depend on the last digits, because they differ between processors.
 Each run changes one thing: masses and places by one unit in the last place, the number of cores, or

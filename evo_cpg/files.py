@@ -56,15 +56,15 @@ def require_place(path: Path) -> Path:
 def beside(path: Path, folder: bool = False) -> Iterator[Path]:
     """Yield an empty temporary file or folder beside a path, and delete it after the block.
 
-    A kill leaves it behind. So it is locked, and the next block deletes what is in the same folder
-    without a lock.
+    A killed process leaves its temporary file behind, but loses its lock on the file. The next
+    block in the same folder therefore deletes all temporary files that nobody has locked.
 
     Args:
         path: path of the final file or folder.
         folder: whether to make a folder.
     """
     _delete_abandoned(path.parent)
-    # A unique name keeps programs apart that write the same file.
+    # A unique name, because several programs may write the same file.
     prefix, suffix = f".{path.name}{_PARTIAL}", path.suffix.lower()
     while True:
         if folder:
@@ -103,11 +103,11 @@ def _delete(name: str) -> None:
 
 
 def _locked(name: str, wait: bool) -> int | None:
-    """Lock a file or folder, and return its descriptor, or None without locks.
+    """Lock a file or folder, and return its descriptor, or None if it cannot be locked.
 
     Args:
         name: path of the file or folder.
-        wait: whether to wait for another holder. Otherwise the result is None.
+        wait: whether to wait while another process holds the lock.
     """
     if sys.platform == "win32":
         return None

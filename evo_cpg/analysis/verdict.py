@@ -18,7 +18,7 @@ _DEEPEST, _DEPTH, _FALL, _GRAVITY = 0.01, 0.02, 20.0, 9.81
 # of them confirms a champion.
 SECOND_OPINION, _CONFIRMS = "mujoco", 0.5
 
-# Start of the questions about the displacement in changed trials.
+# First words of every check of the displacement in a changed trial. The name of the change follows.
 KEPT = "displacement kept: "
 
 
@@ -191,13 +191,13 @@ class Verdict(NamedTuple):
 
     @property
     def confirmed(self) -> bool | None:
-        """Return whether a second opinion keeps half of the displacement, or None without any."""
+        """Return whether any second opinion keeps half of the displacement, or None without any."""
         kept = [check.measured >= _CONFIRMS for check in self._second]
         return any(kept) if kept else None
 
     @property
     def confirmation(self) -> str:
-        """Text about what second opinions keep, to follow the verdict, or "" without any."""
+        """Text after the verdict: the fractions that second opinions keep, or "" without any."""
         words = "second opinions keep these fractions of its displacement"
         if self.confirmed is False:
             words = "not confirmed, because no second opinion keeps half of its displacement"

@@ -58,7 +58,8 @@ _STRETCH = 0.25
 # Shortest displacement, in lengths of the animal, for which variations are evaluated.
 _LEAST_DISPLACEMENT = 0.1
 
-# Difference of the time upright from ours, as a fraction of the trial, that a second opinion names.
+# The time upright in a second opinion is named if it is shorter than ours by more than this
+# fraction of the trial.
 _LESS_UPRIGHT = 0.1
 
 # Largest allowed relative error of the replayed fitness.
@@ -227,8 +228,9 @@ def _seconds(
 ) -> list[Check]:
     """Return the displacements in the first trial that second opinions keep.
 
-    Only displacement along x counts if the task only counts that. A displacement backwards keeps
-    nothing. There are no checks if our animal hardly moves.
+    If the task rewards only displacement along x, only this displacement counts. A displacement
+    backwards counts as 0. There are no checks if our animal hardly moves, because fractions of its
+    displacement mean nothing then.
     """
     checks = [Check(_key(name), KEPT + name, math.nan, None, True, "%") for name in diverged]
     if not opinions:
@@ -244,7 +246,7 @@ def _seconds(
         return []
     for one, theirs in zip(opinions[1:], others, strict=True):
         question, upright = KEPT + one.program, one.upright
-        # Swimmers may roll.
+        # Only on the ground, because swimmers may roll.
         if one.airborne is not None and upright < opinions[0].upright - _LESS_UPRIGHT:
             question += f" (upright {shown(upright, '%')} of the time)"
         fraction, detail = float(np.clip(theirs / own, 0.0, 1.0)), f"{theirs:.3g} of {own:.3g} m"

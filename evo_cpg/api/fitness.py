@@ -60,7 +60,7 @@ def fitness_function(
             trial = parameters.simulation(parameters.checked(jnp.asarray(values, genome.dtype)))
             trial = dataclasses.replace(trial, task=task) if task else trial
         genomes = jnp.broadcast_to(genome[:, None], (count, parts.trials))
-        # JAX compiles derivatives after this function has returned.
+        # JAX compiles derivatives after this function has returned, so no duration is known here.
         what = f"compiling the fitness of {parts.name!r}, and its derivatives if they are used"
         with working(f"{what} (up to a minute, once under jax.jit)", timed=False):
             outcome = rollout(trial, genomes, keys, situations, backward=backward)

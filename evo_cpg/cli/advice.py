@@ -38,10 +38,11 @@ _SWIMMER = 18_000
 # Largest relative error of the estimated number of operations.
 _ERROR = 0.15
 
-# Mass of the water that slender chains carry, over the animal's mass, from which the physics step
-# is tested. Plates roll in the flow with a frequency that grows with this ratio, and the step takes
-# the water's moment explicitly. Of 45 random swimmers of plates, 17 diverged at two substeps, with
-# ratios of 27 to 183, and 3 more at one substep, with ratios from 12. A shipped eel has 3.
+# Mass of the water that slender chains carry, relative to the animal's mass, above which the
+# physics step is tested. Plates roll in the flow with a frequency that grows with this ratio. The
+# step integrates the water's moment explicitly, so it must be short. Of 45 random swimmers of
+# plates, 17 diverged at two substeps, with ratios of 27 to 183, and 3 more at one substep, with
+# ratios from 12. A shipped eel has 3.
 _LIGHT = 5.0
 
 # Individuals of a test of the physics step, its longest time (s), and the multiples of the substeps
@@ -141,7 +142,8 @@ def about_oscillators(simulation: Simulation) -> list[str]:
             names = ", ".join(tree.dof_names[i] for i in found)
             lines.append(f"{what}: {names}. {change}")
     apart = _groups(network, tree, driven)
-    # A trunk and its fins may have rhythms of their own in water. Legs must step in turn.
+    # Legs must step in turn. In water a trunk and its fins may have rhythms of their own, so only
+    # groups of equal size count there, such as pairs of fins.
     if simulation.world.contact_model is None:
         sizes = [len(group) for group in apart]
         apart = [group for group in apart if sizes.count(len(group)) > 1]
@@ -202,8 +204,8 @@ def is_light_in_water(simulation: Simulation) -> bool:
 def about_step(simulation: Simulation) -> str:
     """Return a warning of a physics step at which random individuals diverge, or "".
 
-    Some random individuals run for at most `_TEST_SECONDS` seconds without noise. Plain JAX would
-    take minutes to compile their trials, so it tests nothing.
+    Some random individuals run for at most `_TEST_SECONDS` seconds without noise. With plain JAX
+    nothing is tested, because compiling their trials would take minutes.
     """
     if simulation.engine.name == "jax":
         return ""

@@ -222,7 +222,7 @@ def _simple_kind(option: Schema) -> str | None:
 
 
 def _number_or_text(text: str) -> Any:
-    """Return the number that a text begins with, or the text, also if its unit needs a factor."""
+    """Return the number that a text begins with, or the text if it has none, or another unit."""
     plain = text.replace("\N{MINUS SIGN}", "-").replace(",", ".")
     words = plain.split()
     if words[1:] and words[1] in _OTHER_UNITS:

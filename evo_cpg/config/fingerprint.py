@@ -15,8 +15,8 @@ from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 
 _SOURCE = "the source of "
-# Beginnings of changes that leave every individual's fitness as it is, except those that
-# `changes_of_fitness` adds.
+# First words of changes that leave every individual's fitness as it is. `changes_of_fitness` lists
+# the exceptions.
 _HARMLESS = (
     *("name", "seed", "runs", "creature.name", "evolution.", "audit.", "measures", "engine"),
     *("instruction_set", _SOURCE),
@@ -54,12 +54,12 @@ def changes_since(before: Any, config: ExperimentConfig) -> list[str]:
 
 
 def changes_of_fitness(before: Any, config: ExperimentConfig) -> list[str]:
-    """Return those of `changes_since` that may change fitness, or an elite's place on its map."""
+    """Return the changes that may change fitness, or an elite's place on its map."""
     parts = [part for key, part in own_parts(config).items() if key != ("evolution",)]
     harmful = ["evolution.axes", *(_SOURCE + module for module in _code_digests(parts))]
     harmful += [f"audit.{name}" for name in ("disqualify", *config.audit.disqualify)]
     if not config.noise.silent:
-        # The seed draws the noise in which an individual was evaluated.
+        # The seed determines the noise with which an individual was evaluated.
         harmful.append("seed")
     found = changes_since(before, config)
     return [each for each in found if each in harmful or not each.startswith(_HARMLESS)]

@@ -6,7 +6,7 @@ from typing import Any
 
 from evo_cpg.config.errors import KeyProblem
 
-# New names of keys, which the former names may still replace.
+# New names of keys, by their former names, which still work.
 RENAMED = {"sensory_feedback": "constant_input"}
 
 # Sections of the renamed keys.
@@ -86,7 +86,7 @@ def with_seconds(data: dict[str, Any], warns: bool = True) -> dict[str, Any]:
     simulation = data.get("simulation")
     if not isinstance(simulation, dict) or "steps" not in simulation:
         return data
-    # Shell completion reads keys without JAX, which this imports.
+    # Import here, because this module imports JAX, and shell completion reads keys without it.
     from evo_cpg.config.schema.trial import MOST_STEPS, SimulationConfig
 
     steps = simulation["steps"]
@@ -100,7 +100,7 @@ def with_seconds(data: dict[str, Any], warns: bool = True) -> dict[str, Any]:
     rest = {key: value for key, value in simulation.items() if key != "steps"}
     rate = rest.get("control_rate_hz", SimulationConfig().control_rate_hz)
     if isinstance(rate, int | float) and rate > 0:
-        # The check refuses any other rate.
+        # The check that follows refuses any other rate.
         rest["seconds"] = steps / rate
         words = f"{steps} control steps are {rest['seconds']:.6g} s"
         if warns:

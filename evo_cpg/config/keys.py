@@ -27,7 +27,10 @@ def parts_of(text: str) -> tuple[str, ...]:
 
 
 def replaces(key: str, other: str) -> bool:
-    """Return whether a value for a key replaces an earlier value for another key."""
+    """Return whether a value for a key replaces an earlier value for another key.
+
+    This is so if the other key is the same in another spelling, or lies in the key's section.
+    """
     new, old = (
         [part.lstrip("0") or "0" if part.isdigit() else part for part in newest_key(parts_of(text))]
         for text in (key, other)

@@ -19,7 +19,7 @@ from evo_cpg.system import lend_matplotlib_a_folder
 MESH_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
 # Values that mark missing heights in maps, m.
 _MISSING = (-9999.0, -32767.0, -32768.0, float(np.finfo(np.float32).min))
-# A number with a decimal comma, next to another delimiter.
+# A number with a comma next to another delimiter, so that the comma must be a decimal comma.
 _DECIMAL_COMMA = re.compile(r'\d,\d+[";\t]|[";\t] *-?\d+,\d|\d,\d+ +-?\d')
 _ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
@@ -122,7 +122,7 @@ def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
 
 def _table(path: Path) -> np.ndarray:
     """Return the numbers of a table whose delimiters are commas, semicolons or spaces."""
-    # Spreadsheets begin a file with a byte order mark.
+    # Skip the byte order mark with which spreadsheets begin a file.
     text = re.sub("#.*", "", path.read_text(encoding="utf-8-sig"))
     if _DECIMAL_COMMA.search(text):
         raise ValueError("it has decimal commas. Write decimal points")
@@ -140,7 +140,8 @@ def _image(path: Path, lowest: float, highest: float) -> tuple[np.ndarray, bool]
         if max(image.size) > MOST_HEIGHTS:
             raise ValueError(f"{image.width} x {image.height} pixels, more than {MOST_HEIGHTS}")
         if image.mode in ("F", "I") and image.format != "PNG":
-            # 32 bits are not a shade of grey but a height. Matplotlib would cut it off at 255.
+            # Pixels of 32 bits are heights and not shades of grey. Matplotlib would clip them at
+            # 255.
             return np.asarray(image, float)[::-1].T, False
         if not image.mode.startswith("I"):
             colours = np.asarray(image.convert("RGBA"))

@@ -1,8 +1,8 @@
 """Checks of the values that a user's own classes return.
 
-A traced control step shows shapes and types. The same step then runs with random numbers. The
-numbers of some individuals change, and the results of the others must not, because each individual
-is alone in its trial.
+Tracing a control step shows shapes and types. The same step then runs with random numbers, and
+again with other numbers for some individuals. The results of the remaining individuals must not
+change, because each individual is alone in its trial.
 """
 
 import contextlib
@@ -184,12 +184,12 @@ def check_own_forces(config: ExperimentConfig, world: World) -> None:
 def require_separate(
     go: Callable[[Any], Results], shapes: Any, *others: Any
 ) -> list[dict[tuple[Key, str], list[np.ndarray]]]:
-    """Return the results of methods for some given numbers, and then for random numbers.
+    """Check that no result of an individual depends on other individuals, and return all results.
 
     Args:
         go: function that returns the results of methods for given numbers.
-        shapes: shapes of these numbers.
-        others: given numbers.
+        shapes: shapes of the given numbers, for random ones.
+        others: further numbers, whose results come first.
 
     Raises:
         KeyProblem: the result of an individual changes with the numbers of other individuals.
@@ -228,7 +228,8 @@ def require_separate(
 def _random(shapes: Any, changed: Sequence[int] = ()) -> Any:
     """Return random numbers of given shapes: always the same, except for changed individuals.
 
-    Numbers that are not real stay 0. Positive numbers below 1 suit most functions.
+    Numbers that are not real stay 0. The others are positive and below 1, because most functions
+    are defined there.
     """
     rng = np.random.default_rng(0)
 

@@ -32,11 +32,12 @@ from evo_cpg.spatial.rotation import euler_to_matrix
 # as a fraction of the distance from the origin, because float32 resolves 1.2e-7 of it.
 _START_STEPS, _START_ACCURACY, _START_ROUNDING = 200, 1e-5, 5e-7
 
-# Largest spacing of float32 at the start along x, y and z, over the creature's length times the
-# physics step in s. Each step rounds a position by up to half the spacing. At 0.006 the turtle is
-# right to 2.4 %, although it moves only 0.01 lengths in a second. At 0.024 it is wrong by a third.
-# Heights do not drift, because the ground holds the animal: the hexapod walks as far as at height 0
-# up to 0.24, and diverges at 2.
+# Largest allowed spacing of float32 at the start along x, y and z, relative to the creature's
+# length times the physics step in s. Each step rounds a position by up to half the spacing. At
+# 0.006 the turtle's displacement is right to 2.4 %, although it moves only 0.01 lengths in a
+# second. At 0.024 the displacement is wrong by a third. Heights may be coarser, because the ground
+# holds the animal, so that they do not drift. Up to 0.24 the hexapod walks as far as at height 0,
+# and at 2 it diverges.
 _COARSEST = (0.006, 0.006, 0.1)
 
 # Largest distance of a light, in lengths of the creature. No creature moves that far in a trial.

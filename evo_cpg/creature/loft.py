@@ -187,7 +187,7 @@ def _require_apart(sections: tuple[LoftSection, ...], rings: list[np.ndarray]) -
         ahead = ((other - places[i + 1]) @ normals[i + 1]).min()
         behind = ((places[j] - one) @ normals[j]).min()
         near = (one.min(0) < other.max(0)).all() and (other.min(0) < one.max(0)).all()
-        # The plane of a section between the slices often separates them.
+        # The plane of a section between the slices often separates them, which is quick to find.
         apart = max(ahead, behind) > -_CROSSING * size or not near
         if not apart and _common_radius(one, other) > _OVERLAP * size:
             raise MeshError(

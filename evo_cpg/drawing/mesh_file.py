@@ -28,7 +28,7 @@ def add_mesh_file(document: Path, name: str, content: bytes) -> dict[str, str]:
     Raises:
         DrawingError: it is no mesh that a body can have, or another file has its name.
     """
-    # Some systems write an accent apart from its letter.
+    # Some systems write an accent apart from its letter, so one name would have two forms.
     given_name = unicodedata.normalize("NFC", re.split(r"[/\\]", name)[-1])
     stem, dot, suffix = given_name.rpartition(".")
     if f"{dot}{suffix}".lower() not in MESH_SUFFIXES:

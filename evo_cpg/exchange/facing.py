@@ -11,8 +11,8 @@ from evo_cpg.creature.creature import Creature, neutral_pose
 # names do not say where its left side is.
 _LONGER = 1.5
 
-# Smallest mean distance between left and right bodies, as a fraction of the animal's size. Fingers
-# of a gripper are nearer to each other.
+# Smallest mean distance between left and right bodies, as a fraction of the animal's size. The
+# fingers of a gripper are nearer to each other, and do not show the front.
 _APART = 0.1
 
 # Largest angle from the x axis of an animal that faces +x, degrees.
@@ -20,7 +20,7 @@ _AHEAD = 45.0
 
 
 def facing_note(creature: Creature) -> str | None:
-    """Return a sentence about an animal that does not face +x, or None.
+    """Return a sentence about an animal that probably does not face +x, or None.
 
     Bodies whose names differ only in left and right, such as ``FL_foot`` and ``FR_foot``, show the
     animal's left side. Without such names, its longest direction counts.

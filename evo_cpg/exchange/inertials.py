@@ -30,14 +30,15 @@ _LEAST_MASS, _LEAST_MOMENT = 1e-6, 1e-9
 # is 1.3 % of its length.
 _THIN = 1e-3
 
-# Rounding of an eigenvalue, relative to the largest one.
+# Largest moment that counts as 0, relative to the largest one, because eigenvalues are rounded.
 _ROUNDING = 1e-12
 
-# Rounding of numbers in files, up to which the largest moment may exceed the sum of the others, as
-# a fraction of it. A configuration allows as much.
+# Largest excess of a moment over the sum of the others, as a fraction of the sum, that is kept,
+# because numbers in files are rounded. A configuration allows as much.
 _EXCESS = 1e-6
 
-# Centre of mass and inertia that MuJoCo cannot simplify, because both change after compiling.
+# Placeholders of the centre of mass and the inertia. They have no symmetry, so that MuJoCo's
+# compiler cannot simplify them, because both change after compiling.
 _PLACE, _INERTIA = (0.1, 0.2, 0.3), (2.0, 2.5, 3.0, 0.1, 0.2, 0.3)
 
 

@@ -6,9 +6,10 @@
 | first friction of two ``geom``s or of their ``pair``, ``priority``, ``condim`` 1 | friction |
 | ``contype``, ``conaffinity``, ``exclude``, ``pair``, flag ``contact`` | ``self_collision`` |
 
-MuJoCo takes the friction of the pair, or of the geom of higher priority, or the larger one. The
-import writes materials and a rule with which each shape has this friction on the ground. Softness,
-margins and the other friction coefficients are left out: our contacts have laws of their own.
+MuJoCo takes the friction of the pair, otherwise of the geom of higher priority, otherwise the
+larger one. The import writes materials and a rule with which each shape has this friction on the
+ground. Softness, margins and the other friction coefficients are left out, because our contacts
+have laws of their own.
 """
 
 import itertools
@@ -84,7 +85,7 @@ def read_ground(
 
 
 def _name_directions(compiled: Compiled, floor: int, geoms: Iterable[int]) -> None:
-    """Name the pairs of the floor whose friction differs between two directions."""
+    """Report the pairs of the floor whose friction differs between two directions."""
     pairs = [pair for geom in geoms if (pair := _pair(compiled, floor, geom)) is not None]
     for pair in pairs:
         first, second = compiled.model.pair_friction[pair, :2]
@@ -139,7 +140,7 @@ def _friction_keys(
         found = [float(combine(rule, own[g], floor)) for g in required]
         if np.allclose(found, list(required.values()), rtol=TOLERANCE, atol=0):
             return rule, floor, dict(own)
-    # No rule describes all geoms. The materials have the friction on the ground.
+    # No rule describes all geoms, so each material gets the friction of its geom on the ground.
     floor = min(floor, *required.values())
     changed = {g: value for g, value in required.items() if max(own[g], floor) != value}
     return "max", floor, {**own, **changed}
@@ -169,7 +170,7 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
             apart += [] if found else [names]
             for name in names:
                 partners[name] += 1
-    # A URDF holds no friction. MuJoCo's default is not the file's.
+    # A URDF holds no friction, so nothing of the file is lost with MuJoCo's default.
     if rubs and not compiled.urdf:
         compiled.refusals.leave_out("friction between bodies of the animal")
     if not meeting:
@@ -212,7 +213,8 @@ def _frictions(compiled: Compiled, first: Placed, second: Placed) -> list[float 
     found = [_friction(compiled, *pair) for pair in pairs]
     if not _joined(first, second) or any(_pair(compiled, *pair) is not None for pair in pairs):
         return found
-    # Neighbours touch only if a pair names them. MuJoCo's neighbours of a fixed root do always.
+    # Neighbours touch only if a pair names them. In MuJoCo a fixed root and its neighbours may
+    # touch without a pair, and this contact is lost.
     fixed = first.rigid.parent is None and not (first.rigid.free or first.rigid.joints)
     if fixed and not compiled.urdf and any(friction is not None for friction in found):
         compiled.refusals.leave_out(f"contact of {second.name!r} with the fixed root")

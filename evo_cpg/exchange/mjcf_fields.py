@@ -106,8 +106,8 @@ class Neutral(NamedTuple):
 # own.
 _SOLREF, _SOLIMP = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)
 
-# Dimension of a contact (condim) that slides with friction. Larger ones also turn and roll, which
-# is left out. The only smaller one, 1, has no friction.
+# Value of condim for a contact with sliding friction only. Larger values add torsional and rolling
+# friction, which are left out. The only smaller value, 1, is a contact without friction.
 SLIDING = 3.0
 
 REFUSED = {

@@ -184,9 +184,10 @@ def _require_simple(compiled: Compiled, number: int, affine: bool) -> None:
 def _torque_limit(
     compiled: Compiled, number: int, kind: str, target: int, commanded: bool
 ) -> float | None:
-    """Return the largest force of a motor, or None. Name limits of unequal size as changed.
+    """Return the largest force of a motor, or None. Report limits of unequal size as changed.
 
-    MuJoCo limits the force of an actuator and of a tendon before the gear, and of a joint after it.
+    MuJoCo limits the force of an actuator and of a tendon before the gear multiplies it, but the
+    force on a joint after that.
 
     Args:
         compiled: the model.
@@ -278,7 +279,7 @@ def _command_limits(compiled: Compiled, number: int) -> list[tuple[str, np.ndarr
     found = []
     place, kind = _place(compiled, "ctrl", number), int(model.actuator_dyntype[number])
     limited = model.actuator_ctrllimited[place] and not compiled.disabled("clampctrl")
-    # The command of an integrator is a rate.
+    # The command of an integrator is a rate, so its limits do not limit the force.
     if limited and kind != dynamics.mjDYN_INTEGRATOR:
         found.append(("ctrlrange", model.actuator_ctrlrange[place]))
     if kind != dynamics.mjDYN_NONE and model.actuator_actlimited[number]:

@@ -300,7 +300,7 @@ def _read_mesh(compiled: Compiled, geom: int, axes: np.ndarray | None) -> Solid:
 
 
 def _body_of(vertices: np.ndarray) -> tuple[dict[str, Any], int]:
-    """Return the hull with the most corners that can be a body, and the corners of the whole one.
+    """Return the hull with the most corners that can be a body, and the whole hull's corner count.
 
     Raises:
         MeshError: no hull of the points can be a body.

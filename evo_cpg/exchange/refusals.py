@@ -54,7 +54,8 @@ class Refusals:
         found: faults in the order of their discovery.
         lost: elements that lose something without harm, by its name and their kind.
         warnings: warnings of MuJoCo.
-        changes: elements that get another value, with both values in place of the problem.
+        changes: elements that get another value than in the file. Their problem is the text with
+            both values.
     """
 
     source: Path

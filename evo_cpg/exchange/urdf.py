@@ -100,7 +100,7 @@ def read_urdf(text: str, path: Path, refusals: Refusals) -> Urdf:
     meshes: dict[str, bytes] = {}
     for link in robot.findall("link"):
         if link.get("name") == "world" and link.find("inertial") is not None:
-            # MuJoCo takes this link for the world.
+            # MuJoCo takes this link for the fixed world, so its mass has no effect.
             refusals.leave_out("mass", "body 'world'")
         for drawn in link.findall("visual"):
             if link.find("collision") is not None:
@@ -133,7 +133,7 @@ def _parsed(text: str) -> Element:
 
 
 def _refuse_macros(robot: Element, refusals: Refusals) -> None:
-    """Refuse macros of xacro, which make the elements of a URDF.
+    """Refuse macros of xacro, from which the program xacro makes the elements of a URDF.
 
     Raises:
         ExchangeError: there are macros, so MuJoCo could not load the file.
@@ -162,10 +162,10 @@ def _refuse(path: Path, shape: Element, refusals: Refusals) -> None:
 
 
 def _prepare_joint(joint: Element, refusals: Refusals) -> None:
-    """Refuse a joint that copies another one. Name what is lost of its limits."""
+    """Refuse a joint that copies another one, and report which of its limits are lost."""
     name, kind = f"joint {joint.get('name', '')!r}", joint.get("type")
     for mimic in joint.findall("mimic"):
-        # Some versions of MuJoCo ignore it.
+        # Refuse it here, because some versions of MuJoCo ignore it.
         problem = f"it mimics joint {mimic.get('joint', '')!r}. Allowed: no mimic"
         refusals.add(Refusal(name, problem))
         joint.remove(mimic)

@@ -15,12 +15,12 @@ stiffness. The joint of a root that hangs on the world bears F and M, which then
 The ground has the stiffness of a resting contact in a step of the simulation
 (`resting_stiffness`). The simulation therefore finds no motion in an equilibrium found here.
 Friction is Coulomb's law. A spring of that stiffness holds a sticking point where it touched down.
-A point beyond the friction cone slides, with the largest force of its friction against the slip.
+A point beyond the friction cone slides. Friction then opposes the slip with its largest force.
 
 Differs from the simulation, whose friction is a velocity law. A point with the tangential force f
-creeps there at ``f / c`` (see `evo_cpg.physics.contact`). Here it stays. Both laws have the same
-balances: a slip s here has the force of the speed ``s / (5 h)`` there, because a fifth of a
-penetration is undone in a step of h.
+creeps there at ``f / c`` (see `evo_cpg.physics.contact`). Here it stays. The forces nevertheless
+balance in the same poses. A slip s here has the force of the speed ``s / (5 h)`` there, because a
+fifth of a penetration is undone in a step of h.
 """
 
 import dataclasses
@@ -60,8 +60,8 @@ class FrictionState(NamedTuple):
         point: the body's contact point in the base pose, in body axes, m.
         place: position of the contact point in the base pose, in the world, m.
         slip: displacement from where the point touched down, m.
-        limit: slip at which friction is largest, m. It belongs to the normal force in the base
-            pose. Friction therefore has a potential.
+        limit: slip at which friction is largest, m. It is computed from the normal force in the
+            base pose and then fixed, so that friction has a potential.
     """
 
     point: Float[Array, "3 p"]
@@ -182,7 +182,7 @@ def _ground(
     limit = expand_dims_like(contact_model.static_friction, gap) * depth
     square, most = dot(slip, slip), friction.limit
     slides = square > most * most
-    # A square root has no derivative at 0.
+    # Avoid the square root of 0, which has no derivative.
     size = jnp.sqrt(jnp.where(slides, square, 1.0))
     tangential = jnp.where(slides, most / size, 1.0)[None] * slip
     push = stiffness[None] * (depth[None] * normal - jnp.where(gap < 0, tangential, 0.0))

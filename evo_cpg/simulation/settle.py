@@ -3,12 +3,14 @@
 1. *Fall.* The creature moves by the steps of the simulation, strongly damped, until it is quiet.
    The simulation therefore decides where feet land, slip and stick.
 2. *Balance.* The quiet pose is nearly in balance. Newton steps with the absolute eigenvalues of the
-   stiffness go downhill in potential energy to the exact pose, so that rounding decides nothing.
-   Friction has a potential if its cones are fixed. Each round has the cones of the last one.
+   stiffness go downhill in potential energy to the exact pose, so that the result does not depend
+   on rounding. Friction has a potential only while its cones are fixed, so each round of steps
+   keeps the cones of the last one.
 3. *Saddles.* A negative eigenvalue of the stiffness marks a saddle, such as a square log that
    floats on a flat side. Tip the creature in that direction and balance again.
-4. *Release.* The creature stays in the pose for a second without damping, except for the creep of
-   contact. If it does not stay, or there is no balance near by, it falls on, at most for 20 s.
+4. *Release.* Without damping, the creature has to stay in the pose for a second, except for the
+   creep of contact. If it does not stay, or if there is no balance nearby, the fall continues. All
+   falls together last 20 s at most.
 
 A root that hangs on the world moves only by its own joint.
 
@@ -45,8 +47,8 @@ from evo_cpg.spatial.decisions import Undecidable, chosen, searched
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import axis_rotation, integrate_quaternion, quaternion_to_matrix
 
-# Longest time of the fall, and time before the first balance, which doubles after each failure, s.
-# Number of quiet steps before a balance.
+# Longest time of the fall, and its shortest time before the first balance, which doubles after
+# each failure, s. Number of quiet steps before a balance.
 _SECONDS, _PAUSE, _QUIET_STEPS = 20.0, 0.25, 30
 
 # Damping of the fall in units of sqrt(g / r), with the radius of gyration r. It is beyond critical,
@@ -63,14 +65,14 @@ _RELEASE = 1.0
 # Damping of a joint that stays fixed during the fall, in units of m r^2 sqrt(g / r).
 _LOCK = 1e9
 
-# Largest number of steps of a descent, which begins near the balance, and largest number of poses
-# of balance that a search tries. It leaves each pose that is a saddle.
+# Largest number of steps of a descent, which begins near the balance. Largest number of poses of
+# balance that a search tries, because each may be a saddle.
 _STEPS, _SADDLES = 50, 8
 
 # Largest number of step lengths tried for one descent step.
 _HALVINGS = 20
 
-# Largest number of descents to one pose of balance. Each has the cones of friction of the last one.
+# Largest number of descents to one pose of balance. Each keeps the friction cones of the last one.
 _ROUNDS = 50
 
 # Largest displacement of the root in one step, with ground and without ground, in radii of
@@ -276,7 +278,7 @@ class Settling:
         return _Here(np.asarray(force), np.asarray(total), touch, stiffness)
 
     def _friction(self, state: State) -> FrictionState:
-        """Return the friction of a quiet pose, which follows from the creep of its points."""
+        """Return the friction in a quiet pose, computed from the creep of the contact points."""
         places = 0 if self.world.contact_model is None else len(self.world.contact_model.bodies)
         none, x = jnp.zeros((3, places)), np.zeros(len(self.free))
         touch = self._at(x, state, FrictionState(none, none, none, none[0])).touch
@@ -300,7 +302,8 @@ class Settling:
                 return None
             state, friction = lower
             touch = self._at(np.zeros(len(self.free)), state, friction).touch
-            # Later rounds take the mean, because new cones alone may alternate between two poses.
+            # Later rounds take the mean of old and new cones. Otherwise the search may alternate
+            # between two poses.
             older = 0.0 if round_ < _ROUNDS // 5 else 0.5
             limit = older * friction.limit + (1 - older) * touch.limit
             friction = friction._replace(limit=limit)
@@ -368,10 +371,11 @@ class Settling:
 class _Search:
     """Steps of a search for rest, compiled for all animals of a plan.
 
-    The fall takes the damping of fixed joints, the radius of gyration and the quiet speed, then the
-    state, the factor by which each step slows the motion, and the least and largest number of
-    steps. It returns the state with the mean velocity of the last steps, because a foot may chatter
-    on an edge, and the number of its steps.
+    The arguments of the fall are numbers of the world, a scale (the damping of fixed joints, the
+    radius of gyration and the quiet speed), the state, the factor by which each step slows the
+    motion, and the least and largest number of steps. The fall returns the state and the number of
+    its steps. The velocity in this state is the mean of the last steps, because a foot may chatter
+    on an edge.
 
     Args:
         plan: plan of the animals.

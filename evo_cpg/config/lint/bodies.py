@@ -35,16 +35,17 @@ _LEAST_TURN = 1.0
 _OUT = 0.3
 
 # Smallest density of bodies on dry land, such as inflated bodies and hollow robots, kg/m^3. In
-# water such bodies would be corks, so a smaller unit is more likely.
+# water such bodies would float like corks, so a wrong unit is more likely.
 _AIRY = 3.0
 
 # Largest ratio of an animal's mass to the mass of the water it displaces, either way, for which
 # water without a bottom or a surface is plausible. Fish without a swim bladder have 1.08.
 _FLOATS = 1.2
 
-# Smallest distance of a joint from the centre of its body, as a fraction of the body's half extent
-# in that direction, for a joint at an end. Depth in the parent, as a fraction of the parent's
-# smallest half extent for a joint at its surface, and of that distance for a centre inside.
+# A joint is at an end of its body if its distance from the body's centre is at least `_END` of the
+# half extent in that direction. It is at the parent's surface if it is less deep than `_INSIDE` of
+# the parent's smallest half extent. The body's centre is inside the parent if it is deeper than
+# `_INSIDE` of its distance from the joint.
 _END, _INSIDE = 0.75, 0.1
 
 # Smallest angle between successive bodies of a row, degrees, for a warning. The row curls up into a
@@ -179,9 +180,9 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
 def _in_radians(limits: tuple[float, float], all_small: bool) -> bool:
     """Return whether limits within 3.14 degrees are probably in radians.
 
-    They are common angles in radians, such as 1.57. Other limits are in radians only if no joint
-    of the animal turns farther, and if they were written by hand as fractions, such as 0.5. A stiff
-    joint may have 2 degrees, and a file converted from radians has more digits.
+    Common angles in radians, such as 1.57, probably are. Other limits are so only if no joint of
+    the animal turns farther, and if they are short fractions, such as 0.5, as written by hand. A
+    stiff joint may have limits of 2 degrees, and degrees computed from radians have more digits.
     """
     if Direction().problem(limits):
         return True
@@ -198,7 +199,7 @@ def folded(case: Case) -> Iterator[LintWarning]:
             continue
         own = np.array(built.child_anchor)
         arm = np.array(built.orientation) @ own
-        # Vertebrae and shoulders may lie inside their parent, and their joints do so, too.
+        # Vertebrae and shoulders may lie inside their parent, but then their joints do, too.
         at_end = own @ own >= _END * np.abs(own) @ _reach(case, joint.body)
         depth = _gap(case, parent, built.parent_anchor)
         at_end = at_end and depth > -_INSIDE * _reach(case, parent).min()
