@@ -10,7 +10,7 @@
    floats on a flat side. Tip the creature in that direction and balance again.
 4. *Release.* Without damping, the creature has to stay in the pose for a second, except for the
    creep of contact. If it does not stay, or if there is no balance nearby, the fall continues. All
-   falls together last 20 s at most.
+   falls together last 20 s at most, and longer for an animal that is nearly neutral in water.
 
 A root that hangs on the world moves only by its own joint.
 
@@ -50,6 +50,10 @@ from evo_cpg.spatial.rotation import axis_rotation, integrate_quaternion, quater
 # Longest time of the fall, and its shortest time before the first balance, which doubles after
 # each failure, s. Number of quiet steps before a balance.
 _SECONDS, _PAUSE, _QUIET_STEPS = 20.0, 0.25, 30
+
+# Least force at the start, in units of the weight, that scales the fall. A nearly neutral animal
+# sinks slowly, so its fall takes longer and is damped less.
+_LIGHTEST = 0.02
 
 # Damping of the fall in units of sqrt(g / r), with the radius of gyration r. It is beyond critical,
 # so that the creature is let down and not thrown.
@@ -185,7 +189,7 @@ class Settling:
         gravity = abs(world.gravity) or 9.81
         frequency = np.sqrt(gravity / self.size)
         self.quiet = _QUIET * self.size * frequency + gravity * h / STIFFNESS
-        self.slower = np.exp(-_DAMPING * frequency * h)
+        self.frequency = frequency
         lock = _LOCK * tree.mass.sum() * self.size**2 * frequency
         search, numbers = _searches.of(_in_still_water(world), self.free, h)
         given = numbers, self.scale, moment
@@ -227,9 +231,15 @@ class Settling:
         Raises:
             NoRestError: the creature finds no rest, or falls over.
         """
-        state, left, pause = start, round(_SECONDS / self.h), round(_PAUSE / self.h)
+        pull = 1.0
+        if self.world.tree.hanging is None:
+            here = self._at(np.zeros(len(self.free)), start, self._friction(start))
+            force = np.linalg.norm(here.total[: root.LENGTHS]) / self.weight
+            pull = np.sqrt(np.clip(force, _LIGHTEST, 1.0))
+        slower, seconds = np.exp(-_DAMPING * pull * self.frequency * self.h), _SECONDS / pull
+        state, left, pause = start, round(seconds / self.h), round(_PAUSE / self.h)
         while left > 0:
-            state, taken = self._fall(state, self.slower, min(pause, left), left)
+            state, taken = self._fall(state, slower, min(pause, left), left)
             left, pause = left - int(taken), 2 * pause
             if not np.isfinite(state.position).all():
                 raise NoRestError(f"its fall diverges with physics steps of {self.h:.2g} s")
@@ -241,7 +251,7 @@ class Settling:
                     state, friction = _put_back(start, found.state, found.friction)
                     found = found._replace(state=state, friction=friction)
                 return found
-        raise NoRestError(f"it slides, rolls or drifts away (no rest within {_SECONDS:g} s)")
+        raise NoRestError(f"it slides, rolls or drifts away (no rest within {seconds:.3g} s)")
 
     def _stays(self, state: State) -> bool:
         """Return whether the creature stays in a pose when it is released there."""

@@ -341,3 +341,15 @@ def test_a_motor_without_a_spring_needs_the_torque_to_hold():
     world = in_water(Creature("crane", parts), surface=0.0)
     with pytest.raises(NoRestError, match=r"arm.y would have to hold 3.\d* N m, but its"):
         settled(world)
+
+
+@pytest.mark.slow
+def test_a_nearly_neutral_box_sinks_to_the_ground():
+    """It weighs a fiftieth in water, so the 2 m take seven times as long as on dry land."""
+    creature = alone(Box((0.4, 0.3, 0.1)), 1020.0)
+    tree = build_tree(creature)
+    ground = Ground(static_friction=0.5, dynamic_friction=0.5, floor=Plane())
+    water = in_water(creature, surface=5.0)
+    world = dataclasses.replace(water, contact_model=make_contact_model(creature, tree, ground))
+    found = settled(world, (0.0, 0.0, 2.0))
+    assert found.start_position == pytest.approx((0.0, 0.0, 0.05), abs=1e-4)
