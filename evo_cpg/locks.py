@@ -36,23 +36,8 @@ class LockedError(UserError):
     """Another process has locked a folder. The message names the process."""
 
 
-class Lock:
-    """Lock that this process holds.
-
-    Args:
-        descriptor: descriptor of the open file.
-    """
-
-    def __init__(self, descriptor: int):
-        self._descriptor = descriptor
-
-    def share(self) -> None:
-        """Share the lock with processes that call `joined`, until the last of them has ended."""
-        _lock_shared(self._descriptor)
-
-
 @contextlib.contextmanager
-def locked(folder: Path, make: bool = False) -> Iterator[Lock]:
+def locked(folder: Path, make: bool = False) -> Iterator[None]:
     """Lock a folder against other processes during the ``with`` block.
 
     Args:
@@ -71,20 +56,6 @@ def locked(folder: Path, make: bool = False) -> Iterator[Lock]:
         name = os.path.realpath(folder)
         _held.add(name)
         stack.callback(_held.discard, name)
-        yield Lock(descriptor)
-
-
-@contextlib.contextmanager
-def joined(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder together with the process that shares it.
-
-    Args:
-        folder: folder locked by a process that called `Lock.share`.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
-    with _taken(folder, shared=True):
         yield
 
 
@@ -109,14 +80,12 @@ def _made(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _taken(folder: Path, shared: bool = False) -> Iterator[int]:
+def _taken(folder: Path) -> Iterator[int]:
     """Open the lock file and lock it, and release the lock after the block."""
     path = folder / FILE
     while True:
         descriptor = _open(path)
-        if shared:
-            _lock_shared(descriptor)
-        elif not _lock_alone(descriptor):
+        if not _lock_alone(descriptor):
             holder = _holder(descriptor)
             os.close(descriptor)
             raise LockedError(
@@ -198,9 +167,6 @@ if sys.platform == "win32":
             return True
         return True
 
-    def _lock_shared(descriptor: int) -> None:
-        """Do nothing: Windows has no shared locks, and no jobs run there."""
-
     def _release(descriptor: int, path: Path) -> None:
         # Windows does not delete an open file.
         os.close(descriptor)
@@ -221,13 +187,8 @@ else:
             return True
         return True
 
-    def _lock_shared(descriptor: int) -> None:
-        with contextlib.suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_SH)
-
     def _release(descriptor: int, path: Path) -> None:
-        # The last holder deletes the file while no other process can lock it.
-        if _lock_alone(descriptor):
-            with contextlib.suppress(OSError):
-                path.unlink()
+        # Delete the file while no other process can lock it.
+        with contextlib.suppress(OSError):
+            path.unlink()
         os.close(descriptor)

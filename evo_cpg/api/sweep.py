@@ -164,15 +164,8 @@ def _is_plan(plan: Any) -> bool:
     )
 
 
-def members_of(
-    folder: Path, plan: Mapping[str, Any], names: Sequence[str] | None = None
-) -> list[Member]:
+def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
     """Build the settings of a sweep.
-
-    Args:
-        folder: folder of the sweep.
-        plan: plan of the sweep.
-        names: names of the settings to build, or None for all.
 
     Raises:
         RunFolderError: the configuration has changed since the sweep began.
@@ -187,8 +180,6 @@ def members_of(
         )
     members = []
     for name, values in plan["settings"].items():
-        if names is not None and name not in names:
-            continue
         setting = Setting(name, values)
         config = load_config(source, [*plan["overrides"], *setting.overrides])
         config = config.model_copy(update={"name": f"{config.name} {name}"})

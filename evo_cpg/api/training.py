@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -32,9 +32,6 @@ from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.compile_times import note_seconds
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-
-if TYPE_CHECKING:
-    from evo_cpg.training.processes import Team
 
 Rows = list[dict[str, float]]
 
@@ -130,17 +127,14 @@ def _train(
     return Trained(folder.path, *noted, history, champion.expected)
 
 
-def begin_run(
-    run: Opened, devices: int, source: Path, start: Start | None = None, processes: int = 1
-) -> None:
+def begin_run(run: Opened, devices: int, source: Path, start: Start | None = None) -> None:
     """Make a run folder, with its configuration and meta.json.
 
     Args:
         run: run whose folder is made.
-        devices: number of devices of this process.
+        devices: number of devices.
         source: file of the configuration.
         start: initial genomes, or None for random ones.
-        processes: number of processes that evolve together.
 
     Raises:
         ConfigError: there are no genes to evolve.
@@ -150,13 +144,13 @@ def begin_run(
     """
     require_genes(run.experiment, source)
     require_memory(run.experiment)
-    meta = _known(run, devices, source, processes)
+    meta = _known(run, devices, source)
     if start is not None:
         meta["start"] = start.provenance
     run.folder.create(dump_config(run.config), meta, None if start is None else start.genes)
 
 
-def _known(run: Opened, devices: int, source: Path, processes: int) -> dict[str, Any]:
+def _known(run: Opened, devices: int, source: Path) -> dict[str, Any]:
     """Return the contents of meta.json for a run that begins."""
     meta: dict[str, Any] = {
         "name": run.config.name,
@@ -164,7 +158,6 @@ def _known(run: Opened, devices: int, source: Path, processes: int) -> dict[str,
         "config": name_of(resolved(source)),
         "command": sys.argv[1:],
         "fingerprint": fingerprint(run.config),
-        "processes": processes,
         "started": now(),
     }
     meta |= machine_fingerprint(run.experiment.simulation.engine, devices)
@@ -173,15 +166,12 @@ def _known(run: Opened, devices: int, source: Path, processes: int) -> dict[str,
     return meta
 
 
-def reopen_run(
-    run: Opened, devices: int, processes: int = 1, source: Path | None = None
-) -> list[str]:
+def reopen_run(run: Opened, devices: int, source: Path | None = None) -> list[str]:
     """Record the configuration and machine that a run continues with.
 
     Args:
         run: run with the configuration to continue with.
-        devices: number of devices of this process.
-        processes: number of processes that evolve together.
+        devices: number of devices.
         source: file of the configuration, if known.
 
     Returns:
@@ -211,11 +201,10 @@ def reopen_run(
     # Call this before writing anything: it starts JAX, which may find no device.
     here = machine_fingerprint(run.experiment.simulation.engine, devices)
     folder.reopen(dump_config(run.config))
-    noted = {"resumed": now(), "fingerprint": fingerprint(run.config), "processes": processes}
-    noted |= here
+    noted = {"resumed": now(), "fingerprint": fingerprint(run.config)} | here
     if not before and source is not None:
         # The run was killed before meta.json was written.
-        noted = _known(run, devices, source, processes)
+        noted = _known(run, devices, source)
     folder.update_meta(**noted)
     found = [f"{difference}. Bits may differ" for difference in machine_changes(before, here)]
     if changed:
@@ -406,7 +395,6 @@ def evolve(
     folder: RunFolder,
     on_generation: Callable[[Rows], None],
     recorder: Recorder,
-    team: "Team | None" = None,
 ) -> Champion:
     """Evolve from the folder's newest checkpoint.
 
@@ -415,24 +403,16 @@ def evolve(
         folder: run folder.
         on_generation: called with the new rows of metrics.csv after every generation.
         recorder: recorder that compiles meanwhile.
-        team: processes that evolve together, or None for this one alone.
 
     Raises:
         RunFolderError: no individual of any generation has a finite fitness.
-        TeamError: another process was lost.
     """
     # Importing the loop takes a second, because it imports JAX.
     from evo_cpg.training.loop import train as train_generations
-    from evo_cpg.training.processes import ALONE
 
-    team = team or ALONE
     with measuring() as spent:
         done = train_generations(
-            experiment,
-            folder,
-            on_generation,
-            on_compiled=lambda: recorder.compile(spent),
-            team=team,
+            experiment, folder, on_generation, on_compiled=lambda: recorder.compile(spent)
         )
     if done.champion is None:
         count = experiment.strategy.population
@@ -447,24 +427,6 @@ def evolve(
             "champion. Try more substeps or weaker motors"
         )
     return done.champion
-
-
-def follow(experiment: parts.ExperimentParts, folder: RunFolder, team: "Team") -> None:
-    """Evolve as a follower in a team. Nothing is written or shown.
-
-    Args:
-        experiment: experiment to evolve.
-        folder: run folder of the lead process.
-        team: processes that evolve together.
-
-    Raises:
-        TeamError: another process was lost.
-        TooLargeError: the experiment needs more memory than the machine has.
-    """
-    from evo_cpg.training.loop import train as train_generations
-
-    require_memory(experiment)
-    train_generations(experiment, folder, team=team)
 
 
 def now() -> str:

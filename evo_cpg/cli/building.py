@@ -13,7 +13,7 @@ from evo_cpg.training.experiment import ExperimentParts
 
 
 def read_config(
-    path: Path, overrides: Sequence[str] = (), strict: bool = False, warned: bool = True
+    path: Path, overrides: Sequence[str] = (), strict: bool = False
 ) -> ExperimentConfig:
     """Read a configuration, and warn of unlikely values.
 
@@ -21,7 +21,6 @@ def read_config(
         path: path of the file.
         overrides: settings to change, ``key=value``.
         strict: refuse unlikely values.
-        warned: print the warnings. Only one of several processes prints them.
 
     Raises:
         ConfigError: the configuration is wrong.
@@ -31,7 +30,7 @@ def read_config(
     found = [f"{path}: {warning}" for warning in lint(config, path)]
     if found and strict:
         raise UsageError("\n".join(found))
-    for line in found if warned else ():
+    for line in found:
         warn(line)
     return config
 

@@ -81,10 +81,7 @@ def use_cores_of(run: Path, cores: int | None = None) -> int:
 
     Call this before the run is built: finding a place to stand on uneven ground starts JAX.
     """
-    meta = RunFolder(run).read_meta()
-    # If several processes trained the run, the cores of one process do not apply here.
-    noted = meta.get("devices") if meta.get("processes", 1) == 1 else None
-    return use_cores(cores or noted)
+    return use_cores(cores or RunFolder(run).read_meta().get("devices"))
 
 
 def replayed(opened: Opened, champion: Champion, trial: int = 0) -> Any:

@@ -13,16 +13,13 @@ class ExitCode(IntEnum):
     """Exit codes other than 0. The users' list is in docs/cli.md."""
 
     FAULT = 1
-    """Fault of the program, failed job of a sweep, or failed search for a rhythm."""
+    """Fault of the program, or failed search for a rhythm."""
 
     WRONG_INPUT = 2
     """Wrong input. A message names the error."""
 
     NOT_PASSED = 3
     """Failed audit, verification or comparison."""
-
-    LOST = 4
-    """Loss of another process of the same run."""
 
     INTERRUPTED = 130
     """Interrupt by the user. Shells use this number, too."""

@@ -177,10 +177,6 @@ Crowd = Annotated[
         "ghosts. The first generation is 0.",
     ),
 ]
-Tensorboard = Annotated[
-    bool,
-    typer.Option("--tensorboard", help="Write RUN/tensorboard with the columns of metrics.csv."),
-]
 Folder = Annotated[
     Path | None, typer.Option("--out", "-o", help="Folder for the files (default: RUN).")
 ]

@@ -1,5 +1,6 @@
 """`evo-cpg sweep`: compare settings."""
 
+import contextlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from evo_cpg.cli.completion import complete_config
-from evo_cpg.cli.errors import ExitCode, UsageError, warn
+from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.options import Cores, Overrides, find_config_or_folder
 
 if TYPE_CHECKING:
     from evo_cpg.api.sweep import Member
-    from evo_cpg.cli.jobs import Jobs
     from evo_cpg.config.settings import Setting
 
 # Largest number of rows of a table on a terminal. The file has all rows.
@@ -55,31 +55,14 @@ def sweep(
         list[str] | None, typer.Option("--only", metavar="NAME", help="Evolve only this setting.")
     ] = None,
     cores: Cores = None,
-    jobs: Annotated[
-        str | None,
-        typer.Option(
-            metavar="N|slurm",
-            help="Run settings that share no program as N processes, or as SLURM jobs.",
-        ),
-    ] = None,
-    job_option: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--job-option",
-            metavar="KEY=VALUE",
-            help="Parameter of submitit for --jobs slurm, such as slurm_partition=long, "
-            "timeout_min=600, cpus_per_task=8 or mem_gb=4.",
-        ),
-    ] = None,
 ) -> None:
     """Evolve with many settings and compare the results."""
     from evo_cpg.api.display import working
-    from evo_cpg.api.sweep import claim, members_of, new_plan, read_plan
-    from evo_cpg.cli.jobs import claimed, read_jobs
+    from evo_cpg.api.sweep import claim, evolve, members_of, new_plan, read_plan
+    from evo_cpg.locks import locked
     from evo_cpg.system import as_utf8
     from evo_cpg.training.devices import use_cores
 
-    requested = read_jobs(jobs, job_option or [])
     overrides = [as_utf8(word) for word in overrides or []]
     grid = [as_utf8(word) for word in grid or []]
     folder, plan = config, read_plan(config)
@@ -95,18 +78,15 @@ def sweep(
     with working("building every setting"):
         members = members_of(folder, plan)
     chosen = _chosen(members, only or [])
-    with claimed(folder, requested):
+    # Several commands with --only may evolve different settings, because each locks its runs.
+    with contextlib.nullcontext() if only else locked(folder, make=True):
         claim(folder, plan)
-        failed = _evolve(folder, chosen, devices, requested, cores)
-        if any(member.generation for member in members) or not failed:
-            _tell(folder, members)
-    if failed:
-        print(
-            f"{len(failed)} of {len(chosen)} settings did not finish: "
-            f"{', '.join(failed)}. Continue with `evo-cpg sweep {folder}`",
-            file=sys.stderr,
-        )
-        raise typer.Exit(ExitCode.FAULT)
+        try:
+            evolve(chosen, devices, folder.name, warn=warn)
+        except KeyboardInterrupt:
+            print(f"interrupted. Continue with `evo-cpg sweep {folder}`", file=sys.stderr)
+            raise
+        _tell(folder, members)
 
 
 def _varied(
@@ -163,28 +143,6 @@ def _chosen(members: "Sequence[Member]", only: Sequence[str]) -> "list[Member]":
         if name not in known:
             raise UsageError(f"--only: there is no setting {name!r}. Allowed: {', '.join(known)}")
     return [known[name] for name in dict.fromkeys(only)] or list(members)
-
-
-def _evolve(
-    folder: Path,
-    members: "Sequence[Member]",
-    devices: int,
-    jobs: "Jobs | None",
-    cores: int | None,
-) -> list[str]:
-    """Evolve settings and return the names of those that failed."""
-    from evo_cpg.api.sweep import evolve, groups
-    from evo_cpg.cli.jobs import run_jobs
-
-    try:
-        if jobs is not None:
-            return run_jobs(folder, groups(members), jobs, cores)
-        evolve(members, devices, folder.name, warn=warn)
-    except KeyboardInterrupt:
-        if jobs is None or jobs.count is not None:
-            print(f"interrupted. Continue with `evo-cpg sweep {folder}`", file=sys.stderr)
-        raise
-    return []
 
 
 def _tell(folder: Path, members: "Sequence[Member]") -> None:

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from evo_cpg.cli.distributed import ONE_PROCESS, Distribution
-from evo_cpg.cli.options import Config, Cores, Overrides, Strict, Tensorboard, What, run_folder
+from evo_cpg.cli.options import Config, Cores, Overrides, Strict, What, run_folder
 
 
 def train(
@@ -30,24 +29,16 @@ def train(
         What,
         typer.Option("--start", help="Start from the champion or the whole population of RUN."),
     ] = What.CHAMPION,
-    distribution: Distribution = ONE_PROCESS,
-    tensorboard: Tensorboard = False,
 ) -> None:
     """Evolve a population and keep the champion."""
-    from evo_cpg.config.load import load_config
-
-    changed = overrides or []
-    distribution.begin(cores, lambda: load_config(config, changed))
     from evo_cpg.cli.building import read_config
-    from evo_cpg.cli.training import require_scalars, train_run
+    from evo_cpg.cli.training import train_run
     from evo_cpg.system import named
     from evo_cpg.training.devices import use_cores
 
-    if tensorboard:
-        require_scalars()
-    given = read_config(config, changed, strict, distribution.leads)
+    given = read_config(config, overrides or [], strict)
     # Finding a place to stand on uneven ground starts JAX.
     devices = use_cores(cores)
     run = out or Path("runs") / named(given.name)
     start = None if earlier is None else (earlier, what.value)
-    train_run(config, given, run, devices, start, distribution, tensorboard)
+    train_run(config, given, run, devices, start)

@@ -1,10 +1,8 @@
 """Evolve a run, for the commands `train` and `resume`."""
 
-import contextlib
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,17 +14,14 @@ from evo_cpg.api.training import (
     begin_run,
     evolve,
     first_look_limit,
-    follow,
     reopen_run,
 )
 from evo_cpg.api.warm_start import What, warm_start
 from evo_cpg.cli.advice import about_step, advise, animal_digest, expected_to_compile
 from evo_cpg.cli.building import build
 from evo_cpg.cli.champions import open_and_build
-from evo_cpg.cli.distributed import Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError, tell, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import load_run_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
@@ -34,10 +29,6 @@ from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import TABLE_COLUMNS, ExperimentParts
 from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-from evo_cpg.training.scalars import FOLDER, MissingWriterError, Scalars, require_writer
-
-if TYPE_CHECKING:
-    from evo_cpg.training.processes import Team
 
 
 def train_run(
@@ -46,87 +37,45 @@ def train_run(
     run: Path,
     devices: int,
     earlier: tuple[Path, What] | None,
-    distribution: Distribution,
-    tensorboard: bool,
 ) -> None:
-    """Start a run as one of the requested processes.
+    """Start a run.
 
     Args:
         source: file that the configuration came from.
         config: configuration of the run.
         run: folder of the run.
-        devices: number of devices of this process.
+        devices: number of devices.
         earlier: run folder to start from, and the genomes to take, or None for random genomes.
-        distribution: options of the processes.
-        tensorboard: write scalars.
     """
     folder = RunFolder(run)
-    with together(distribution, run) as team, contextlib.ExitStack() as lock:
-        experiment = build(config, source)
+    experiment = build(config, source)
+    opened = Opened(folder, config, experiment)
+    with folder.locked(new=True):
+        start = None
+        if earlier is not None:
+            with working("reading the earlier run"):
+                start = warm_start(experiment, *earlier)
+        begin_run(opened, devices, source, start)
+        advise(source, experiment.simulation)
+        evolve_run(opened)
+
+
+def resume_run(run: Path, generations: int | None, devices: int) -> None:
+    """Continue a run."""
+    opened = open_and_build(run)
+    opened.require_configured()
+    folder, config, experiment = opened.folder, opened.config, opened.experiment
+    if generations is not None:
+        config = load_run_config(folder.config, [f"evolution.generations={generations}"])
+        experiment = experiment._replace(generations=generations)
         opened = Opened(folder, config, experiment)
-        require_same(team, fingerprint(config))
-        if team.leads:
-            lock.enter_context(folder.locked(new=True))
-            start = None
-            if earlier is not None:
-                with working("reading the earlier run"):
-                    start = warm_start(experiment, *earlier)
-            begin_run(opened, devices, source, start, team.count)
-            advise(source, experiment.simulation)
-        evolve_run(opened, team, tensorboard)
-
-
-def resume_run(
-    run: Path, generations: int | None, devices: int, distribution: Distribution, tensorboard: bool
-) -> None:
-    """Continue a run as one of the requested processes."""
-    with together(distribution, run) as team:
-        opened = open_and_build(run)
-        opened.require_configured()
-        folder, config, experiment = opened.folder, opened.config, opened.experiment
-        if generations is not None:
-            config = load_run_config(folder.config, [f"evolution.generations={generations}"])
-            experiment = experiment._replace(generations=generations)
-            opened = Opened(folder, config, experiment)
-        require_same(team, fingerprint(config))
-        if team.leads:
-            done = _require_alike(opened)
-            # Only a single process may return here. Several processes must enter the loop and leave
-            # the team.
-            by_itself = team.count == 1 and not tensorboard
-            if by_itself and _finished(folder, done, experiment):
-                _say_finished(folder, experiment.generations)
-                return
-            for words in reopen_run(opened, devices, team.count):
-                warn(words)
-        evolve_run(opened, team, tensorboard)
-
-
-def require_scalars() -> None:
-    """Check that the packages for `--tensorboard` are installed.
-
-    Raises:
-        UsageError: a package is missing.
-    """
-    try:
-        require_writer()
-    except MissingWriterError as error:
-        raise UsageError(f"--tensorboard: {error}") from None
-
-
-def goes_on_with_scalars(run: Path, requested: bool) -> bool:
-    """Return whether to write scalars: they are requested, or the run already has scalars."""
-    if requested:
-        require_scalars()
-        return True
-    if not (run / FOLDER).is_dir():
-        return False
-    try:
-        require_writer()
-    except MissingWriterError as error:
-        warn(f"{run}: writing no more scalars for TensorBoard: {error}")
-        return False
-    return True
+    done = _require_alike(opened)
+    if _finished(folder, done, experiment):
+        _say_finished(folder, experiment.generations)
+        return
+    for words in reopen_run(opened, devices):
+        warn(words)
+    evolve_run(opened)
 
 
 def _require_alike(opened: Opened) -> Checkpoint | None:
@@ -208,24 +157,14 @@ def _say_finished(folder: RunFolder, done: int) -> None:
     print(folder.path)
 
 
-def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = False) -> None:
-    """Evolve, show the progress, record the champion and report it.
-
-    Args:
-        opened: run to evolve.
-        team: team of processes, or None for this process alone.
-        tensorboard: write scalars.
-    """
+def evolve_run(opened: Opened) -> None:
+    """Evolve, show the progress, record the champion and report it."""
     experiment, folder = opened.experiment, opened.folder
-    if team is not None and not team.leads:
-        follow(experiment, folder, team)
-        return
     with working("starting JAX"):
         import evo_cpg.training.loop  # noqa: F401
 
     done, animal = folder.load(), animal_digest(opened.config)
     least, start = first_look_limit(opened.config), done.generation if done else 0
-    scalars = Scalars(folder.path, done.history if done else ()) if tensorboard else None
     try:
         with Recorder(experiment, folder, least, animal) as recorder:
             with progress(
@@ -243,11 +182,8 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
                     if lost and rows[0]["generation"] == 0:
                         step = about_step(experiment.simulation)
                         warn(f"{folder.path}: all of generation 0 diverged. {step}".rstrip())
-                    if scalars is not None:
-                        scalars.add(rows)
 
-                with contextlib.closing(scalars) if scalars else contextlib.nullcontext():
-                    champion = evolve(experiment, folder, report, recorder, team)
+                champion = evolve(experiment, folder, report, recorder)
             _record(recorder, champion, folder)
     except KeyboardInterrupt:
         tell(f"interrupted. Continue with `evo-cpg resume {folder.path}`")

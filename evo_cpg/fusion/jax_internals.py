@@ -177,24 +177,3 @@ def scan_counts(params: dict[str, Any]) -> tuple[int, int]:
 def run(closed: ClosedJaxpr, arrays: Sequence[Any]) -> list[Any]:
     """Return the results of a program."""
     return list(jaxpr_as_fun(closed)(*arrays))
-
-
-def detected_cluster(timeout: float) -> tuple[str, int, int] | None:
-    """Return the JAX cluster of the scheduler that started this process: SLURM, Open MPI, others.
-
-    Args:
-        timeout: time limit for schedulers that need a query, s.
-
-    Returns:
-        Host and port of the coordinator, number of processes, and number of this process. None
-        without such a scheduler.
-    """
-    from jax._src import clusters
-
-    found = clusters.ClusterEnv.auto_detect_unset_distributed_params(
-        None, None, None, None, None, round(timeout)
-    )
-    address, count, index, _ = found
-    if address is None or count is None or index is None:
-        return None
-    return address, count, index

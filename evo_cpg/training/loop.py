@@ -17,7 +17,6 @@ from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import ExperimentParts, compile_trials
-from evo_cpg.training.processes import ALONE, Team
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.running import Running, Trials
 
@@ -31,11 +30,10 @@ def train(
     on_generation: Callable[[list[dict[str, float]]], object] = lambda rows: None,
     mesh: Mesh | None = None,
     on_compiled: Callable[[], object] = lambda: None,
-    team: Team = ALONE,
 ) -> Checkpoint:
     """Evolve one experiment (see `train_together`)."""
     return train_together(
-        [experiment], [folder], lambda number, rows: on_generation(rows), mesh, on_compiled, team
+        [experiment], [folder], lambda number, rows: on_generation(rows), mesh, on_compiled
     )[0]
 
 
@@ -45,7 +43,6 @@ def train_together(
     on_generation: Callable[[int, list[dict[str, float]]], object] = lambda number, rows: None,
     mesh: Mesh | None = None,
     on_compiled: Callable[[], object] = lambda: None,
-    team: Team = ALONE,
 ) -> list[Checkpoint]:
     """Evolve several experiments, each from its folder's newest checkpoint to its last generation.
 
@@ -56,10 +53,9 @@ def train_together(
         folders: existing run folder of each experiment.
         on_generation: called after each generation of an experiment, with the experiment's index
             and its new rows of metrics.csv, one for each run.
-        mesh: devices to use, or None for all of this process.
+        mesh: devices to use, or None for all.
         on_compiled: called once, after the program of the trials has been compiled and run. It can
             start a thread that compiles later programs.
-        team: processes that evolve together. Only the lead reads and writes the folders.
 
     Returns:
         The checkpoint of each experiment after its last generation.
@@ -70,7 +66,7 @@ def train_together(
     """
     mesh = mesh or population_mesh()
     running = [
-        Running(experiment, folder, mesh, team)
+        Running(experiment, folder, mesh)
         for experiment, folder in zip(experiments, folders, strict=True)
     ]
     trials = experiments[0].trials

@@ -12,8 +12,6 @@
     champion_before.npz, config_before.yaml: initial state of `refine`
     videos/, plots/  output of `render` and `plot`
     analysis.html    page of the run, by `analyse`
-    watch.png        newest champion, by `watch`
-    tensorboard/     columns of metrics.csv for TensorBoard, on request
     probe.csv, sensitivity.csv, audit.json and their pictures: output of these commands
     .lock            name of the process that writes here, see `evo_cpg.locks`
 

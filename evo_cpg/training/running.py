@@ -11,7 +11,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, PyTree, UInt32
 
 from evo_cpg.simulation.judge import Outcome
-from evo_cpg.training.checkpoint import Champion, Checkpoint, checkpoint_arrays, read_checkpoint
+from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.experiment import (
     ExperimentParts,
     Generation,
@@ -23,7 +23,6 @@ from evo_cpg.training.experiment import (
 )
 from evo_cpg.training.lineage import extended, until
 from evo_cpg.training.memetic import compile_learning
-from evo_cpg.training.processes import ALONE, Team
 from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
 from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
 from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
@@ -67,7 +66,6 @@ class Running:
         experiment: experiment that evolves.
         folder: run folder.
         mesh: devices for the elites' gradient ascent.
-        team: processes that evolve together. Only the lead reads and writes the folder.
 
     Attributes:
         checkpoint: present state.
@@ -78,30 +76,24 @@ class Running:
 
     checkpoint: Checkpoint
 
-    def __init__(
-        self, experiment: ExperimentParts, folder: RunFolder, mesh: Mesh, team: Team = ALONE
-    ) -> None:
-        self._experiment, self._folder, self._team = experiment, folder, team
+    def __init__(self, experiment: ExperimentParts, folder: RunFolder, mesh: Mesh) -> None:
+        self._experiment, self._folder = experiment, folder
         self._programs = compile_evolution(experiment)
         self._learn = compile_learning(experiment, mesh) if experiment.learning else None
-        count = experiment.runs * experiment.strategy.population
-        self._part = team.part(count, experiment.trials)
-        checkpoint = _load(folder, team)
+        checkpoint = folder.load()
         if checkpoint is None:
-            start = folder.load_start() if team.leads else None
-            start = team.broadcast({} if start is None else {"genes": start}).get("genes")
-            genes, self._state = jax.device_get(self._programs.begin(start))
+            genes, self._state = jax.device_get(self._programs.begin(folder.load_start()))
             _require_finite(experiment, genes, 0)
             none = (None,) * experiment.runs
             checkpoint = Checkpoint(0, genes, none, [], placeholder_scales(experiment))
         else:
             like = jax.eval_shape(lambda: begin(experiment))[1]
             self._state = state_from(checkpoint.state, like)
-            if checkpoint.history and team.leads:
+            if checkpoint.history:
                 # A kill may have prevented the writing of metrics.csv, so write it again.
                 folder.write_metrics(checkpoint.history)
         self.checkpoint = checkpoint
-        self._lineage = _lineage_until(folder, checkpoint) if team.leads else []
+        self._lineage = _lineage_until(folder, checkpoint)
         self._choice: Choice | None = None
 
     @property
@@ -110,20 +102,18 @@ class Running:
         return is_finished(self._experiment, self.checkpoint)
 
     def trials(self) -> Trials:
-        """Return this process's part of the trials of the next generation or round."""
-        part, trials = self._part, self._experiment.trials
-        of_part = slice(part.start * trials, part.stop * trials)
-        keys = jax.tree.map(lambda x: x[:, of_part], self._keys())
-        numbers = jax.tree.map(
-            lambda x: np.tile(x, part.stop - part.start), situation_numbers(self._experiment)
-        )
-        return Trials(self._genes()[:, part], keys, numbers)
+        """Return the trials of the next generation or round."""
+        genes = self._genes()
+        numbers = situation_numbers(self._experiment)
+        if numbers is not None:
+            numbers = np.tile(numbers, genes.shape[1])
+        return Trials(genes, self._keys(), numbers)
 
-    def tell(self, part: Outcome, start: float) -> list[dict[str, float]]:
+    def tell(self, outcome: Outcome, start: float) -> list[dict[str, float]]:
         """Take the outcome of the trials, breed, and write a checkpoint.
 
         Args:
-            part: outcome of this process's trials.
+            outcome: outcome of the trials.
             start: time at which the generation started, by `time.perf_counter`, s.
 
         Returns:
@@ -131,7 +121,6 @@ class Running:
         """
         experiment, before = self._experiment, self.checkpoint
         genes, number = self._genes(), self._number
-        outcome = self._team.gather(part, genes, number, experiment.trials)
         index, scales = np.int32(number), _float32(before.scales)
         result = jax.device_get(self._programs.breed(genes, outcome, index, scales, self._state))
         if before.generation >= experiment.generations:
@@ -158,22 +147,21 @@ class Running:
         self.checkpoint = Checkpoint(
             done, population, records, history, scales, state_arrays(self._state)
         )
-        if self._team.leads:
-            # Save the lineage first: after a kill between the two writes it is ahead of the
-            # checkpoint, and `until` drops the newer champions.
-            found = [
-                new
-                for new, old in zip(records, before.records, strict=True)
-                if new is not None and new is not old
-            ]
-            if found:
-                self._lineage = extended(self._lineage, found)
-                self._folder.save_lineage(self._lineage)
-            if before.chosen and self.checkpoint.champion is not None:
-                # The run was extended after a choice of champions. Replace the chosen champion in
-                # champion.npz by the record.
-                self._folder.save_champion(self.checkpoint.champion)
-            self._folder.save(self.checkpoint)
+        # Save the lineage first: after a kill between the two writes it is ahead of the
+        # checkpoint, and `until` drops the newer champions.
+        found = [
+            new
+            for new, old in zip(records, before.records, strict=True)
+            if new is not None and new is not old
+        ]
+        if found:
+            self._lineage = extended(self._lineage, found)
+            self._folder.save_lineage(self._lineage)
+        if before.chosen and self.checkpoint.champion is not None:
+            # The run was extended after a choice of champions. Replace the chosen champion in
+            # champion.npz by the record.
+            self._folder.save_champion(self.checkpoint.champion)
+        self._folder.save(self.checkpoint)
         return rows
 
     def _choose(self, genes: np.ndarray, number: int, result: Generation) -> None:
@@ -195,10 +183,9 @@ class Running:
         if self._choice.done:
             self.checkpoint = checkpoint._replace(chosen=self._choice.chosen())
             rows = self._choice.rows()
-            if self._team.leads:
-                if rows:
-                    self._folder.write_table(CANDIDATES_FILE, rows)
-                self._folder.save(self.checkpoint)
+            if rows:
+                self._folder.write_table(CANDIDATES_FILE, rows)
+            self._folder.save(self.checkpoint)
 
     @property
     def _number(self) -> int:
@@ -219,15 +206,6 @@ def compile_evolution(experiment: ExperimentParts) -> Evolution:
     """Return the functions that a run needs besides its trials, for any number of generations."""
     functions = begin, generation_keys, breed
     return Evolution(*(jax.jit(functools.partial(one, experiment)) for one in functions))
-
-
-def _load(folder: RunFolder, team: Team) -> Checkpoint | None:
-    """Return the newest checkpoint of the lead's folder, or None before the first generation."""
-    checkpoint = folder.load() if team.leads else None
-    if team.count == 1:
-        return checkpoint
-    arrays = team.broadcast(checkpoint_arrays(checkpoint) if checkpoint else {})
-    return read_checkpoint(arrays) if arrays else None
 
 
 def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:

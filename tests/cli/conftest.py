@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from evo_cpg.api import display
-from evo_cpg.cli import champions, watch
+from evo_cpg.cli import champions
 from evo_cpg.cli.main import main
 from evo_cpg.training import devices
 from shared_programs import programs_of_its_own, remember_programs
@@ -44,8 +44,6 @@ def called(*arguments: object, folder: Path | None = None) -> Called:
     with pytest.MonkeyPatch.context() as patch:
         for module in (champions, devices):
             patch.setattr(module, "use_cores", lambda count=None: 2)
-        # It would hold for all later tests of this process.
-        patch.setattr(watch, "lower_priority", lambda: None)
         # Durations on a busy machine mean nothing, so print none.
         patch.setattr(display, "FIRST", math.inf)
         patch.setattr(display, "BETWEEN", math.inf)

@@ -19,10 +19,10 @@ import yaml
 
 from evo_cpg import system
 from evo_cpg.api.version import version
-from evo_cpg.cli import streams, watch
+from evo_cpg.cli import streams
 from evo_cpg.cli.errors import UsageError, message_for
 from evo_cpg.cli.main import program
-from evo_cpg.files import OutputError, write_text
+from evo_cpg.files import write_text
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, PAIR, REPOSITORY, environment
@@ -150,17 +150,6 @@ def test_a_missing_permission_is_one_line(stranger, finished_run):
         assert err.endswith(f"evo-cpg: cannot write {place}/new (Permission denied)\n")
 
 
-@pytest.mark.slow
-def test_watch_without_permission_to_write_draws_no_picture(cli, finished_run, monkeypatch):
-    def refuse(self, champion, now):
-        raise OutputError("cannot write watch.png (Permission denied)")
-
-    monkeypatch.setattr(watch._Pictures, "_make", refuse)
-    code, out, err = cli("watch", finished_run, "--once")
-    assert code == 0 and out.count(" generations  champion") == 30
-    assert err == "evo-cpg: warning: no picture: cannot write watch.png (Permission denied)\n"
-
-
 def test_without_temporary_files_the_scratch_file_is_empty(monkeypatch):
     def none(*args, **options):
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
@@ -196,7 +185,7 @@ def test_without_a_working_folder_full_paths_work(cli, finished_run, tmp_path):
         code, out, err = cli("train", CONFIG, *SMALL, "--out", folder)
         assert (code, out) == (0, f"{folder}\n"), err
         assert cli("resume", folder, "--generations", 3)[0] == 0
-        assert cli("watch", folder, "--once", "--no-picture")[0] == 0
+        assert cli("watch", folder, "--once")[0] == 0
         assert cli("export", folder, tmp_path / "model.xml")[0] == 0
 
 

@@ -7,7 +7,6 @@ import pytest
 
 import evo_cpg as evo
 from evo_cpg.api.sweep import claim, new_plan
-from evo_cpg.cli.jobs import claimed
 from evo_cpg.config.settings import Setting
 from evo_cpg.locks import LockedError, locked
 from evo_cpg.training.run_folder import RunFolder
@@ -47,20 +46,16 @@ def test_a_command_that_writes_is_refused(cli, run, command, option):
     assert err.endswith(end) and err.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    "command", [("resume", "--distributed", "--local", 2), ("render", "-o", "{run}/videos/x.mp4")]
-)
-def test_no_option_opens_a_locked_run(cli, run, command):
-    given = [str(word).format(run=run) for word in command[1:]]
+def test_no_option_opens_a_locked_run(cli, run):
     with RunFolder(run).locked():
-        code, _, err = cli(command[0], run, *given)
+        code, _, err = cli("render", run, "-o", f"{run}/videos/x.mp4")
     assert code == 2 and f"{run} is in use by process" in err
 
 
 def test_a_command_that_only_reads_is_allowed(cli, run, tmp_path):
     with RunFolder(run).locked():
         before = contents(run)
-        assert cli("watch", run, "--once", "--no-picture")[0] == 0
+        assert cli("watch", run, "--once")[0] == 0
         assert cli("export", run, tmp_path / "model.xml")[0] == 0
         assert cli("analyse", run, "--out", tmp_path / "x.html", "--trial", 7)[2].startswith(
             f"evo-cpg: --trial: {run} has 1 trial(s)"
@@ -102,7 +97,7 @@ def test_an_interrupted_write_of_another_process_is_left_alone(run, monkeypatch)
 def test_a_sweep_is_refused_while_another_command_runs_it(cli, tmp_path):
     folder = tmp_path / "sweep"
     words = (CONFIG, *PAIR, "--grid", "seed=1,2", "--out", folder)
-    with claimed(folder, None):
+    with locked(folder, make=True):
         code, _, err = cli("sweep", *words)
         assert code == 2 and f"{folder} is in use by process {os.getpid()} on " in err
         assert [path.name for path in folder.iterdir()] == [".lock"]
@@ -116,6 +111,19 @@ def test_a_sweep_is_refused_while_one_of_its_runs_is_in_use(cli, tmp_path):
         code, _, err = cli("sweep", folder)
         assert code == 2 and f"{folder / 'seed=1'} is in use by process" in err
         assert {path.name for path in folder.rglob("*")} == {"sweep.json", "seed=1", ".lock"}
+
+
+@pytest.mark.slow
+def test_commands_with_only_share_a_sweep(cli, tmp_path):
+    """The lock stands for another command that evolves seed 1."""
+    folder = tmp_path / "sweep"
+    words = (CONFIG, *PAIR, "evolution.generations=2", "--grid", "seed=1,2", "--out", folder)
+    with RunFolder(folder / "seed=1").locked(new=True):
+        assert cli("sweep", *words, "--only", "seed=1")[0] == 2
+        assert cli("sweep", *words, "--only", "seed=2")[0] == 0
+    assert "seed=1" not in (folder / "runs.csv").read_text()
+    assert cli("sweep", *words)[0] == 0
+    assert "seed=1" in (folder / "runs.csv").read_text()
 
 
 def test_a_study_is_refused_while_another_command_makes_it(cli, tmp_path):

@@ -52,11 +52,11 @@ def test_a_clone_stays_editable(installed, tmp_path, monkeypatch):
     # If the working folder is the clone, the command has paths relative to the clone.
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "executable", str(folder / ".venv" / "bin" / "python"))
-    assert command_for("jobs") == (
-        f"{Path('.venv/bin/python')} -m pip install -c constraints.txt -e '.[jobs]'"
+    assert command_for("mujoco") == (
+        f"{Path('.venv/bin/python')} -m pip install -c constraints.txt -e '.[mujoco]'"
     )
     (folder / "constraints.txt").unlink()
-    assert command_for("jobs").endswith(" -m pip install -e '.[jobs]'")
+    assert command_for("mujoco").endswith(" -m pip install -e '.[mujoco]'")
 
 
 @pytest.mark.parametrize(

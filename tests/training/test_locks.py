@@ -10,7 +10,7 @@ import pytest
 
 from evo_cpg import locks
 from evo_cpg.files import OutputError
-from evo_cpg.locks import LockedError, joined, locked
+from evo_cpg.locks import LockedError, locked
 from tiny_run import REPOSITORY
 
 HOLD = """
@@ -65,19 +65,6 @@ def test_a_folder_is_locked_once_and_freed(tmp_path):
     assert not locks.holds(tmp_path) and not list(tmp_path.iterdir())
     with locked(tmp_path):
         pass
-
-
-def test_a_shared_lock_lasts_until_the_last_has_left(tmp_path):
-    words = "is in use by another process"
-    with joined(tmp_path), pytest.raises(LockedError, match=words), locked(tmp_path):
-        pass
-    with locked(tmp_path) as lock:
-        lock.share()
-        with joined(tmp_path):
-            pass
-        with pytest.raises(LockedError, match="is in use by process"), locked(tmp_path):
-            pass
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_file_that_its_holder_deleted_locks_nothing(tmp_path, monkeypatch):
@@ -139,6 +126,6 @@ def test_systems_without_locks_refuse_no_process(tmp_path, monkeypatch):
         raise OSError(38, "Function not implemented")
 
     monkeypatch.setattr(locks.fcntl, "flock", unknown)
-    with locked(tmp_path) as lock, locked(tmp_path):
-        lock.share()
+    with locked(tmp_path), locked(tmp_path):
+        pass
     assert not list(tmp_path.iterdir())

@@ -140,7 +140,7 @@ def repetition(subject: Subject) -> Html:
     if isinstance(versions, Mapping):
         said = ", ".join(f"{name} {version}" for name, version in versions.items())
         rows.append(["versions", f"Python {meta.get('python', '?')}, {said}"])
-    for key in ("commit", "processor", "system", "engine", "instructions", "devices", "processes"):
+    for key in ("commit", "processor", "system", "engine", "instructions", "devices"):
         if key in meta:
             rows.append([key, cell(meta[key])])
     digest = hashlib.sha256(subject.config.encode()).hexdigest()
