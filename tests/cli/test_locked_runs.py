@@ -117,12 +117,13 @@ def test_a_sweep_is_refused_while_one_of_its_runs_is_in_use(cli, tmp_path):
 def test_commands_with_only_share_a_sweep(cli, tmp_path):
     """The lock stands for another command that evolves seed 1."""
     folder = tmp_path / "sweep"
-    words = (CONFIG, *PAIR, "evolution.generations=2", "--grid", "seed=1,2", "--out", folder)
+    settings = [Setting(f"seed={seed}", {"seed": seed}) for seed in (1, 2)]
+    claim(folder, new_plan(CONFIG, TINY, settings))
     with RunFolder(folder / "seed=1").locked(new=True):
-        assert cli("sweep", *words, "--only", "seed=1")[0] == 2
-        assert cli("sweep", *words, "--only", "seed=2")[0] == 0
+        assert cli("sweep", folder, "--only", "seed=1")[0] == 2
+        assert cli("sweep", folder, "--only", "seed=2")[0] == 0
     assert "seed=1" not in (folder / "runs.csv").read_text()
-    assert cli("sweep", *words)[0] == 0
+    assert cli("sweep", folder)[0] == 0
     assert "seed=1" in (folder / "runs.csv").read_text()
 
 
