@@ -79,11 +79,9 @@ def _export_model(source: Path, output: Path) -> None:
     from evo_cpg.files import write_text
 
     if os.path.isdir(source):
-        opened = open_and_build(source)
-        experiment, config = opened.experiment, opened.config
+        experiment = open_and_build(source).experiment
     else:
-        config = load_config(source)
-        experiment = build(config, source)
+        experiment = build(load_config(source), source)
     simulation = experiment.simulation
     world, situation = simulation.world, simulation.situations[0]
     model = mjcf_model(
@@ -97,7 +95,6 @@ def _export_model(source: Path, output: Path) -> None:
         world.pair_names,
         situation.start_orientation,
         situation.start_angles,
-        [sensor.model_dump(mode="json") for sensor in config.creature.sensors],
     )
     write_text(output, mjcf_text(model))
     if world.water is not None:

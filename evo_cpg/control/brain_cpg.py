@@ -46,7 +46,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from evo_cpg.control import matsuoka, phase
+from evo_cpg.control import matsuoka
 from evo_cpg.control.brain import (
     Brain,
     BrainSettings,
@@ -337,21 +337,13 @@ class BrainCpg(Controller):
         angle, rate = map(self._as_angle, (observation.joint_angle, observation.joint_rate))
         senses = angle, rate, observation.load
         felt, memory = feel(self.feedback, genes, state.memory, *senses)
-        neurons: MatsuokaState = state
-        for acts, angle in felt.resets:
-            neurons = phase.with_phase(self.network, neurons, adaptation_gain, angle, acts)
-        clock = None
-        if felt.strength is not None:
-            clock = phase.clock_rate(self.network, neurons, adaptation_gain, felt.strength)
-        neurons = self._advance(neurons, tonic_input + felt.input, adaptation_gain, clock)
+        neurons = self._advance(state, tonic_input + felt, adaptation_gain)
         return FeelingState(neurons.potential, neurons.adaptation, memory)
 
-    def _advance(
-        self, state: MatsuokaState, tonic_input: Array, gain: Array, rate: Array | None = None
-    ) -> MatsuokaState:
+    def _advance(self, state: MatsuokaState, tonic_input: Array, gain: Array) -> MatsuokaState:
         state = MatsuokaState(state.potential, state.adaptation)
         steps = self.control_step, self.substeps
-        return matsuoka.advance(self.network, state, tonic_input, gain, *steps, rate)
+        return matsuoka.advance(self.network, state, tonic_input, gain, *steps)
 
     def command(self, state: MatsuokaState, observation: Observation) -> Command:
         """Return the command of the neurons to motors and muscles.

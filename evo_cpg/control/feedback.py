@@ -1,11 +1,9 @@
 """Feedback of the senses into the spinal cord: all kinds together.
 
-| kind | acts on | module |
-|---|---|---|
-| stretch of joints | input of the neurons | `evo_cpg.control.stretch` |
-| load of limbs | input of the neurons | `evo_cpg.control.limb_load` |
-| Tegotae: load of limbs | clocks of the oscillators | `evo_cpg.control.limb_load` |
-| touch-down of limbs | phases of the oscillators | `evo_cpg.control.limb_load` |
+| kind | module |
+|---|---|
+| stretch of joints | `evo_cpg.control.stretch` |
+| load of limbs | `evo_cpg.control.limb_load` |
 
 The inputs f of all senses are added, and their sum is limited:
 
@@ -18,20 +16,10 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from evo_cpg.control.afferent import Gain, Weight
-from evo_cpg.control.limb_load import (
-    Load,
-    LoadFeedback,
-    Reset,
-    Tegotae,
-    TegotaeFeedback,
-    TouchDown,
-    build_load,
-    build_reset,
-    build_tegotae,
-)
+from evo_cpg.control.limb_load import Load, LoadFeedback, build_load
 from evo_cpg.control.stretch import Stretch, StretchFeedback, build_stretch
 from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.numerics import Number
@@ -44,8 +32,6 @@ class FeedbackSettings:
     Attributes:
         stretch: stretch of joints.
         load: load of limbs.
-        tegotae: load of limbs that keeps oscillators in their stance.
-        touch_down: phases of oscillators when limbs touch the ground.
         limit: largest size of the input of one neuron from all its senses, in units of
             ``max_tonic_input``, more than 0.
 
@@ -55,8 +41,6 @@ class FeedbackSettings:
 
     stretch: tuple[StretchFeedback, ...] = ()
     load: tuple[LoadFeedback, ...] = ()
-    tegotae: tuple[TegotaeFeedback, ...] = ()
-    touch_down: tuple[TouchDown, ...] = ()
     limit: float = 1.0
 
     def __post_init__(self):
@@ -71,8 +55,6 @@ class Feedback(eqx.Module):
         gene_count: number of weights that evolve.
         stretch: senses of stretch.
         load: senses of load.
-        tegotae: changes of clocks by load.
-        resets: changes of phase at touch-down.
         limit: largest size of the input of one neuron, in the unit of the tonic input.
         unit: u_max, the unit of the weights.
     """
@@ -80,15 +62,13 @@ class Feedback(eqx.Module):
     gene_count: int = eqx.field(static=True)
     stretch: tuple[Stretch, ...]
     load: tuple[Load, ...]
-    tegotae: tuple[Tegotae, ...]
-    resets: tuple[Reset, ...]
     limit: Number
     unit: Number
 
     @property
     def uses_load(self) -> bool:
         """Return whether any sense is the load of a limb."""
-        return bool(self.load or self.tegotae or self.resets)
+        return bool(self.load)
 
 
 class Memory(NamedTuple):
@@ -97,26 +77,10 @@ class Memory(NamedTuple):
     Attributes:
         stretch: samples of each sense of stretch, the newest first, or None without a delay.
         load: samples of each sense of load, in the same way.
-        touching: 1 for limbs that touched the ground in the last two control steps, for each reset.
     """
 
     stretch: tuple[Float[Array, "k o *n"] | None, ...]
     load: tuple[Float[Array, "k o *n"] | None, ...]
-    touching: tuple[Float[Array, "2 l *n"], ...]
-
-
-class Felt(NamedTuple):
-    """Effect of the senses on the oscillators in one control step.
-
-    Attributes:
-        input: input to each neuron, extensors first, in the unit of the tonic input.
-        strength: strength of Tegotae at each oscillator, or None for none.
-        resets: for each reset, whether it acts on each oscillator, and the phase to set, rad.
-    """
-
-    input: Float[Array, "2 o *n"]
-    strength: Float[Array, "o *n"] | None
-    resets: tuple[tuple[Bool[Array, "o *n"], Number], ...]
 
 
 def build_feedback(
@@ -144,16 +108,14 @@ def build_feedback(
     load = tuple(
         build_load(tree, one, i, gain, control_step) for i, one in enumerate(settings.load)
     )
-    tegotae = tuple(build_tegotae(tree, one, i, gain) for i, one in enumerate(settings.tegotae))
-    resets = tuple(build_reset(tree, one, i) for i, one in enumerate(settings.touch_down))
     limit = settings.limit * max_tonic_input
-    return Feedback(next(genes), stretch, load, tegotae, resets, limit, max_tonic_input)
+    return Feedback(next(genes), stretch, load, limit, max_tonic_input)
 
 
 def first_memory(
     feedback: Feedback, count: int, batch: tuple[int, ...], dtype: jnp.dtype | type
 ) -> Memory:
-    """Return the memory at the start of a trial: all senses were 0, and all limbs on the ground.
+    """Return the memory at the start of a trial: all senses were 0.
 
     Args:
         feedback: the senses.
@@ -164,7 +126,6 @@ def first_memory(
     return Memory(
         tuple(sense.delay.memory(count, batch, dtype) for sense in feedback.stretch),
         tuple(sense.delay.memory(count, batch, dtype) for sense in feedback.load),
-        tuple(jnp.ones((2, len(one.limbs.bodies), *batch), dtype) for one in feedback.resets),
     )
 
 
@@ -175,8 +136,10 @@ def feel(
     joint_angle: Float[Array, "d *n"],
     joint_rate: Float[Array, "d *n"],
     load: Float[Array, "b *n"] | None,
-) -> tuple[Felt, Memory]:
-    """Return the effect of the senses in one control step, and the next memory.
+) -> tuple[Float[Array, "2 d *n"], Memory]:
+    """Return the input to each neuron in one control step, and the next memory.
+
+    The inputs of the extensors come first, in the unit of the tonic input.
 
     Args:
         feedback: the senses.
@@ -188,7 +151,7 @@ def feel(
     """
     # Input of the extensors. Flexors receive the negative.
     total = jnp.zeros_like(joint_angle)
-    stretched, loaded, touching, resets = [], [], [], []
+    stretched, loaded = [], []
     for sense, past in zip(feedback.stretch, memory.stretch, strict=True):
         delayed, past = sense.delay.after(sense.now(genes, joint_angle, joint_rate), past)
         total -= delayed
@@ -197,19 +160,10 @@ def feel(
         load = None
     elif load is None:
         raise ValueError("the spinal cord feels the load of limbs, but got no Observation.load")
-    strength = None
     if load is not None:
         for sense, past in zip(feedback.load, memory.load, strict=True):
             delayed, past = sense.delay.after(sense.now(genes, load), past)
             total += delayed
             loaded.append(past)
-        for sense in feedback.tegotae:
-            own = sense.strength(genes, load)
-            strength = own if strength is None else strength + own
-        for reset, past in zip(feedback.resets, memory.touching, strict=True):
-            acts, past = reset.at(load, past)
-            touching.append(past)
-            resets.append((acts, reset.phase))
     bounded = jnp.clip(feedback.unit * total, -feedback.limit, feedback.limit)
-    felt = Felt(jnp.stack([bounded, -bounded]), strength, tuple(resets))
-    return felt, Memory(tuple(stretched), tuple(loaded), tuple(touching))
+    return jnp.stack([bounded, -bounded]), Memory(tuple(stretched), tuple(loaded))

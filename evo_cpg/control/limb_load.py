@@ -1,22 +1,16 @@
 """Load of the limbs, felt by their oscillators.
 
 The load n of a limb is the vertical force of the ground on all its bodies, in units of the animal's
-weight. It acts in three ways:
+weight. It excites the extensors of the limb, and inhibits its flexors:
 
-1. It excites the extensors of the limb, and inhibits its flexors:
+    s_e = -s_f = w n_own(t - D) + v sum_others n(t - D).                                    (1)
 
-       s_e = -s_f = w n_own(t - D) + v sum_others n(t - D).                                (1)
-
-   A negative weight excites the flexors. The extensor pulls the joint to positive angles.
-2. *Tegotae*: it slows the clock of the limb's oscillators in one part of the cycle, and hurries it
-   in the other part (`evo_cpg.control.phase`, eqs. 3 and 4).
-3. *Touch-down* sets the phase of the limb's oscillators.
+A negative weight excites the flexors. The extensor pulls the joint to positive angles.
 
 | symbol | name |
 |---|---|
 | w, v | ``weight``, ``neighbour_weight`` |
 | D | ``delay`` (s) |
-| s | ``gain`` of `TegotaeFeedback` |
 """
 
 import dataclasses
@@ -24,7 +18,7 @@ import dataclasses
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from evo_cpg.control.afferent import (
     Delay,
@@ -37,7 +31,6 @@ from evo_cpg.control.afferent import (
 )
 from evo_cpg.control.couplings import CouplingError, listed_oscillators, matching_bodies
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.numerics import Number, xp
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,56 +61,6 @@ class LoadFeedback:
     def __post_init__(self):
         check_weights(self, "weight", "neighbour_weight")
         check_delay(self.delay)
-
-
-@dataclasses.dataclass(frozen=True)
-class TegotaeFeedback:
-    """Load that keeps the oscillators of a limb in their stance.
-
-    Attributes:
-        limbs: first bodies of the limbs, as in `LoadFeedback`.
-        joints: degrees of freedom of the limbs whose clocks the load changes. Their extensors
-            swing the limb.
-        gain: s = sigma m g / omega of phi' = omega - sigma N cos(phi), without a unit. At 1 the
-            clock stops in the middle of the load's effect if the limb carries the whole animal.
-            Two numbers are the range of a gain that evolves.
-
-    Raises:
-        ValueError: a value is outside its range.
-    """
-
-    limbs: tuple[str, ...]
-    joints: tuple[str, ...] = ("*",)
-    gain: Weight = 1.0
-
-    def __post_init__(self):
-        check_weights(self, "gain")
-
-
-@dataclasses.dataclass(frozen=True)
-class TouchDown:
-    """Phase that the oscillators of a limb get when it touches the ground.
-
-    Attributes:
-        limbs: first bodies of the limbs, as in `LoadFeedback`.
-        joints: degrees of freedom of the limbs whose oscillators get the phase.
-        phase_deg: phase to set, degrees. The extensor is active from 0 to 180, and the flexor from
-            180 to 360.
-        threshold: load above which a limb touches the ground, in units of the animal's weight, more
-            than 0. Touch-down needs two control steps below it first.
-
-    Raises:
-        ValueError: a value is outside its range.
-    """
-
-    limbs: tuple[str, ...]
-    joints: tuple[str, ...] = ("*",)
-    phase_deg: float = 180.0
-    threshold: float = 0.02
-
-    def __post_init__(self):
-        if not self.threshold > 0:
-            raise ValueError(f"threshold must be positive, got {self.threshold}")
 
 
 class Limbs(eqx.Module):
@@ -171,51 +114,6 @@ class Load(eqx.Module):
         return self.limbs.of_oscillators(felt)
 
 
-class Tegotae(eqx.Module):
-    """One `TegotaeFeedback` on a creature's tree.
-
-    Attributes:
-        limbs: the limbs.
-        gain: s.
-    """
-
-    limbs: Limbs
-    gain: Gain
-
-    def strength(
-        self, genes: Float[Array, "g *n"] | None, load: Float[Array, "b *n"]
-    ) -> Float[Array, "o *n"]:
-        """Return s n of each oscillator (see `evo_cpg.control.phase.clock_rate`)."""
-        return self.limbs.of_oscillators(self.gain.times(self.limbs.loads(load), genes))
-
-
-class Reset(eqx.Module):
-    """One `TouchDown` on a creature's tree.
-
-    Attributes:
-        limbs: the limbs.
-        phase: phase to set, rad.
-        threshold: load above which a limb touches the ground.
-    """
-
-    limbs: Limbs
-    phase: Number
-    threshold: Number
-
-    def at(
-        self, load: Float[Array, "b *n"], touching: Float[Array, "2 l *n"]
-    ) -> tuple[Bool[Array, "o *n"], Float[Array, "2 l *n"]]:
-        """Return the oscillators to reset, and the next memory.
-
-        Args:
-            load: load of each body.
-            touching: 1 for each limb that touched the ground in the last two control steps.
-        """
-        now = (self.limbs.loads(load) > self.threshold).astype(load.dtype)
-        begins = now * (1 - touching[0]) * (1 - touching[1])
-        return self.limbs.of_oscillators(begins) > 0, jnp.stack([now, touching[0]])
-
-
 def build_load(
     tree: Tree, settings: LoadFeedback, number: int, gain: MakeGain, control_step: float
 ) -> Load:
@@ -234,18 +132,6 @@ def build_load(
     limbs = find_limbs(tree, settings.limbs, settings.joints, ("feedback", "load", number))
     gains = gain(settings.weight), gain(settings.neighbour_weight)
     return Load(limbs, *gains, make_delay(settings.delay, control_step))
-
-
-def build_tegotae(tree: Tree, settings: TegotaeFeedback, number: int, gain: MakeGain) -> Tegotae:
-    """Build one Tegotae feedback for a creature's tree (see `build_load`)."""
-    place = ("feedback", "tegotae", number)
-    return Tegotae(find_limbs(tree, settings.limbs, settings.joints, place), gain(settings.gain))
-
-
-def build_reset(tree: Tree, settings: TouchDown, number: int) -> Reset:
-    """Build one phase reset for a creature's tree (see `build_load`)."""
-    limbs = find_limbs(tree, settings.limbs, settings.joints, ("feedback", "touch_down", number))
-    return Reset(limbs, xp.deg2rad(settings.phase_deg), settings.threshold)
 
 
 def find_limbs(

@@ -355,7 +355,6 @@ def advance(
     adaptation_gain: Float[Array, "o *n"],
     h: float,
     substeps: int | None = None,
-    rate: Float[Array, "o *n"] | None = None,
 ) -> MatsuokaState:
     """Integrate eqs. 4-6 over h (s) by classical Runge-Kutta steps, with constant inputs.
 
@@ -369,16 +368,13 @@ def advance(
         adaptation_gain: b of each oscillator.
         h: step, s. It is divided into substeps if it is long compared with T_r or T_a.
         substeps: number of substeps, or None for `MatsuokaNetwork.substeps`.
-        rate: factor on all velocities of an oscillator, or None for 1.
     """
     count = network.substeps(h) if substeps is None else substeps
     drive = tonic_input + network.constant_input
 
-    def advance(
-        state: MatsuokaState, drive: Array, adaptation_gain: Array, rate: Array | None
-    ) -> MatsuokaState:
+    def advance(state: MatsuokaState, drive: Array, adaptation_gain: Array) -> MatsuokaState:
         def substep(state: MatsuokaState, _) -> tuple[MatsuokaState, None]:
-            return runge_kutta_step(network, h / count, state, drive, adaptation_gain, rate), None
+            return runge_kutta_step(network, h / count, state, drive, adaptation_gain), None
 
         if count <= _UNROLLED:
             for _ in range(count):
@@ -387,7 +383,7 @@ def advance(
         return jax.lax.scan(substep, state, length=count)[0]
 
     batch_ndim = adaptation_gain.ndim - 1
-    inputs = drive, adaptation_gain, rate
+    inputs = drive, adaptation_gain
     return fuse(advance, state, *inputs, batch_ndim=batch_ndim, name="oscillators")
 
 
@@ -407,7 +403,6 @@ def runge_kutta_step(
     state: MatsuokaState,
     drive: Float[Array, "2 o *n"],
     adaptation_gain: Float[Array, "o *n"],
-    rate: Float[Array, "o *n"] | None = None,
 ) -> MatsuokaState:
     """Take one classical fourth-order step, written with the stages' states.
 
@@ -421,8 +416,6 @@ def runge_kutta_step(
     margin = max(map(abs, network.offsets + network.own_offsets), default=0)
     zeros = jnp.zeros((2, margin, *drive.shape[2:]), drive.dtype)
     per_rise, per_adaptation = h / network.rise_time, h / network.adaptation_time
-    if rate is not None:
-        per_rise, per_adaptation = per_rise * rate[None], per_adaptation * rate[None]
 
     def pad(potential: Array) -> Array:
         return jnp.concatenate([zeros, potential, zeros], axis=1)

@@ -28,16 +28,15 @@ def write_imported(imported: Imported, source: Path, output: Path, alone: bool) 
     data = imported.experiment["creature"] if alone else imported.experiment
     folder = output.with_name(f"{output.stem}_meshes")
     written: dict[str, bytes] = {}
-    if not imported.exported:
-        for name, holder in _meshes(imported.experiment["creature"]):
-            content = _stl(holder["shape"])
-            file = next((f for f, known in written.items() if known == content), None)
-            if file is None:
-                file = f"{_file_name(name)}.stl"
-                while file in written:
-                    file = file.removesuffix(".stl") + "_.stl"
-                written[file] = content
-            holder["shape"] = {"type": "mesh", "file": f"{folder.name}/{file}"}
+    for name, holder in _meshes(imported.experiment["creature"]):
+        content = _stl(holder["shape"])
+        file = next((f for f, known in written.items() if known == content), None)
+        if file is None:
+            file = f"{_file_name(name)}.stl"
+            while file in written:
+                file = file.removesuffix(".stl") + "_.stl"
+            written[file] = content
+        holder["shape"] = {"type": "mesh", "file": f"{folder.name}/{file}"}
     if written:
         folder.mkdir(parents=True, exist_ok=True)
     for file, content in written.items():

@@ -14,7 +14,6 @@
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
 | friction of a body on the ground | a ``pair`` of the two geoms | |
 | pair of bodies that push each other apart | a ``pair`` without friction (``condim`` 1) | |
-| eyes, restitution, muscles and other numbers of ours | a ``text`` for the import | `mjcf_custom` |
 | a start in another pose than the neutral one | a ``key`` named ``start`` | |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are equal on both sides.
@@ -24,15 +23,13 @@ softness of MuJoCo's defaults.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from evo_cpg.creature.creature import Body, Creature, Inertial, topological_order
-from evo_cpg.exchange.mjcf_custom import add_custom
 from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.exchange.mjcf_joints import add_joints, joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
@@ -62,7 +59,6 @@ def mjcf_model(
     pairs: Sequence[tuple[str, str]] = (),
     orientation: Sequence[float] | None = None,
     angles: Sequence[float] | None = None,
-    sensors: Sequence[Mapping[str, Any]] = (),
 ) -> Element:
     """Return the ``mujoco`` element of a creature in its world.
 
@@ -78,7 +74,6 @@ def mjcf_model(
         orientation: initial orientation of a free root, unit quaternion (w, x, y, z), if the
             initial pose is not the neutral one.
         angles: angles of the joints in that pose, rad, in the order of the creature's `Tree`.
-        sensors: keys of the animal's sensors that are neither eyes, gauges nor pressure sensors.
 
     Raises:
         CreatureError: the bodies do not form one tree.
@@ -97,7 +92,6 @@ def mjcf_model(
     # pairs.
     default = SubElement(root, "default")
     SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
-    add_custom(root, creature, heading, sensors)
     add_meshes(root, creature)
     place = SubElement(root, "worldbody")
     parts = add_ground(root, place, ground, names) if ground else []

@@ -15,7 +15,6 @@ loss.
 | fixed ``tendon``s | tendons | `mjcf_tendons` |
 | rules of contacts, planes | ground, self-collision | `mjcf_contact` |
 | gravity, medium | world | `mjcf_world` |
-| our ``custom`` text | sensors, muscles, restitution | `mjcf_custom` |
 | any other field | refused or left out | `mjcf_fields` |
 """
 
@@ -45,14 +44,6 @@ from evo_cpg.exchange.mjcf_contact import (
     read_material,
     read_self_collision,
 )
-from evo_cpg.exchange.mjcf_custom import (
-    Custom,
-    read_custom,
-    restore_muscles,
-    restored_material,
-    restored_mesh,
-    root_axes,
-)
 from evo_cpg.exchange.mjcf_fields import (
     leave_out_elements,
     leave_out_fields,
@@ -73,7 +64,7 @@ _ANY_DENSITY = 1000.0
 
 # Relative difference of mass and moments from those of a uniform shape, within which the density
 # describes both. Files have this many digits after rounding in the compiler.
-_UNIFORM, _MESH_UNIFORM = 1e-11, 1e-5
+_UNIFORM = 1e-11
 
 _SHAPE = TypeAdapter(ShapeConfig)
 
@@ -90,7 +81,6 @@ class Imported(NamedTuple):
         dropped: sentences about refused parts whose loss the user accepted.
         changed: sentences about values that differ from the file's, with both values.
         joints: MuJoCo's numbers of the joints of each body, by its name, in the order of its axes.
-        exported: whether the file is our own export, whose meshes are exact.
         warnings: sentences about what a user may have to change before training.
         place: centre of the root in the file's neutral pose, m.
     """
@@ -100,7 +90,6 @@ class Imported(NamedTuple):
     dropped: tuple[str, ...]
     changed: tuple[str, ...]
     joints: dict[str, tuple[int, ...]]
-    exported: bool
     warnings: tuple[str, ...]
     place: tuple[float, float, float]
 
@@ -124,17 +113,17 @@ def read_model(
     compiled = compile_model(Path(path), drop, free)
     refusals = compiled.refusals
     require_numbers(compiled)
-    custom = read_custom(compiled)
     refuse_elements(compiled)
     refuse_fields(compiled)
     motors, tendon_motors = read_motors(compiled, motor_gain)
-    placed = _placed_bodies(compiled, custom)
+    placed = _placed_bodies(compiled)
     fixed = scenery(compiled, [body.rigid for body in placed])
     ground, others, frictions = read_ground(compiled, placed, fixed)
-    creature, volumes = _creature_keys(compiled, placed, custom, motors, frictions)
-    _set_senses(creature, custom, bool(ground))
+    creature, volumes = _creature_keys(compiled, placed, motors, frictions)
+    if not ground:
+        creature["pressure_sensors"] = []
     creature["self_collision"] = read_self_collision(compiled, placed)
-    world = read_world(compiled, placed, volumes, ground, bool(custom))
+    world = read_world(compiled, placed, volumes, ground)
     _leave_out_scenery(compiled, others, placed)
     leave_out_fields(compiled)
     leave_out_elements(compiled)
@@ -162,13 +151,12 @@ def read_model(
         tuple(refusals.dropped),
         tuple(refusals.changed),
         joints,
-        bool(custom),
         tuple(_warnings(compiled, root, bool(every_motor), built.build())),
         tuple(_centre_of(root).tolist()),
     )
 
 
-def _placed_bodies(compiled: Compiled, custom: Custom) -> list[Placed]:
+def _placed_bodies(compiled: Compiled) -> list[Placed]:
     """Return the bodies of the animal, the root first.
 
     Raises:
@@ -179,15 +167,13 @@ def _placed_bodies(compiled: Compiled, custom: Custom) -> list[Placed]:
         rigids = rigid_bodies(compiled)
     if not rigids:
         compiled.refusals.check()
-    names, axes = _body_names(compiled, rigids), root_axes(custom)
-    placed = [place_body(compiled, rigid, names[rigid.lead], axes) for rigid in rigids]
-    return [_with_exact_meshes(body, custom) for body in placed]
+    names = _body_names(compiled, rigids)
+    return [place_body(compiled, rigid, names[rigid.lead]) for rigid in rigids]
 
 
 def _creature_keys(
     compiled: Compiled,
     placed: Sequence[Placed],
-    custom: Custom,
     motors: Mapping[int, dict[str, Any]],
     frictions: Mapping[int, float],
 ) -> tuple[dict[str, Any], list[float]]:
@@ -196,7 +182,6 @@ def _creature_keys(
     Args:
         compiled: the model.
         placed: the bodies.
-        custom: numbers of our export.
         motors: keys of the motors, by MuJoCo's number of the joint.
         frictions: friction of the material of each geom.
     """
@@ -206,14 +191,13 @@ def _creature_keys(
     for own in placed:
         shapes = _shapes(compiled, own)
         volumes.append(sum(float(shape.volume) for shape in shapes))
-        entry = {"name": own.name} | _substance(compiled, own, shapes, custom, materials, frictions)
+        entry = {"name": own.name} | _substance(compiled, own, shapes, materials, frictions)
         bodies.append(entry)
         if own.rigid.free:
             refuse_effects_on_free_root(compiled, own.rigid.lead)
         else:
             parent = None if own.rigid.parent is None else carrier[own.rigid.parent]
             entry["joint"] = read_joint(compiled, own, parent, motors)
-            restore_muscles(custom, own.name, entry["joint"])
             _check_joint(compiled, own, entry["joint"])
     named = {name: dict(keys) for keys, name in materials.items()}
     return {"name": _model_name(compiled), "materials": named, "bodies": bodies}, volumes
@@ -264,15 +248,6 @@ def _body_names(compiled: Compiled, rigids: Sequence[Rigid]) -> dict[int, str]:
     return names
 
 
-def _with_exact_meshes(body: Placed, custom: Custom) -> Placed:
-    """Return a body whose meshes have the precision of our export."""
-    solids = tuple(
-        solid._replace(shape=restored_mesh(custom, name, solid.shape))
-        for name, solid in zip(body.shape_names, body.solids, strict=True)
-    )
-    return body._replace(solids=solids)
-
-
 def _shapes(compiled: Compiled, body: Placed) -> list[Shape]:
     """Return the shapes of a body. Refuse impossible ones."""
     shapes = []
@@ -293,7 +268,6 @@ def _substance(
     compiled: Compiled,
     own: Placed,
     shapes: Sequence[Shape],
-    custom: Custom,
     materials: dict[Material, str],
     frictions: Mapping[int, float],
 ) -> dict[str, Any]:
@@ -303,22 +277,18 @@ def _substance(
         compiled: the model.
         own: the body.
         shapes: its shapes.
-        custom: numbers of our export.
         materials: names of the materials so far, which grow.
         frictions: friction of the material of each geom.
     """
     mass, centre, inertia = mass_properties(compiled.model, compiled.data, own.rigid.members)
     centre, inertia = own.turn.T @ (centre - own.centre), own.turn.T @ inertia @ own.turn
     density = None
-    if len(shapes) == 1 and own.own_shape:
-        exact = own.solids[0].shape["type"] != "mesh"
-        alike = _UNIFORM if exact else _MESH_UNIFORM if custom else 0.0
-        if _is_uniform(shapes[0], own.solids[0], (mass, centre, inertia), alike):
-            density = mass / float(shapes[0].volume)
+    alone = len(shapes) == 1 and own.own_shape
+    if alone and _is_uniform(shapes[0], own.solids[0], (mass, centre, inertia)):
+        density = mass / float(shapes[0].volume)
     named = []
-    for name, solid in zip(own.shape_names, own.solids, strict=True):
+    for solid in own.solids:
         made = read_material(frictions[solid.geom], _ANY_DENSITY if density is None else density)
-        made = restored_material(custom, name, made, density is not None)
         key = tuple(made.items())
         named.append(materials.setdefault(key, f"material{len(materials) + 1}"))
     if not named:
@@ -337,22 +307,20 @@ def _substance(
     return keys
 
 
-def _is_uniform(
-    shape: Shape, solid: Solid, found: tuple[float, np.ndarray, np.ndarray], alike: float
-) -> bool:
-    """Return whether a uniform density of the shape gives the mass properties."""
+def _is_uniform(shape: Shape, solid: Solid, found: tuple[float, np.ndarray, np.ndarray]) -> bool:
+    """Return whether a uniform density of the shape gives the mass properties, never for a mesh."""
     mass, centre, inertia = found
-    if not alike or not mass or not shape.volume:
+    if solid.shape["type"] == "mesh" or not mass or not shape.volume:
         return False
     expected = np.asarray(shape.inertia_tensor(mass), float)
     middle = _SHAPE.validate_python(solid.shape).centre
     reach = float(np.linalg.norm(shape.half_extents))
-    if np.abs(centre - middle).max() > alike * reach:
+    if np.abs(centre - middle).max() > _UNIFORM * reach:
         return False
     # Compare in the principal frame, where the moments of a thin rod do not hide one another.
     moments, frame = np.linalg.eigh(expected)
     off = np.abs(frame.T @ inertia @ frame - np.diag(moments))
-    within = alike * np.sqrt(np.outer(moments, moments)) + 1e-15 * moments.max()
+    within = _UNIFORM * np.sqrt(np.outer(moments, moments)) + 1e-15 * moments.max()
     return bool((off <= within).all())
 
 
@@ -362,20 +330,6 @@ def _inertia_keys(inertia: np.ndarray) -> list[float]:
     values = (inertia + inertia.T)[i, k] / 2
     least = 1e-15 * float(np.trace(inertia))
     return [0.0 if abs(value) < least else tidy(value) for value in values]
-
-
-def _set_senses(creature: dict[str, Any], custom: Custom, on_ground: bool) -> None:
-    """Give the creature the sensors of our export, or pressure sensors on ground."""
-    if not custom:
-        if not on_ground:
-            creature["pressure_sensors"] = []
-        return
-    named = custom["sensors"].get("pressure_sensors", [])
-    bodies = [body["name"] for body in creature["bodies"]]
-    creature["pressure_sensors"] = "all" if set(named) == set(bodies) else named
-    for kind in ("light_sensors", "depth_sensors", "sensors"):
-        if found := custom["sensors"].get(kind):
-            creature[kind] = found
 
 
 def _leave_out_scenery(compiled: Compiled, geoms: Sequence[int], placed: Sequence[Placed]) -> None:

@@ -140,33 +140,27 @@ def shape_attributes(body: Body) -> dict[str, str]:
     )
 
 
-def place_body(compiled: Compiled, rigid: Rigid, name: str, axes: np.ndarray) -> Placed:
+def place_body(compiled: Compiled, rigid: Rigid, name: str) -> Placed:
     """Return the shapes of a rigid body, and its frame.
 
     The frame is at the centre of the largest shape, turned as little from MuJoCo's as the shape
     allows. A root without a shape along its axes has all its shapes as parts.
-
-    Args:
-        compiled: the model.
-        rigid: the body.
-        name: its name.
-        axes: axes of the root in the world ``(3, 3)``.
     """
-    is_root = rigid.parent is None
+    is_root, world = rigid.parent is None, np.eye(3)
     solids = []
     for geom in _chosen_geoms(compiled, rigid):
         with compiled.refusals.collecting():
-            outer = axes if is_root else np.array(compiled.data.xmat[rigid.lead]).reshape(3, 3)
+            outer = world if is_root else np.array(compiled.data.xmat[rigid.lead]).reshape(3, 3)
             solids.append(read_solid(compiled, geom, outer, is_root))
     solids.sort(key=lambda solid: -solid.size)
     fit = solids
     if is_root:
-        fit = [solid for solid in solids if np.abs(solid.turn - axes).max() < _ALIGNED]
+        fit = [solid for solid in solids if np.abs(solid.turn - world).max() < _ALIGNED]
     if fit:
         first = fit[0]
         ordered = (first, *(solid for solid in solids if solid is not first))
         return Placed(rigid, name, first.centre, first.turn, ordered, True)
-    centre, turn = np.zeros(3), axes
+    centre, turn = np.zeros(3), world
     if rigid.lead:
         centre = np.array(compiled.data.xpos[rigid.lead])
         if not is_root:

@@ -4,7 +4,7 @@
 |---|---|
 | ``gravity`` | ``world.gravity``, after the world is turned (`compiled`) |
 | ``density`` of the medium, ``viscosity``, ``wind`` | ``world.water`` |
-| ``gravcomp`` of all bodies | buoyancy, or less gravity |
+| ``gravcomp`` of all bodies | buoyancy; less gravity if it is equal and no liquid is there |
 | a ``plane`` that the animal can touch | ``world.ground`` (`mjcf_contact`) |
 | height of the animal above the ground | ``simulation.start_clearance`` |
 
@@ -36,7 +36,6 @@ def read_world(
     placed: Sequence[Placed],
     volumes: Sequence[float],
     ground: Any,
-    exported: bool,
 ) -> dict[str, Any]:
     """Return the keys of the world.
 
@@ -45,15 +44,13 @@ def read_world(
         placed: bodies of the animal.
         volumes: volume of all shapes of each body, m^3.
         ground: keys of the ground, or None.
-        exported: whether the file is our own export.
     """
     model = compiled.model
     gravity = _gravity(compiled)
     density = float(model.opt.density)
     carried = 0.0
     if gravity:
-        floats = exported or density >= _LIQUID
-        gravity, carried = _compensated(compiled, placed, volumes, gravity, floats)
+        gravity, carried = _compensated(compiled, placed, volumes, gravity, density >= _LIQUID)
     world: dict[str, Any] = {"gravity": tidy(gravity), "water": None}
     if carried and density and not np.isclose(carried, density, rtol=1e-3):
         compiled.refusals.leave_out(f"drag of the medium (density {density:g})")
@@ -149,7 +146,7 @@ def _compensated(
         placed: bodies of the animal.
         volumes: volume of all shapes of each body, m^3.
         gravity: gravity of the file, m/s^2.
-        floats: whether the animal may be in a fluid.
+        floats: whether the medium is a liquid, so that equal lifts are buoyancy, not less gravity.
     """
     model = compiled.model
     moving = [i for i, body in enumerate(placed) if body.rigid.joints or body.rigid.free]
@@ -162,10 +159,11 @@ def _compensated(
     with np.errstate(divide="ignore", invalid="ignore"):
         fluid = lifts / spaces
     alike = np.isfinite(fluid).all() and np.ptp(fluid) < _ALIKE * fluid.max() and fluid[0] > 0
-    if floats and alike:
-        return gravity, float(fluid[0])
     fractions = lifts / masses
-    if np.ptp(fractions) < _ALIKE and fractions[0] <= 1:
+    even = np.ptp(fractions) < _ALIKE and fractions[0] <= 1
+    if alike and (floats or not even):
+        return gravity, float(fluid[0])
+    if even:
         return gravity * (1 - float(fractions[0])), 0.0
     lead = placed[moving[int(np.argmax(np.abs(lifts)))]].rigid.lead
     compiled.item("body", lead).refuse(

@@ -1,6 +1,4 @@
-"""Feedback of the senses into the spinal cord: signs, delays, spread, rhythm, phase, limits."""
-
-import functools
+"""Feedback of the senses into the spinal cord: signs, delays, spread, rhythm, limits."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from evo_cpg.analysis.rhythm import frequency_of, upward_crossings
-from evo_cpg.control import matsuoka, phase
+from evo_cpg.control import matsuoka
 from evo_cpg.control.brain_cpg import (
     BrainCpgSettings,
     FeelingState,
@@ -20,7 +18,7 @@ from evo_cpg.control.brain_cpg import (
 from evo_cpg.control.controller import Observation
 from evo_cpg.control.couplings import CouplingError
 from evo_cpg.control.feedback import FeedbackSettings, build_feedback, feel, first_memory
-from evo_cpg.control.limb_load import LoadFeedback, TegotaeFeedback, TouchDown
+from evo_cpg.control.limb_load import LoadFeedback
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaState
 from evo_cpg.control.stretch import StretchFeedback
 
@@ -52,7 +50,7 @@ def inputs(tree, settings: CpgSettings, angle, rate=0.0, load=None, genes=None):
     for i in range(len(angle)):
         own = None if load is None else jnp.asarray(load[i], float)
         felt, memory = feel(feedback, genes, memory, angle[i], rate[i], own)
-        found.append(felt.input)
+        found.append(felt)
     return np.array(found)
 
 
@@ -221,117 +219,6 @@ def test_bending_entrains_a_pair_around_its_own_frequency(chain):
         assert alone == pytest.approx(own, rel=1e-6)
 
 
-@functools.cache
-def orbit(gain: float):
-    """Return a pair, its states in a trial, and the first and last step of the last period."""
-    settings = CpgSettings(**PAIR)
-    network = matsuoka.MatsuokaNetwork(
-        **matsuoka._connections(np.array([[1.5]])),
-        rise_time=0.5 * matsuoka.TIME_CONSTANTS["swapped"][0],
-        adaptation_time=0.5 * matsuoka.TIME_CONSTANTS["swapped"][1],
-        constant_input=settings.constant_input,
-        initial_potential=np.array([[0.1], [0.0]]),
-    )
-    h, gains = 1 / 480, jnp.full((1,), gain)
-
-    def advance(state, _):
-        state = matsuoka.advance(network, state, jnp.ones((2, 1)), gains, h, 1)
-        return state, state
-
-    start = matsuoka.initial_state(network, (), float)
-    states = jax.jit(lambda s: jax.lax.scan(advance, s, length=9600)[1])(start)
-    moved = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)
-    outputs = np.asarray(matsuoka.output(moved))[0]
-    return network, moved, *upward_crossings(outputs)[-2:].astype(int)
-
-
-def on_the_orbit(gain: float, count: int):
-    """Return a pair, its period (s), and states at equal intervals of time over one period."""
-    network, moved, first, second = orbit(gain)
-    places = np.round(np.linspace(first, second, count, endpoint=False)).astype(int)
-    return network, (second - first) / 480, jax.tree.map(lambda x: x[..., places], moved)
-
-
-def settle(network, gain, state, rate_of, steps, h=1 / 480):
-    """Return the outputs of individuals ``(t, n)``, with the rate of the clock at each step."""
-    count = state.potential.shape[-1]
-    gains, drive = jnp.full((1, count), gain), jnp.ones((2, 1, count))
-
-    def advance(state, index):
-        rate = rate_of(state, gains, index)
-        state = matsuoka.advance(network, state, drive, gains, h, 1, rate)
-        return state, matsuoka.output(state)[0]
-
-    return np.asarray(jax.jit(lambda s: jax.lax.scan(advance, s, jnp.arange(steps))[1])(state))
-
-
-def late_phase(outputs: np.ndarray, period: float, h=1 / 480) -> np.ndarray:
-    """Return the phase of each individual from its last upward crossing, cycles."""
-    return -np.array([upward_crossings(own)[-1] for own in outputs.T]) * h / period
-
-
-def test_phase_is_uniform_on_the_orbit():
-    """Harmonic balance: the angle in the plane agrees with time to 10 degrees (rms 6)."""
-    gain, count = 5.0, 48
-    network, _, states = on_the_orbit(gain, count)
-    cosine, sine = phase.phasor(network, states, jnp.full((1, count), gain))
-    angle = np.unwrap(np.arctan2(sine[0], cosine[0]))
-    error = angle - 2 * np.pi * np.arange(count) / count
-    error = np.degrees(error - error.mean())
-    assert np.abs(error).max() < 10 and np.sqrt(np.mean(error**2)) < 6
-
-
-def test_weak_load_shifts_the_phase_as_owaki_says():
-    """A load for a twentieth of a cycle shifts by -s n cos(phi) omega t (Owaki 2017, eq. 1)."""
-    gain, count, strength = 5.0, 24, 0.1
-    network, period, states = on_the_orbit(gain, count)
-    pulse = round(period * 480 / 20)
-
-    def rate(state, gains, index):
-        loaded = jnp.where(index < pulse, strength, 0.0)
-        return phase.clock_rate(network, state, gains, loaded * jnp.ones_like(gains))
-
-    steps = round(6 * period * 480)
-    free = settle(network, gain, states, lambda state, gains, index: jnp.ones_like(gains), steps)
-    loaded = settle(network, gain, states, rate, steps)
-    shift = late_phase(loaded, period) - late_phase(free, period)
-    shift = (shift + 0.5) % 1 - 0.5
-    phi = 2 * np.pi * (np.arange(count) / count + 1 / 40)
-    expected = -strength * np.cos(phi) / 20
-    assert np.abs(shift - expected).max() < 0.15 * strength / 20
-
-
-def test_clock_stops_and_has_a_limit():
-    gain, count = 5.0, 12
-    network, _, states = on_the_orbit(gain, count)
-    rate = phase.clock_rate(network, states, jnp.full((1, count), gain), 10 * jnp.ones((1, count)))
-    assert float(rate.min()) == 0.0 and float(rate.max()) == phase.FASTEST
-
-
-@pytest.mark.parametrize("degrees", [90.0, 180.0])
-def test_reset_brings_every_phase_to_one(degrees):
-    """Whatever the phase before, the phase that remains agrees to 0.06 cycles."""
-    gain, count = 5.0, 24
-    network, period, states = on_the_orbit(gain, count)
-    gains, every = jnp.full((1, count), gain), jnp.ones((1, count), bool)
-    given = jnp.full((1, 1), np.deg2rad(degrees))
-    changed = phase.with_phase(network, states, gains, given, every)
-    cosine, sine = phase.phasor(network, changed, gains)
-    np.testing.assert_allclose(np.degrees(np.arctan2(sine, cosine)) % 360, degrees, atol=1e-6)
-    kept = phase.with_phase(network, states, gains, jnp.ones((1, 1)), ~every)
-    np.testing.assert_array_equal(kept.potential, states.potential)
-
-    def still(state, gains, index):
-        return jnp.ones_like(gains)
-
-    steps = round(6 * period * 480)
-    found = late_phase(settle(network, gain, changed, still, steps), period)
-    lag = (found - found[0] + 0.5) % 1 - 0.5
-    assert np.ptp(lag) < 0.12
-    before = late_phase(settle(network, gain, states, still, steps), period)
-    assert np.abs(np.exp(2j * np.pi * before).mean()) < 0.05
-
-
 LIMBS = {
     "trunk": (None, ""),
     "left": ("trunk", "z"),
@@ -354,25 +241,9 @@ def test_load_enters_its_own_limb_and_the_neighbours(grow):
     np.testing.assert_array_equal(flexor, -extensor)
 
 
-def test_touch_down_resets_its_limb_once(grow):
-    tree = grow(LIMBS)
-    settings = FeedbackSettings(touch_down=(TouchDown(("left", "right"), ("*.z",)),))
-    feedback = build_feedback(tree, settings, 1.0, H)
-    memory, acted = first_memory(feedback, 4, (), float), []
-    foot, nothing = tree.names.index("left_foot"), jnp.zeros(4)
-    for force in (0.0, 0.3, 0.3, 0.0, 0.3, 0.0, 0.0, 0.3, 0.3):
-        felt, memory = feel(
-            feedback, None, memory, nothing, nothing, jnp.zeros(5).at[foot].set(force)
-        )
-        ((acts, angle),) = felt.resets
-        acted.append([tree.dof_names[i] for i in np.flatnonzero(acts)])
-    assert acted == [[]] * 7 + [["left.z"], []]
-    assert angle == pytest.approx(np.pi)
-
-
 def test_loads_without_readings_are_refused(grow):
     tree = grow(LIMBS)
-    cpg = CpgSettings(feedback=FeedbackSettings(tegotae=(TegotaeFeedback(("left",)),)))
+    cpg = CpgSettings(feedback=FeedbackSettings(load=(LoadFeedback(("left",)),)))
     with pytest.raises(ValueError, match=r"got no Observation\.load"):
         inputs(tree, cpg, np.zeros((1, 4)))
 
@@ -399,7 +270,6 @@ def test_limbs_that_do_not_fit_are_refused(grow, settings, message):
         (lambda: StretchFeedback(angle_weight=(1.0, 1.0)), r"\[low, high\] with low < high"),
         (lambda: StretchFeedback(from_parents=-1), "from_parents must not be negative, got -1"),
         (lambda: FeedbackSettings(limit=0), "limit must be positive, got 0"),
-        (lambda: TouchDown(("a",), threshold=0), "threshold must be positive, got 0"),
     ],
 )
 def test_settings_outside_their_range_are_refused(build, message):

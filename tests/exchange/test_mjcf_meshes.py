@@ -100,20 +100,21 @@ def read(tmp_path):
 
 
 def test_export_and_import_preserve_a_creature(read):
-    """The export carries the corners in double precision, so that all numbers agree to 1e-9."""
+    """MuJoCo holds the corners in single precision: 1e-5. Masses are exact numbers."""
     creature = animal()
     found = read(mjcf_text(mjcf_model(creature, 0.0)))
     again = creature_of(found)
     assert found.left_out == ()
+    trees = [build_tree(own) for own in (again, creature)]
+    np.testing.assert_allclose(trees[0].mass, trees[1].mass, rtol=1e-5)
     for ours, theirs in zip(again.bodies, creature.bodies, strict=True):
         assert (ours.name, type(ours.shape)) == (theirs.name, type(theirs.shape))
-        assert ours.shape.volume == pytest.approx(theirs.shape.volume, rel=1e-9)
-        assert ours.material.density == pytest.approx(theirs.material.density, rel=1e-9)
+        assert ours.shape.volume == pytest.approx(theirs.shape.volume, rel=1e-5)
         expected = theirs.shape.inertia_tensor(1.0)
         found = ours.shape.inertia_tensor(1.0)
-        np.testing.assert_allclose(found, expected, atol=1e-9 * expected.max())
+        np.testing.assert_allclose(found, expected, atol=1e-5 * expected.max())
     for ours, theirs in zip(neutral_pose(again), neutral_pose(creature), strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+        np.testing.assert_allclose(ours, theirs, atol=1e-6)
 
 
 def model(mesh: trimesh.Trimesh) -> str:

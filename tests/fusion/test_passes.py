@@ -26,7 +26,7 @@ from evo_cpg.fusion.passes.schedule import schedule
 from evo_cpg.fusion.unsupported import Unsupported
 
 F32 = np.dtype(np.float32)
-TARGET = Target("avx2", 32, 16, fma=True, compresses=False, processor="", features="")
+TARGET = Target("avx2", 32, 16, fma=True, processor="", features="")
 WIDE = Variant(TARGET, width=8)
 
 

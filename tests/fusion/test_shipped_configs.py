@@ -29,8 +29,7 @@ ALL_SENSES = (
     "iwadate2010_salamander_land",
     (
         f"controller.cpg.feedback={{stretch: [{STRETCH}], "
-        f"load: [{LEGS}, weight: 0.2, neighbour_weight: [-1, 0], delay: 0.03}}], "
-        f"tegotae: [{LEGS}, gain: 0.5}}], touch_down: [{LEGS}}}]}}",
+        f"load: [{LEGS}, weight: 0.2, neighbour_weight: [-1, 0], delay: 0.03}}]}}",
     ),
 )
 # The robust configs have the creatures of other configs.

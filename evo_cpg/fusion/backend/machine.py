@@ -93,9 +93,9 @@ def host(requested: str | None = None) -> Target:
     flags = [f"{'+' if each in kept else '-'}{each}" for each in sorted(has - {"neon", "fma"})]
     if "fma" in has and name not in ("neon",):
         flags.append(f"{'+' if 'fma' in kept else '-'}fma")
-    size, registers, _, compresses = sets[name]
+    size, registers, _ = sets[name]
     processor = llvm.get_host_cpu_name()
-    return Target(name, size, registers, "fma" in kept, compresses, processor, ",".join(flags))
+    return Target(name, size, registers, "fma" in kept, processor, ",".join(flags))
 
 
 def load(text: str, target: Target) -> tuple[str, int]:

@@ -5,8 +5,7 @@ computed for one individual. So the vectors of a *group* enter such a loop toget
 runs separately while many of its individuals are active. The remaining active individuals then move
 into the lanes of a packed vector in scratch memory. When an individual is done, the next active
 individual takes its lane. All values that the loop reads are copied to the packed vector, and
-carried values are copied back. An instruction of AVX-512 moves chosen numbers of a vector into its
-first lanes. On such a processor the packed vector is first filled with many individuals at a time.
+carried values are copied back.
 
 A result does not depend on the lane that computes it. So the bits of an individual's results do not
 depend on the other individuals.
@@ -20,10 +19,6 @@ from evo_cpg.fusion.backend.code import Slot
 # A vector runs separately while more than this fraction of its individuals is active. Fitted:
 # quadrupeds and hexapods take at most 1.07 times as long with fractions from 1/4 to 1/2.
 _BUSY = 3 / 8
-
-# AVX-512's instruction that moves chosen numbers of a vector into its first lanes. Bytes of the
-# smallest numbers that it handles, and bytes of its vector.
-_COMPRESS, _NARROWEST, _VECTOR = "llvm.x86.avx512.mask.compress", 4, 64
 
 # Minimum number of slots at equal distances that are moved by a loop. Fewer slots are moved by code
 # without a loop.
@@ -40,14 +35,11 @@ class VectorGroup(NamedTuple):
         vectors: maximum number of vectors.
         width: number of individuals of each vector.
         stride: bytes of scratch memory of each vector. The packed vector's memory comes last.
-        compresses: whether the processor has AVX-512's instruction that moves chosen numbers of a
-            vector into its first lanes.
     """
 
     vectors: int
     width: int
     stride: int
-    compresses: bool
 
 
 def packed_loop(
@@ -69,7 +61,6 @@ def packed_loop(
     own = sorted({slot for slot in reads if not slot.shared} | set(carries))
     shared = sorted({slot for slot in reads if slot.shared})
     width, stride, most = group.width, group.stride, group.vectors * group.width
-    compress = group.compresses and all(slot.size * width <= _VECTOR for slot in own)
     alike = [
         line
         for i, slot in enumerate(shared)
@@ -85,7 +76,6 @@ def packed_loop(
 define internal void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count) noinline #0 {{
 entry:
   %queue = alloca [{most} x i64]
-  %masks = alloca [{group.vectors} x i32]
   %owner = alloca [{width} x i64]
   %pack = getelementptr i8, ptr %scratch, i64 {group.vectors * stride}
   %alone = icmp eq i64 %count, 1
@@ -99,8 +89,6 @@ vector:
   br label %own_test
 own_test:
   %wants = call i32 @{name}.test({call.format("base")})
-  %mask_of = getelementptr i32, ptr %masks, i64 %v
-  store i32 %wants, ptr %mask_of
   %active = call i32 @llvm.ctpop.i32(i32 %wants)
   %goes_on = icmp ugt i32 %active, %enough
   br i1 %goes_on, label %own_round, label %leave
@@ -132,7 +120,7 @@ packing:
   br i1 %any, label %fill, label %done
 fill:
 {_lines(alike)}
-{_fill_compressed(name, group) if compress else _fill_one_by_one(name, group)}
+{_fill(name, group)}
 filled:
   %many = icmp ugt i64 %waiting_now, {width}
   %begun = select i1 %many, i64 {width}, i64 %waiting_now
@@ -186,12 +174,10 @@ done:
         _move(f"@{name}.in", own, group, "far", "near"),
         _move(f"@{name}.out", sorted(carries), group, "near", "far"),
     ]
-    if compress:
-        moves.append(_move_compressed(f"@{name}.in_compressed", own, group))
     return "\n".join([*moves, body])
 
 
-def _fill_one_by_one(name: str, group: VectorGroup) -> str:
+def _fill(name: str, group: VectorGroup) -> str:
     """Write code that fills the lanes of the packed vector with the first individuals."""
     return f"""  br label %lane
 lane:
@@ -212,55 +198,6 @@ lane:
   %s_next = add i64 %s, 1
   %more_lanes = icmp ult i64 %s_next, {group.width}
   br i1 %more_lanes, label %lane, label %filled"""
-
-
-def _fill_compressed(name: str, group: VectorGroup) -> str:
-    """Write code that fills the packed lanes from one vector after another, by a mask of lanes."""
-    return f"""  br label %row
-row:
-  %r = phi i64 [ 0, %fill ], [ %r_next, %row_done ]
-  %s = phi i64 [ 0, %fill ], [ %s_next, %row_done ]
-  %row_mask = getelementptr i32, ptr %masks, i64 %r
-  %row_wants = load i32, ptr %row_mask
-  br label %fits
-fits:
-  %comes = phi i32 [ %row_wants, %row ], [ %comes_fewer, %too_many ]
-  %come = call i32 @llvm.ctpop.i32(i32 %comes)
-  %come_wide = zext i32 %come to i64
-  %s_next = add i64 %s, %come_wide
-  %too_full = icmp ugt i64 %s_next, {group.width}
-  br i1 %too_full, label %too_many, label %any_comes
-too_many:
-  %zeros = call i32 @llvm.ctlz.i32(i32 %comes, i1 true)
-  %highest = lshr i32 -2147483648, %zeros
-  %comes_fewer = xor i32 %comes, %highest
-  br label %fits
-any_comes:
-  %none_comes = icmp eq i32 %comes, 0
-  br i1 %none_comes, label %row_done, label %take_lanes
-take_lanes:
-  call void @{name}.in_compressed(ptr %scratch, ptr %pack, i64 %r, i64 %s, i32 %comes, i32 %come)
-  br label %row_done
-row_done:
-  %r_next = add i64 %r, 1
-  %more_rows = icmp ult i64 %r_next, %count
-  %more_room = icmp ult i64 %s_next, {group.width}
-  %more_come = and i1 %more_rows, %more_room
-  br i1 %more_come, label %row, label %note
-note:
-  %o = phi i64 [ 0, %row_done ], [ %o_next, %note ]
-  %o_entry = getelementptr i64, ptr %queue, i64 %o
-  %o_individual = load i64, ptr %o_entry
-  %o_owner = getelementptr i64, ptr %owner, i64 %o
-  store i64 %o_individual, ptr %o_owner
-  %o_next = add i64 %o, 1
-  %more_owners = icmp ult i64 %o_next, %s_next
-  br i1 %more_owners, label %note, label %noted
-noted:
-  %taken_lanes = trunc i64 %s_next to i32
-  %free_lanes = sub i32 32, %taken_lanes
-  %lanes = lshr i32 -1, %free_lanes
-  br label %filled"""
 
 
 class _Series(NamedTuple):
@@ -360,67 +297,6 @@ entry:
   %home_lane = urem i64 %individual, {group.width}
   %offset = mul i64 %vector, {group.stride}
   %base = getelementptr i8, ptr %scratch, i64 %offset
-{_lines(lines)}
-  ret void
-}}"""
-
-
-def _move_compressed(name: str, slots: list[Slot], group: VectorGroup) -> str:
-    """Write a function that moves the chosen individuals of a vector into consecutive lanes.
-
-    The first vector fills all lanes. Copies of the first individual fill the unused lanes, because
-    every lane must hold valid numbers.
-    """
-    width = group.width
-    bits, flags = f"i{width}", f"<{width} x i1>"
-    zeros = f"<{width} x i32> zeroinitializer"
-    lines = []
-    for size in sorted({slot.size for slot in slots}):
-        lines += [f"%lane{size} = mul i64 %lane, {size}"]
-        lines += [f"%near{size} = getelementptr i8, ptr %pack, i64 %lane{size}"]
-
-    def move(i: int, size: int, start: str) -> list[str]:
-        kept, word = f"<{width} x {_WORDS[size]}>", _WORDS[max(size, _NARROWEST)]
-        t, suffix = f"<{width} x {word}>", f"v{width}{word}"
-        value = f"%value{i}"
-        own = [
-            f"%from{i} = getelementptr i8, ptr %base, i64 {start}",
-            f"%to{i} = getelementptr i8, ptr %near{size}, i64 {start}",
-            f"{value} = load volatile {kept}, ptr %from{i}, align {size}",
-        ]
-        if size < _NARROWEST:
-            own.append(f"%wide{i} = zext {kept} {value} to {t}")
-            value = f"%wide{i}"
-        own += [
-            f"%close{i} = call {t} @{_COMPRESS}.{suffix}"
-            f"({t} {value}, {t} zeroinitializer, {flags} %chosen)",
-            f"%first{i} = shufflevector {t} %close{i}, {t} poison, {zeros}",
-            f"%all{i} = select {flags} %live, {t} %close{i}, {t} %first{i}",
-        ]
-        value = f"%all{i}"
-        if size < _NARROWEST:
-            own.append(f"%narrow{i} = trunc {t} {value} to {kept}")
-            value = f"%narrow{i}"
-        store = f"llvm.masked.store.v{width}{_WORDS[size]}.p0"
-        own.append(f"call void @{store}({kept} {value}, ptr %to{i}, i32 {size}, {flags} %written)")
-        return own
-
-    lines += _through(_series(slots), move)
-    return f"""
-define internal void {name}(ptr %scratch, ptr %pack, i64 %vector, i64 %lane, i32 %which, \
-i32 %come) noinline #0 {{
-entry:
-  %offset = mul i64 %vector, {group.stride}
-  %base = getelementptr i8, ptr %scratch, i64 %offset
-  %chosen_bits = trunc i32 %which to {bits}
-  %chosen = bitcast {bits} %chosen_bits to {flags}
-  %missing = sub i32 32, %come
-  %live_wide = lshr i32 -1, %missing
-  %live_bits = trunc i32 %live_wide to {bits}
-  %live = bitcast {bits} %live_bits to {flags}
-  %begins = icmp eq i64 %lane, 0
-  %written_bits = select i1 %begins, {bits} -1, {bits} %live_bits
-  %written = bitcast {bits} %written_bits to {flags}
 {_lines(lines)}
   ret void
 }}"""
