@@ -17,7 +17,7 @@ _WHITE, _BLACK = "#ffffff", "#11161c"
 
 
 def add_track(stage: Stage, track: Track) -> None:
-    """Draw the lines. `evo_cpg.view.name_tags` writes their distances."""
+    """Draw the lines. `evo_cpg.view.story_words` writes their distances."""
     radius, color = stage.radius, stage.look.text
     parts: list[tuple[np.ndarray, np.ndarray]] = []
 
