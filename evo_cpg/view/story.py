@@ -15,14 +15,14 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.view.camera import SMOOTHING, CameraPath, between, overview, smooth
+from evo_cpg.view.captions import pointer
 from evo_cpg.view.clip import Clip, sample_at
 from evo_cpg.view.drawing import set_scene
-from evo_cpg.view.frame_processes import Reel, drawing_processes, drawn_frames
+from evo_cpg.view.film import Reel, drawing_processes, drawn_frames
 from evo_cpg.view.legible import lettering
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import check_size, film_writer, oversampling
-from evo_cpg.view.pointer import pointer
 from evo_cpg.view.scene import Panel, Scene, scene_of
 from evo_cpg.view.stage import Stage, camera_path
 from evo_cpg.view.story_words import Words, tags_of, written
@@ -264,7 +264,7 @@ def story_film(
     check_size(size)
     make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
     frames, ends = make(), np.cumsum([take.seconds for take in takes])
-    looks = [
+    styles = [
         scene_of(take.panel._replace(crowd=None), clip_of(take, round(take.seconds * FPS))).look
         for take in takes
     ]
@@ -276,7 +276,7 @@ def story_film(
             # A picture from another process cannot be changed.
             frame = bare if bare.flags.writeable else bare.copy()
             time = number / FPS
-            look = looks[min(int((ends <= time).sum()), len(looks) - 1)]
+            look = styles[min(int((ends <= time).sum()), len(styles) - 1)]
             with lettering(frame) as draw:
                 for each in words:
                     written(draw, each, time, look, frames.rendered)
