@@ -149,7 +149,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _gait(analysis: dict[str, Any]) -> list[tuple[str, str]]:
-    from evo_cpg.view.page.words import quantity
+    from evo_cpg.view.page.html import quantity
 
     found = analysis.get("quantities", {})
     shown = [found[key] for key in _SHOWN if key in found]

@@ -17,8 +17,8 @@ from evo_cpg.laboratory.ask import Answer, ask
 from evo_cpg.laboratory.columns import shown_columns
 from evo_cpg.laboratory.settings import KNOBS
 from evo_cpg.system import named
+from evo_cpg.view.answer_plots import Panel, cell, lab_figure
 from evo_cpg.view.figure import save_figure
-from evo_cpg.view.lab_plot import Panel, cell, lab_figure
 
 # Most rows of a table on the terminal, and most panels of a picture.
 _MOST_ROWS, _MOST_PANELS = 60, 6

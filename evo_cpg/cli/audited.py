@@ -133,7 +133,7 @@ def say_verdict(
 
 def draw_audit(folder: RunFolder, name: str, title: str, done: Audit) -> None:
     """Draw the energy and the paths of an audit into the run folder."""
-    from evo_cpg.view.audit_plot import audit_figure
+    from evo_cpg.view.answer_plots import audit_figure
     from evo_cpg.view.figure import save_figure
 
     figure = audit_figure(

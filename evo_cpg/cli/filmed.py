@@ -17,9 +17,9 @@ from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
 from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.frames import Film
+from evo_cpg.view.legible import terms_text
 from evo_cpg.view.scene import Panel, panel_of
 from evo_cpg.view.signals import Signals, signals_of
-from evo_cpg.view.units import terms_text
 
 # Number of champions of a lineage that are shown if no generations are given.
 _SHOWN = 4

@@ -23,8 +23,8 @@ def plot(
     from evo_cpg.files import make_folder
     from evo_cpg.training.elites import gait_map
     from evo_cpg.view.figure import save_figure
-    from evo_cpg.view.map_plot import map_figure
     from evo_cpg.view.plots import fitness_figure, joint_signals_figure, path_figure
+    from evo_cpg.view.search_plots import map_figure
 
     opened, recording = champion_motion(run, which)
     experiment, place = opened.experiment, output or make_folder(run / "plots")

@@ -16,8 +16,8 @@ from evo_cpg.files import make_folder, write_table
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.probe import UNSEEING, Probe, around, blinded, probe, seen_from_start
+from evo_cpg.view.answer_plots import probe_figure
 from evo_cpg.view.figure import save_figure
-from evo_cpg.view.probe_plot import probe_figure
 
 _BEARINGS = "-75:75:11"
 _MOST = 10_000

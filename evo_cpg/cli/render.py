@@ -30,7 +30,7 @@ def render(
         str | None,
         typer.Option(
             help="WIDTHxHEIGHT in pixels (default: 1280x720, or 640x360 for each picture of a "
-            "sheet and each of several animals)."
+            "sheet and each of several animals, or 1920x1080 for a story)."
         ),
     ] = None,
     sheet: Annotated[
@@ -72,8 +72,7 @@ def render(
         typer.Option(
             "--story",
             help="Tell the run in 15 s: the first generation as a crowd, later ones, the champion "
-            "in slow motion. Writes a wide film, a tall film and a loop for a web page. With "
-            "--size: only one film.",
+            "in slow motion.",
         ),
     ] = False,
     fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,
@@ -96,9 +95,7 @@ def render(
         _require_none("--story", alone | fixed)
         if len(title or ()) > 1:
             raise UsageError(f"--title: {len(title or ())} titles for one story. Give one")
-        from evo_cpg.cli.story import tell
-
-        tell(run, output, None if size is None else pixels_of(size), title, which, cores)
+        _tell(run, output, pixels_of(size or "1920x1080"), (title or [None])[0], which, cores)
         return
     others = beside or []
     moments = None if sheet is None else _moments(sheet)
@@ -154,6 +151,41 @@ def render(
         made = side_by_side(
             panels, path, film, processes=cores or available_cores(), progress=work.reached
         )
+    print(made)
+
+
+def _tell(
+    run: Path,
+    output: Path | None,
+    size: tuple[int, int],
+    title: str | None,
+    which: Which,
+    cores: int | None,
+) -> None:
+    """Film the story of a run, by default into its videos, and print the path of the film."""
+    from evo_cpg.api.story import film_of_run
+    from evo_cpg.cli.champions import champion_motion
+    from evo_cpg.cli.errors import warn
+    from evo_cpg.files import make_folder
+    from evo_cpg.training.devices import available_cores
+    from evo_cpg.training.run_folder import RunFolder
+    from evo_cpg.view.output import check_size, output_path
+
+    RunFolder(run).require()
+    check_size(size)
+    name = f"story{which.of_trial}.mp4"
+    path = output_path(output or make_folder(run / "videos") / name, (".mp4",))
+    opened, recording = champion_motion(run, which)
+    made = film_of_run(
+        opened,
+        recording,
+        path,
+        size,
+        trial=which.trial,
+        title=title,
+        processes=cores or available_cores(),
+        warn=warn,
+    )
     print(made)
 
 

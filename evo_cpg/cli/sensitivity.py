@@ -52,8 +52,8 @@ def sensitivity(
     from evo_cpg.cli.tables import show_table
     from evo_cpg.config.parameters import all_parameters, parametrise
     from evo_cpg.files import make_folder, write_table
+    from evo_cpg.view.answer_plots import sensitivity_figure
     from evo_cpg.view.figure import save_figure
-    from evo_cpg.view.parameter_plots import sensitivity_figure
 
     which = Which(number)
     opened = open_champion(run, which)

@@ -14,10 +14,10 @@ from evo_cpg.live.replaying import Replaying
 from evo_cpg.live.standing import Standing, duration, require_run, standing
 from evo_cpg.training.checkpoint import history_columns
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.view.legible import UNITS, in_words
 from evo_cpg.view.page.charts import chart
-from evo_cpg.view.page.words import number
+from evo_cpg.view.page.html import number
 from evo_cpg.view.plots import fitness_figure
-from evo_cpg.view.units import UNITS, in_words
 
 # Interval between two checks of the folder, s, and between two pieces of replays, s.
 _LOOK, _PAUSE = 1.0, 0.2

@@ -15,8 +15,8 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.view.page.html import number
 from evo_cpg.view.page.viewer_data import motion_data, viewer_data
-from evo_cpg.view.page.words import number
 from evo_cpg.view.scene import panel_of
 
 # Least time between two champions, and between two parts of a wall, s.

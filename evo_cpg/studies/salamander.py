@@ -98,7 +98,7 @@ def boulders(workshop: Workshop) -> list[Table]:
 
 def eyes(workshop: Workshop) -> list[Table]:
     """Probe the two-eyed swimmer of seed 0 with new lights, with its eyes and blind."""
-    from evo_cpg.view.probe_plot import probe_figure
+    from evo_cpg.view.answer_plots import probe_figure
 
     simulation = workshop.experiment("eyes").simulation
     champion = workshop.champions("eyes")[0]

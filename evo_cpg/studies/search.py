@@ -68,7 +68,7 @@ def searches(workshop: Workshop, part: str) -> list[Table]:
 def maps(workshop: Workshop, part: str) -> list[Table]:
     """Compare the fractions of a map that the searches fill."""
     from evo_cpg.training.elites import gait_map
-    from evo_cpg.view.map_plot import map_figure
+    from evo_cpg.view.search_plots import map_figure
 
     rows = []
     for name in (name for name in RUNS if name.startswith(f"{part} ")):

@@ -53,9 +53,8 @@ _ASPECTS = {"side": np.radians(4.0), "top": np.radians(88.0)}
 # Elevation of the circling camera, which shows the ground behind the animal and the horizon.
 _AROUND = np.radians(14.0)
 CAMERAS = ("follow", *_ASPECTS, "orbit")
-# The camera of an overview: angle between the line of sight and the way of the animals in wide and
-# in tall pictures, and its additional elevation in tall ones.
-_ACROSS, _ALONG, _STEEPER = np.radians(68.0), np.radians(14.0), np.radians(24.0)
+# The camera of an overview: angle between the line of sight and the way of the animals.
+_ACROSS = np.radians(68.0)
 # Upper end of the part of the frame for an overview: below a title, and without one.
 _UNDER_TITLE, _UNTITLED = 0.5, 0.86
 # Largest distance of an overview, in lengths of what it shows, and number of halvings of the
@@ -174,13 +173,13 @@ def overview(
     Args:
         points: the points, m.
         bearing: direction in which the animals go, from the x axis, rad. It runs from the lower
-            left to the upper right of a wide picture, and upwards in a tall one.
+            left to the upper right of the picture.
         elevation: height of the eye above the focus as an angle, rad.
         aspect: width of the picture over its height.
         titled: whether the upper part of the frame is left for a title.
     """
-    turn, above = _ACROSS if aspect >= 1 else _ALONG, _UNDER_TITLE if titled else _UNTITLED
-    sight = _direction(bearing + turn, elevation if aspect >= 1 else elevation + _STEEPER)
+    above = _UNDER_TITLE if titled else _UNTITLED
+    sight = _direction(bearing + _ACROSS, elevation)
     middle = (points.min(0) + points.max(0)) / 2
     far = _FARTHEST * float(np.linalg.norm(np.ptp(points, axis=0)))
     near, best = 0.0, _centred(middle, far * sight, points, aspect, above)

@@ -22,13 +22,13 @@ from evo_cpg.view.scenery import (
     add_particles,
     add_shafts,
     add_sky,
+    add_track,
     add_trail,
 )
 from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.skin import add_skins
 from evo_cpg.view.stage import Stage, Update
 from evo_cpg.view.terrain import Terrain
-from evo_cpg.view.track import add_track
 from evo_cpg.view.water import add_ceiling, add_mirror, add_tint, add_waterlines
 
 

@@ -10,13 +10,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 from PIL import Image
 
-from evo_cpg.view.captions import captions, heading
+from evo_cpg.view.captions import captions, heading, pointer
 from evo_cpg.view.clip import Clip, sample
 from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import SettingError, oversampling
-from evo_cpg.view.pointer import pointer
 from evo_cpg.view.scene import Panel, scene_of
 from evo_cpg.view.signals import FRACTION, LOWEST, Strip
 from evo_cpg.view.stage import Stage, camera_path

@@ -4,7 +4,7 @@ Matplotlib ships DejaVu Sans, which has the Latin, Greek, Cyrillic, Arabic and H
 many symbols. Pillow writes with this font into pictures drawn by VTK. The font lacks Chinese,
 Japanese and Korean characters and most emoji, which would all look like the same box. These
 characters are spelt out by their names in Unicode: a syllable by its sound, an emoji by its
-picture, and an ideograph by its number.
+picture, and an ideograph by its number. Terms of a task and measures of gait have units.
 """
 
 import contextlib
@@ -117,3 +117,24 @@ def _spelt(letter: str) -> str:
     if kind[0] == "S" and name:
         return f"({name.lower()})"
     return f"<{ord(letter):04X}>"
+
+
+# Units by name. All other terms have no unit.
+UNITS = {
+    "amplitude": "rad", "bounce": "m", "distance": "m", "energy": "J", "forward": "m",
+    "frequency": "Hz", "power": "W", "speed": "m/s", "stride_length": "m",
+    "turning": "rad/s",
+}  # fmt: skip
+
+
+def in_words(name: str) -> str:
+    """Return the name of a term, such as ``duty factor``."""
+    return legible(name.replace("_", " "))
+
+
+def terms_text(terms: dict[str, float]) -> str:
+    """Return terms with their values and units, such as ``speed 0.31 m/s, duty factor 0.62``."""
+    return ", ".join(
+        f"{in_words(name)} {value:.3g} {UNITS.get(name, '')}".rstrip()
+        for name, value in terms.items()
+    )

@@ -166,11 +166,7 @@ def save_numbered(pictures: Iterable[Image.Image], path: Path) -> None:
 
 @contextlib.contextmanager
 def film_writer(
-    path: Path,
-    size: tuple[int, int],
-    rendered: tuple[int, int],
-    fps: float,
-    quality: int | None = None,
+    path: Path, size: tuple[int, int], rendered: tuple[int, int], fps: float
 ) -> Iterator[Callable[[np.ndarray], None]]:
     """Write frames to a film: H.264, WebP or GIF.
 
@@ -179,7 +175,6 @@ def film_writer(
         size: width and height of the film, pixels. Even numbers for ``.mp4``.
         rendered: width and height of the frames, pixels. ffmpeg averages them down to ``size``.
         fps: frames per second.
-        quality: quality of ``.webp``, from 0 to 100, or None for the usual one.
 
     Yields:
         A function that takes one frame ``(height, width, 3)`` of bytes, bottom row first as
@@ -195,9 +190,6 @@ def film_writer(
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y"]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{rendered[0]}x{rendered[1]}"]
     command += ["-r", f"{fps:.6f}", "-i", "-", "-vf", filters, *_ENCODERS[suffix].split()]
-    if quality is not None:
-        # Trying several qualities takes long at higher levels.
-        command += ["-quality", str(quality), "-compression_level", "4"]
     with in_one_piece(path) as partial, scratch_file() as complaints:
         # ffmpeg takes a relative path with a colon for a protocol.
         process = subprocess.Popen(

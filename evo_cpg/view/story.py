@@ -15,19 +15,17 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.view.camera import SMOOTHING, CameraPath, between, overview, smooth
+from evo_cpg.view.captions import pointer
 from evo_cpg.view.clip import Clip, sample_at
 from evo_cpg.view.drawing import set_scene
-from evo_cpg.view.frame_processes import Reel, drawing_processes, drawn_frames
+from evo_cpg.view.film import Reel, drawing_processes, drawn_frames
 from evo_cpg.view.legible import lettering
-from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import add_bodies
-from evo_cpg.view.name_tags import name_tags
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import check_size, film_writer, oversampling
-from evo_cpg.view.pointer import pointer
 from evo_cpg.view.scene import Panel, Scene, scene_of
 from evo_cpg.view.stage import Stage, camera_path
-from evo_cpg.view.story_text import Words, written
+from evo_cpg.view.story_words import Words, tags_of, written
 
 FPS = 30
 """Frames per second of a story."""
@@ -133,8 +131,10 @@ class StoryFrames:
             picture = take(shown[0], frame)
             if len(shown) == 2:
                 first, end = self._spans[shown[1]][0], self._spans[shown[0]][1]
-                weight = smoothly((frame - first + 1) / (end - first + 1))
-                picture = blended(picture, take(shown[1], frame), weight)
+                weight = float(eased(np.array((frame - first + 1) / (end - first + 1))))
+                after = take(shown[1], frame).astype(np.float32)
+                mixed = picture.astype(np.float32) * (1 - weight) + after * weight
+                picture = (mixed + 0.5).astype(np.uint8)
             return picture
 
         try:
@@ -161,13 +161,9 @@ class StoryFrames:
                 centre = clip.position.mean(1)
                 start = take.panel.recording.position[0].mean(0)
                 ahead = (take.goal[0] - centre) @ (take.goal[0] - start) > 0
-            opening = take.views[0][1]
-            if aspect < 1 and opening is not None and opening.titled:
-                # The arrow would cross the title of a tall picture.
-                ahead &= np.arange(end - first) >= take.hold * FPS
             shared = round(DISSOLVE * FPS)
             alone = shared * (number > 0), shared * (number < len(self._takes) - 1)
-            tag = name_tags(camera, scene, self.rendered, alone)
+            tag = tags_of(camera, scene, self.rendered, alone)
             show = set_scene(stage, add_bodies(plotter, take.panel.creature, scene.look.ambient))
 
             def draw(frame: int) -> np.ndarray:
@@ -242,27 +238,6 @@ def eased(part: Float[np.ndarray, " *n"]) -> Float[np.ndarray, " *n"]:
     return part * part * (3 - 2 * part)
 
 
-def smoothly(part: float) -> float:
-    """Return a number from 0 to 1 that starts and ends gently, see `eased`."""
-    return float(eased(np.array(part)))
-
-
-def blended(before: np.ndarray, after: np.ndarray, weight: float) -> np.ndarray:
-    """Return the mean of two pictures of bytes, with the weight of the second."""
-    mixed = before.astype(np.float32) * (1 - weight) + after.astype(np.float32) * weight
-    return (mixed + 0.5).astype(np.uint8)
-
-
-def look_by_time(takes: Sequence[Take]) -> Callable[[float], Look]:
-    """Return a function that returns the look of the world at a time of the film, s."""
-    ends = np.cumsum([take.seconds for take in takes])
-    every = [
-        scene_of(take.panel._replace(crowd=None), clip_of(take, round(take.seconds * FPS))).look
-        for take in takes
-    ]
-    return lambda time: every[min(int((ends <= time).sum()), len(every) - 1)]
-
-
 def story_film(
     takes: Sequence[Take],
     words: Sequence[Words],
@@ -271,7 +246,6 @@ def story_film(
     *,
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
-    on_frame: Callable[[int, np.ndarray], None] | None = None,
 ) -> Path:
     """Write a story to a film.
 
@@ -282,7 +256,6 @@ def story_film(
         size: width and height, pixels.
         processes: number of processes that draw.
         progress: function that receives the number of finished frames and their total.
-        on_frame: function that receives the number and the pixels of every frame, without words.
 
     Raises:
         SettingError: the size is out of range.
@@ -290,19 +263,23 @@ def story_film(
     """
     check_size(size)
     make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
-    frames, look_at = make(), look_by_time(takes)
+    frames, ends = make(), np.cumsum([take.seconds for take in takes])
+    styles = [
+        scene_of(take.panel._replace(crowd=None), clip_of(take, round(take.seconds * FPS))).look
+        for take in takes
+    ]
     with (
         drawn_frames(frames, make, drawing_processes(frames.count, processes)) as drawn,
         film_writer(path, frames.size, frames.rendered, FPS) as write,
     ):
         for number, bare in enumerate(drawn):
-            if on_frame is not None:
-                on_frame(number, bare)
             # A picture from another process cannot be changed.
             frame = bare if bare.flags.writeable else bare.copy()
+            time = number / FPS
+            look = styles[min(int((ends <= time).sum()), len(styles) - 1)]
             with lettering(frame) as draw:
                 for each in words:
-                    written(draw, each, number / FPS, look_at(number / FPS), frames.rendered)
+                    written(draw, each, time, look, frames.rendered)
             write(frame)
             if progress is not None:
                 progress(number + 1, frames.count)

@@ -399,7 +399,7 @@ def differs(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def test_numbers_have_three_digits():
-    from evo_cpg.view.page.words import number
+    from evo_cpg.view.page.html import number
 
     assert number(0.12345) == "0.123" and number(11120.0) == "11120"
     assert number(math.nan) == "\N{EN DASH}" and number(-2.0) == "\N{MINUS SIGN}2"

@@ -14,7 +14,7 @@ from evo_cpg.training.elites import gait_map
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.variations import Variation, compile_variation
 from evo_cpg.view import film
-from evo_cpg.view.units import terms_text
+from evo_cpg.view.legible import terms_text
 from tiny_run import CONFIG, PAIR
 
 MAPPED = (

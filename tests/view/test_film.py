@@ -19,16 +19,15 @@ from evo_cpg.files import OutputError
 from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view import frame_processes, output
+from evo_cpg.view import film as view_film
+from evo_cpg.view import output
 from evo_cpg.view.camera import Bodies, follow, in_camera, project, smooth
-from evo_cpg.view.captions import fitted, heading
+from evo_cpg.view.captions import edge_places, fitted, heading
 from evo_cpg.view.clip import mean_speed, sample
-from evo_cpg.view.film import side_by_side
-from evo_cpg.view.frame_processes import DrawingError
+from evo_cpg.view.film import DrawingError, side_by_side
 from evo_cpg.view.frames import Film, Frames
 from evo_cpg.view.legible import font
 from evo_cpg.view.meshes import body_colors
-from evo_cpg.view.pointer import edge_places
 from evo_cpg.view.scene import Panel, scene_of
 from evo_cpg.view.stage import camera_path
 from films import film
@@ -259,7 +258,7 @@ def beginning(recording: Recording, count: int) -> Recording:
 @pytest.mark.slow
 def test_several_processes_draw_the_same_film(movie, creature, recording, tmp_path, monkeypatch):
     """Frames are in order. The last round is not full: 10 frames, 6 ahead."""
-    monkeypatch.setattr(frame_processes, "_WORTH", 3)
+    monkeypatch.setattr(view_film, "_WORTH", 3)
     path, told = ten_frames(creature, recording, tmp_path / "two.mp4", processes=2)
     assert told == movie[1]
     alone, together = (np.array(decode(each)) for each in (movie[0], path))
@@ -271,17 +270,17 @@ def test_a_process_that_cannot_draw_is_reported(creature, recording, monkeypatch
     """A thread replaces the process."""
     made = Film(SMALL, 10, 0.5, camera="missing")
     make = functools.partial(Frames, [Panel(creature, recording)], made)
-    monkeypatch.setattr(frame_processes, "_makers", [make])
+    monkeypatch.setattr(view_film, "_makers", [make])
     words = "draws frames failed: camera is 'missing'"
     with ThreadPoolExecutor(1) as pool, pytest.raises(DrawingError, match=words):
-        next(frame_processes._in_order(pool, 5, 2))
+        next(view_film._in_order(pool, 5, 2))
 
 
 @pytest.mark.parametrize(
     ("frames", "cores", "processes"), [(239, 8, 1), (240, 64, 2), (990, 2, 2), (990, 64, 8)]
 )
 def test_short_films_use_fewer_processes(frames, cores, processes):
-    assert frame_processes.drawing_processes(frames, cores) == processes
+    assert view_film.drawing_processes(frames, cores) == processes
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from evo_cpg.view.lab_plot import Panel, lab_figure
+from evo_cpg.view.answer_plots import Panel, lab_figure
 
 
 def test_numbers_on_axes_over_decades_are_plain():

@@ -18,8 +18,8 @@ from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.training.crowd_motion import CrowdMotion
 from evo_cpg.view.clip import sample
 from evo_cpg.view.figure import BLUES
+from evo_cpg.view.page.animal_data import thinned
 from evo_cpg.view.page.charts import chart, footfall_figure
-from evo_cpg.view.page.crowd_data import thinned
 from evo_cpg.view.page.html import join, long_table, table, tag
 from evo_cpg.view.page.viewer_data import RATE, viewer_data
 from evo_cpg.view.plots import path_figure

@@ -2,7 +2,7 @@
 
 import functools
 
-from evo_cpg.view.page.shell import Page, asset, served_page
+from evo_cpg.view.page.html import Page, asset, served_page
 
 
 @functools.cache

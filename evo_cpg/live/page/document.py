@@ -1,8 +1,7 @@
 """The HTML of the live page of a run."""
 
 from evo_cpg.view.page.document import player
-from evo_cpg.view.page.html import join, tag
-from evo_cpg.view.page.shell import Page, asset, served_page
+from evo_cpg.view.page.html import Page, asset, join, served_page, tag
 
 
 def page(name: str) -> Page:

@@ -11,10 +11,8 @@ from typing import Any
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.view.page import movement, origin
-from evo_cpg.view.page.html import Html, join, tag
-from evo_cpg.view.page.shell import asset, policy
+from evo_cpg.view.page.html import Html, asset, join, number, policy, tag, with_unit
 from evo_cpg.view.page.subject import Crowd, RecordedMotion, Subject
-from evo_cpg.view.page.words import number, with_unit
 
 _ALONE = """
 html, body { height: 100%; }

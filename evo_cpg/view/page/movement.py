@@ -12,9 +12,8 @@ from evo_cpg.analysis.quantity import Quantity
 from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.page import charts
-from evo_cpg.view.page.html import Html, join, long_table, table, tag
+from evo_cpg.view.page.html import Html, join, long_table, number, table, tag
 from evo_cpg.view.page.subject import RecordedMotion, Subject
-from evo_cpg.view.page.words import number
 from evo_cpg.view.plots import joint_signals_figure, path_figure
 
 # Shortest and longest time on charts of signals and footfalls, s, and number of strides.

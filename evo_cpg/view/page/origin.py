@@ -7,9 +7,19 @@ from typing import Any
 
 from evo_cpg.training.run_folder import refinements
 from evo_cpg.view.page import charts
-from evo_cpg.view.page.html import Html, join, long_table, table, tag
+from evo_cpg.view.page.html import (
+    Html,
+    cell,
+    join,
+    listed,
+    long_table,
+    number,
+    quantity,
+    table,
+    tag,
+    without_folders,
+)
 from evo_cpg.view.page.subject import RecordedMotion, Subject
-from evo_cpg.view.page.words import cell, listed, number, quantity, without_folders
 from evo_cpg.view.plots import fitness_figure
 
 

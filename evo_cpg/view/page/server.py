@@ -21,7 +21,7 @@ from typing import Any
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from evo_cpg.files import OutputError
-from evo_cpg.view.page.shell import Page
+from evo_cpg.view.page.html import Page
 
 HOST = "127.0.0.1"
 # Time without data after which a connection is closed, s.

@@ -17,8 +17,7 @@ from evo_cpg.view.camera import smooth
 from evo_cpg.view.clip import Clip, quaternions, sample
 from evo_cpg.view.meshes import Piece, head_index, pieces
 from evo_cpg.view.obstacles import obstacle_mesh
-from evo_cpg.view.page.animal_data import piece_data, skin_data
-from evo_cpg.view.page.crowd_data import crowd_data
+from evo_cpg.view.page.animal_data import crowd_data, piece_data, skin_data
 from evo_cpg.view.scene import Panel, Scene, scene_of
 
 # Frames per second. The viewer interpolates between them.

@@ -1,29 +1,29 @@
-"""The story of a run, for `render --story`: first generation, later ones, a race, the champion."""
+"""Film of a run's story: the first generation, later ones, a race, and the champion.
+
+A race is between champions of the run. Each is clearly behind the next one.
+"""
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from evo_cpg.api.display import working
 from evo_cpg.api.opened import OpenedChampion
-from evo_cpg.cli.champions import champion_motion
-from evo_cpg.cli.errors import warn
-from evo_cpg.cli.lanes import Course, course_of, in_lanes, tank_of
-from evo_cpg.cli.options import Which
-from evo_cpg.cli.racers import earlier_champions, racers_of, together
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at
-from evo_cpg.training.lineage import champion_at
+from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.clip import sample
+from evo_cpg.view.lanes import Course, course_of, in_lanes, tank_of
 from evo_cpg.view.scene import Panel, animal_radius, panel_of
-from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, spans
-from evo_cpg.view.story_loop import LoopPart
-from evo_cpg.view.story_text import Words
+from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, story_film
+from evo_cpg.view.story_words import Words
 
 # Lengths in the film, s: of the whole story, of the title before the first motion, of the motion of
 # the first crowd and of each other one, and of the race. The champion takes the rest.
@@ -43,8 +43,8 @@ _SLOW, _AFTER = 0.5, 1.8
 _WON, _APART = 0.1, 0.45
 # Fraction of the bodies, over the champion's take, for a camera below the surface of the water.
 _SUBMERGED = 0.9
-# Length of the title in the loop, s, and number of takes in the loop.
-_OF_TITLE, _IN_LOOP = 1.2, 4
+# Number of earlier champions that are replayed, and largest number of animals in a race.
+_REPLAYED, _RACING = 7, 4
 
 
 class Material(NamedTuple):
@@ -81,45 +81,63 @@ class Material(NamedTuple):
         return float(self.panel.recording.time[-1]) if arrival is None else arrival
 
 
-class Story(NamedTuple):
-    """A story that can be filmed.
-
-    Attributes:
-        takes: the takes.
-        words: title and captions.
-        loop: parts of the film that the loop shows.
-    """
-
-    takes: list[Take]
-    words: list[Words]
-    loop: list[LoopPart]
-
-
-def material_of(run: Path, which: Which) -> Material:
-    """Return the champion of a run, and the populations that can be made anew.
+def film_of_run(
+    opened: OpenedChampion,
+    recording: Recording,
+    path: Path,
+    size: tuple[int, int],
+    *,
+    trial: int = 0,
+    title: str | None = None,
+    processes: int = 1,
+    warn: Callable[[str], object] = lambda words: None,
+) -> Path:
+    """Film the story of a run, and return the path of the film.
 
     Args:
-        run: run folder.
-        which: one of several runs in the folder, and trial.
+        opened: the run with its champion.
+        recording: motion of the champion.
+        path: path of the film, checked by `evo_cpg.view.output.output_path`.
+        size: width and height, pixels.
+        trial: number of the trial, from 0.
+        title: title, or None for one that fits the world.
+        processes: number of processes that draw.
+        warn: called with a sentence if the first generations cannot be made anew.
+
+    Raises:
+        SettingError: the size is out of range.
+        OutputError: the film cannot be written.
     """
-    opened, recording = champion_motion(run, which)
+    material = _material(opened, recording, trial, warn)
+    takes, words = story_of(material, title, size[0] / size[1])
+    with working("rendering", counted=True) as work:
+        progress = work.reached
+        return story_film(takes, words, path, size, processes=processes, progress=progress)
+
+
+def _material(
+    opened: OpenedChampion, recording: Recording, trial: int, warn: Callable[[str], object]
+) -> Material:
+    """Return the champion of a run, and the populations that can be made anew."""
     creature, task = opened.experiment.creature, opened.experiment.simulation.task
     panel = panel_of(opened.experiment, recording, creature.name)._replace(numbers=False)
     length = 2 * animal_radius(creature, sample(recording, FPS))
     course = course_of(panel, length, task.heading == "forward")
     chosen = generations_of(opened.folder.newest, opened.champion.generation)
     speed = _speed(recording, creature.root_index, length)
-    crowds = _crowds(opened, which.trial, chosen, speed * _FIRST)
+    crowds = _crowds(opened, trial, chosen, speed * _FIRST, warn)
     random = opened.folder.load_start() is None
     selects = not isinstance(opened.experiment.strategy, RandomSearch)
     told = opened.champion.generation, task.heading, _aim(opened, recording, course)
     found = Material(panel, *told, course, speed, random, selects, crowds, [])
-    racers = racers_of(opened, recording, which.trial, found.end, _APART * length)
+    racers = _racers(opened, recording, trial, found.end, _APART * length)
     return found._replace(racers=racers)
 
 
-def story_of(material: Material, title: str | None, aspect: float) -> Story:
-    """Return the story of a run.
+def story_of(
+    material: Material, title: str | None, aspect: float
+) -> tuple[list[Take], list[Words]]:
+    """Return the takes of a story, and its title and captions.
 
     Args:
         material: the animals.
@@ -166,7 +184,7 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         captions.append(_named(generation, material.random))
     if racers := material.racers:
         names = [str(generation) for generation in (final, *(number for number, _ in racers))]
-        add(recording, together([motion for _, motion in racers]), tuple(names), race=True)
+        add(recording, _together([motion for _, motion in racers]), tuple(names), race=True)
         *some, last = *names[1:], names[0]
         captions.append(f"A race of generations {', '.join(some)} and {last}")
     seconds = _WHOLE - sum(take.seconds for take in takes)
@@ -198,7 +216,7 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         Words(caption, "caption", begin, end)
         for caption, begin, end in zip(captions, begins, ends, strict=True)
     ]
-    return Story(takes, words, _loop(takes, words))
+    return takes, words
 
 
 def generations_of(done: int, champion: int) -> list[int]:
@@ -215,7 +233,11 @@ def generations_of(done: int, champion: int) -> list[int]:
 
 
 def _crowds(
-    opened: OpenedChampion, trial: int, chosen: list[int], seconds: float
+    opened: OpenedChampion,
+    trial: int,
+    chosen: list[int],
+    seconds: float,
+    warn: Callable[[str], object],
 ) -> list[tuple[int, CrowdMotion]]:
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
@@ -227,15 +249,14 @@ def _crowds(
         warn(f"the story leaves out the first generations: {error}")
         return []
     motion = compile_crowd_motion(experiment, seconds, 2 * FPS * _FIRST / seconds, run, trial)
-    best = _best_until(opened, chosen)
+    earlier = _earlier_champions(opened)
     crowds = []
     with working("replaying the first generations"):
         for genes, generation in zip(every, chosen, strict=True):
             own = np.split(genes, experiment.runs, axis=1)[run]
-            if generation in best:
-                own = _led_by(best[generation].genes, own)
-            crowd = motion(own, generation)
-            if generation not in best:
+            best = champion_at(earlier, generation)
+            crowd = motion(own if best is None else _led_by(best.genes, own), generation)
+            if best is None:
                 leader = crowd.leader(
                     experiment.creature.root_index, experiment.simulation.task.heading
                 )
@@ -257,11 +278,78 @@ def _led_by(best: np.ndarray, genes: np.ndarray) -> np.ndarray:
     return led
 
 
-def _best_until(opened: OpenedChampion, generations: list[int]) -> dict[int, Champion]:
-    """Return the champions after some generations that came before the final one."""
-    earlier = earlier_champions(opened)
-    found = {generation: champion_at(earlier, generation) for generation in generations}
-    return {generation: one for generation, one in found.items() if one is not None}
+def _racers(
+    opened: OpenedChampion, recording: Recording, trial: int, end: float, least: float
+) -> list[tuple[int, Recording]]:
+    """Return generations and motion of earlier champions, each clearly behind the next one.
+
+    Args:
+        opened: the run with its champion.
+        recording: motion of the champion.
+        trial: number of the trial.
+        end: instant at which the race ends, s.
+        least: least distance between two animals at that instant, m.
+
+    Returns:
+        At most three champions, or none if none is known or can be replayed.
+    """
+    try:
+        opened.require_configured()
+    except RunFolderError:
+        return []
+    found = representatives(_earlier_champions(opened), _REPLAYED)
+    if not found:
+        return []
+    with working("replaying earlier champions"):
+        motions = [each.recording for each in opened.replay(found, trial)]
+    experiment = opened.experiment
+    every = _together([*motions, recording])
+    shown = max(int((every.time <= end).sum()), 1)
+    race = every._replace(time=every.time[:shown], position=every.position[:shown])
+    progress = race.advance(experiment.creature.root_index, experiment.simulation.task.heading)
+    *chosen, _ = apart(progress, least, _RACING)
+    return [(found[i].generation, motions[i]) for i in chosen]
+
+
+def _earlier_champions(opened: OpenedChampion) -> list[Champion]:
+    """Return the champions of the run that came before its final one, the first one first."""
+    final = opened.champion
+    try:
+        lineage = opened.folder.load_lineage()
+    except RunFolderError:
+        return []
+    return [one for one in lineage if one.run == final.run and one.generation < final.generation]
+
+
+def apart(progress: Float[np.ndarray, " n"], least: float, most: int) -> list[int]:
+    """Return animals, in order, each of which is clearly ahead of the one before.
+
+    Args:
+        progress: distance that each animal has come, m. The last animal is always chosen.
+        least: least distance between two chosen animals, m.
+        most: largest number of chosen animals. If more are apart, those at even distances stay.
+    """
+    chosen: list[int] = []
+    for number, own in enumerate(progress[:-1]):
+        ahead = not chosen or own >= progress[chosen[-1]] + least
+        if ahead and own <= progress[-1] - least:
+            chosen.append(number)
+    chosen.append(len(progress) - 1)
+    if len(chosen) <= most:
+        return chosen
+    places = np.linspace(progress[chosen[0]], progress[chosen[-1]], most)
+    return sorted({min(chosen, key=lambda i: abs(progress[i] - place)) for place in places})
+
+
+def _together(motions: Sequence[Recording]) -> CrowdMotion:
+    """Return the motion of several animals as a crowd, until the first of them ends."""
+    count = min(len(each.time) for each in motions)
+    return CrowdMotion(
+        motions[0].time[:count],
+        np.stack([each.position[:count] for each in motions], 1),
+        np.stack([each.rotation[:count] for each in motions], 1),
+        motions[0].goal,
+    )
 
 
 def _speed(recording: Recording, root: int, length: float) -> float:
@@ -272,22 +360,6 @@ def _speed(recording: Recording, root: int, length: float) -> float:
     # A short trial must not end before its take.
     fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_FIRST + DISSOLVE))
     return float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
-
-
-def _loop(takes: list[Take], words: list[Words]) -> list[LoopPart]:
-    """Return the parts of the film that the loop shows: all but most of the title and a crowd."""
-    every = spans([take.seconds for take in takes])
-    first, end = round((_TITLE - _OF_TITLE) * FPS), every[-1][1]
-    if len(takes) <= _IN_LOOP:
-        return [LoopPart(first, end, words)]
-    again = every[1 - _IN_LOOP][0] + round(takes[1 - _IN_LOOP].hold * FPS)
-    # The first words of the second part come after it has appeared.
-    late = again / FPS + DISSOLVE
-    told = [one._replace(start=max(one.start, late)) for one in words]
-    return [
-        LoopPart(first, every[0][1] - round(DISSOLVE * FPS), words),
-        LoopPart(again, end, told),
-    ]
 
 
 def _aim(opened: OpenedChampion, recording: Recording, course: Course) -> str:

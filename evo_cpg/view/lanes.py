@@ -21,10 +21,9 @@ from evo_cpg.view.scenery import LAMP
 from evo_cpg.view.story import FPS, GLIDE, Overview
 from evo_cpg.view.terrain import heights
 
-# Number of lanes in a wide and in a tall picture. Least width of a lane, in lengths of the animal
-# (seen from the side and from behind), its width and its height. Distance of the borders from the
-# outer animals, in lengths.
-_WIDE, _TALL, _LANE, _NARROW, _ROOMY, _HIGH, _NEARER = 7, 4, 0.75, 0.5, 1.25, 2.8, 0.2
+# Number of lanes. Least width of a lane in the animal's length, its width and its height. Distance
+# of the borders from the outer animals, in lengths.
+_LANES, _LANE, _ROOMY, _HIGH, _NEARER = 7, 0.75, 1.25, 2.8, 0.2
 # Largest factor by which lanes of few animals are wider. Number of other animals without lanes.
 _WIDEST, _PILED = 2.0, 4
 # A goal is in the view of the lanes if it is at most this many lengths away. Otherwise the view
@@ -63,7 +62,6 @@ class Course(NamedTuple):
         corners: corners of the bodies at the start, m.
         length: length of the animal, m.
         lane: width of a lane, m. It is 0 among obstacles, where nothing can be moved aside.
-        narrow: width of a lane that is seen from behind, m.
         spacing: distance between the lines, m, or 0 on uneven ground, which has no lines.
         target: place of the light or of the finish, m, or None.
         finish: distance of the finish from the start, m. None with a light, or without lines.
@@ -77,7 +75,6 @@ class Course(NamedTuple):
     corners: Float[np.ndarray, "n 3"]
     length: float
     lane: float
-    narrow: float
     spacing: float
     target: Float[np.ndarray, "3"] | None
     finish: float | None
@@ -156,11 +153,10 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
     corners = Bodies(clip.position[:1], clip.rotation[:1], box).corners()[0]
     across = (corners - start) @ aside
     lane = max(_LANE * length, _ROOMY * np.ptp(across), _HIGH * np.ptp(corners[:, 2]))
-    narrow = max(_NARROW * length, _ROOMY * np.ptp(across))
     progress, spacing = (path - start) @ ahead, mark_spacing(length)
     if (ground := panel.ground) is not None:
         if ground.obstacles:
-            lane = narrow = spacing = 0.0
+            lane = spacing = 0.0
         elif not _flat(ground, start, ahead, aside, progress.max(), lane):
             spacing = 0.0
     target, finish, arrival = None, None, None
@@ -172,20 +168,8 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
             finish = float(np.floor(passed / spacing) * spacing)
             arrival = float(recording.time[(progress >= finish).argmax()])
             target = start + finish * ahead
-    return Course(
-        start,
-        bearing,
-        ahead,
-        aside,
-        corners,
-        length,
-        float(lane),
-        float(narrow),
-        spacing,
-        target,
-        finish,
-        arrival,
-    )
+    path_ahead, goal_ahead = (start, bearing, ahead, aside), (target, finish, arrival)
+    return Course(*path_ahead, corners, length, float(lane), spacing, *goal_ahead)
 
 
 def _touch(
@@ -223,8 +207,7 @@ def tank_of(
     """
     start, ahead, corners = course.start, course.ahead, course.corners
     length, target, finish = course.length, course.target, course.finish
-    recording, land = panel.recording, panel.ground is not None
-    count, lane = (_WIDE, course.lane) if aspect >= 1 else (_TALL, course.narrow)
+    recording, land, lane = panel.recording, panel.ground is not None, course.lane
     path = recording.position[:, panel.creature.root_index]
     early = recording.time <= recording.time[0] + seconds
     shown = max(float(((path[early] - start) @ ahead).max()), _LEAST * length)
@@ -239,7 +222,7 @@ def tank_of(
     points = [
         [*(start + to_end * ahead + to_left * course.aside)[:2], height]
         for to_end, up in ((along.min() - _BEHIND * length, 0.0), (end, rise))
-        for to_left in (-_BESIDE * length, _BESIDE * length + lane * (count - 1))
+        for to_left in (-_BESIDE * length, _BESIDE * length + lane * (_LANES - 1))
         for height in (low + up, high + up)
     ]
     wide = Overview(np.array(points), course.bearing, _ON_LAND if land else _IN_WATER)
@@ -248,11 +231,11 @@ def tank_of(
     if course.spacing and not (near and finish is None):
         lines = int(np.ceil((finish or end) / course.spacing))
         # On the viewer's side, captions are below.
-        sides = _NEARER * length, lane * (count - 1) + _NEARER * length
+        sides = _NEARER * length, lane * (_LANES - 1) + _NEARER * length
         track = Track(start, course.bearing, course.spacing, lines, *sides, finish)
     title = _title_view(course, STYLES[panel.world].side_elevation, aspect)
     floor = None if land else _floor(panel, course, crowds)
-    return Tank(course, lane, count - 1 if lane else _PILED, track, floor, title, wide, near)
+    return Tank(course, lane, _LANES - 1 if lane else _PILED, track, floor, title, wide, near)
 
 
 def _title_view(course: Course, elevation: float, aspect: float) -> Overview:
@@ -311,6 +294,6 @@ def _flat(
     """Return whether ground has the same height in all lanes, up to a distance."""
     if ground.level is not None:
         return True
-    along, across = np.linspace(0.0, far, 12), lane * np.arange(_WIDE)
+    along, across = np.linspace(0.0, far, 12), lane * np.arange(_LANES)
     place = start + along[:, None, None] * ahead + across[:, None] * aside
     return bool(np.ptp(heights(ground.floor, place[..., :2]), axis=1).max() <= _LEVEL * lane)
