@@ -31,7 +31,6 @@ from jaxtyping import Array, Float, Int, PyTree
 from evo_cpg.evolution.selection import rank_order
 from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 
-
 # Probability that a bit is flipped in a population around one individual.
 _FLIPPED = 0.1
 
