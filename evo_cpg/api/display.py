@@ -49,8 +49,8 @@ class Work:
     def say(self, line: str) -> None:
         """Print a line that stays."""
 
-    def doing(self, what: str, expected: float | None = None) -> None:
-        """Name the next part of the work, and its expected duration, s, if measured before."""
+    def doing(self, what: str) -> None:
+        """Name the next part of the work."""
 
     def reached(self, done: int, total: int) -> None:
         """Report how much of the work is done."""
@@ -65,7 +65,6 @@ class Heartbeat(Work):
     Args:
         what: name of the work.
         printed: time of the last printed line, s, or minus infinity before the first line.
-        expected: duration that was measured before, s, or None if unknown.
         clock: function that returns the time, s.
     """
 
@@ -73,11 +72,10 @@ class Heartbeat(Work):
         self,
         what: str,
         printed: float = -math.inf,
-        expected: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):
         self._clock, self._lock = clock, threading.Lock()
-        self.doing(what, expected)
+        self.doing(what)
         # The silence since the last line of earlier work counts, too.
         self._next = self._start + FIRST
         if math.isfinite(printed):
@@ -90,9 +88,9 @@ class Heartbeat(Work):
             self._next = self._clock() + BETWEEN
 
     @override
-    def doing(self, what: str, expected: float | None = None) -> None:
+    def doing(self, what: str) -> None:
         with self._lock:
-            self._what, self._start, self._expected = what, self._clock(), expected
+            self._what, self._start = what, self._clock()
             self._done: tuple[int, int] | None = None
 
     @override
@@ -113,7 +111,7 @@ class Heartbeat(Work):
             if now < self._next:
                 return None
             self._next = now + BETWEEN
-            return f"{self._what}: {_standing(now - self._start, self._done, self._expected)}"
+            return f"{self._what}: {_standing(now - self._start, self._done)}"
 
     @contextlib.contextmanager
     def beating(self, write: Callable[[str], None] | None = None) -> Iterator["Heartbeat"]:
@@ -139,22 +137,16 @@ class Heartbeat(Work):
             thread.join()
 
 
-def _standing(elapsed: float, done: tuple[int, int] | None, expected: float | None) -> str:
+def _standing(elapsed: float, done: tuple[int, int] | None) -> str:
     """Return the elapsed time, the steps done and the estimated remaining time as text."""
     words = f"{elapsed:.0f} s"
     if done is None:
-        left = 0.0 if expected is None else expected - elapsed
-        return f"{words}, about {left:.0f} s to go" if left >= 1 else f"{words} so far"
+        return f"{words} so far"
     count, total = done
     words = f"{count}/{total}, {words}"
     if _LEAST_FRACTION * total < count < total:
         words += f", about {elapsed * (total - count) / count:.0f} s to go"
     return words
-
-
-def _announced(what: str, expected: float | None) -> str:
-    """Name some work and its expected duration, for a line that does not change."""
-    return what if expected is None or expected < 1 else f"{what}, about {expected:.0f} s"
 
 
 class _Line(Work):
@@ -166,8 +158,8 @@ class _Line(Work):
     def say(self, line: str) -> None:
         self._bars.console.print(line, markup=False, highlight=False)
 
-    def doing(self, what: str, expected: float | None = None) -> None:
-        self._bars.update(self._bar, description=_announced(what, expected).lstrip())
+    def doing(self, what: str) -> None:
+        self._bars.update(self._bar, description=what.lstrip())
 
     def reached(self, done: int, total: int) -> None:
         self._bars.update(self._bar, completed=done, total=total)
@@ -201,15 +193,12 @@ class _Bars(Progress):
 
 
 @contextlib.contextmanager
-def working(
-    what: str, counted: bool = False, expected: float | None = None, stays: bool = False
-) -> Iterator[Work]:
+def working(what: str, counted: bool = False, stays: bool = False) -> Iterator[Work]:
     """Show some work and its duration while the block lasts.
 
     Args:
         what: name of the work.
         counted: whether the work reports its finished steps.
-        expected: duration that was measured before, s, or None if unknown.
         stays: whether the line stays on a terminal after the work.
 
     Yields:
@@ -218,7 +207,7 @@ def working(
     console = Console(stderr=True)
     # A dumb terminal, such as a shell in an editor, cannot move a line.
     if not console.is_terminal or console.is_dumb_terminal:
-        with Heartbeat(what, _printed_at, expected).beating() as heartbeat:
+        with Heartbeat(what, _printed_at).beating() as heartbeat:
             yield heartbeat
         return
     columns: list[ProgressColumn] = [
@@ -236,7 +225,7 @@ def working(
         redirect_stdout=redirect,
         transient=not stays,
     ) as bars:
-        yield _Line(bars, bars.add_task(_announced(what, expected).lstrip(), total=None))
+        yield _Line(bars, bars.add_task(what.lstrip(), total=None))
 
 
 @contextlib.contextmanager
@@ -246,7 +235,6 @@ def progress(
     completed: int = 0,
     first: str = "compiling",
     last: str = "",
-    expected: float | None = None,
 ) -> Iterator[Callable[..., None]]:
     """Show the progress of work in steps.
 
@@ -257,7 +245,6 @@ def progress(
         completed: number of steps done before.
         first: name of the work before the first step.
         last: name of the work after the last step.
-        expected: duration of the work before the first step, s, or None if unknown.
 
     Yields:
         A function to call after every step, with a line about the state and the duration of the
@@ -265,7 +252,7 @@ def progress(
     """
     number, since = completed, time.perf_counter()
     start = f"{completed:4d}/{total} {step}  {first}"
-    with working(start, counted=True, expected=expected, stays=True) as work:
+    with working(start, counted=True, stays=True) as work:
 
         def show(state: str, seconds: float | None = None) -> None:
             nonlocal number, since

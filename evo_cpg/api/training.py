@@ -4,7 +4,7 @@ import dataclasses
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -23,13 +23,10 @@ from evo_cpg.config.fingerprint import changes_of_fitness, changes_since, finger
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
-from evo_cpg.fusion.stopwatch import Spent, measuring
 from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement
-from evo_cpg.simulation.operations import estimate_operations
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion, genes_digest
-from evo_cpg.training.compile_times import note_seconds
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
@@ -238,8 +235,6 @@ class Recorder:
         folder: run folder.
         least: smallest allowed fraction of its displacement that the champion keeps at half the
             physics step, or None for no check.
-        animal: digest of all that the program of a trial depends on. The compile time is stored
-            under this digest. None stores no time.
 
     Attributes:
         seen: result of the first check, or None without one.
@@ -252,18 +247,16 @@ class Recorder:
         experiment: parts.ExperimentParts,
         folder: RunFolder,
         least: float | None = None,
-        animal: str | None = None,
     ):
         self.seen: Check | None = None
         self.checks, self.skipped = least is not None, False
         self._experiment, self._folder, self._least = experiment, folder, least
-        self._animal = animal
         # Without noise, the recording also measures the displacement at the original step.
         self._measures_displacement = self.checks and experiment.simulation.noise.silent
         self._displacement: float | None = None
         self._thread = ThreadPoolExecutor(1, "recording")
-        self._program: _Compilation | None = None
-        self._look: _Compilation | None = None
+        self._program: Future[Callable] | None = None
+        self._look: Future[Callable] | None = None
 
     def __enter__(self) -> "Recorder":
         return self
@@ -272,41 +265,19 @@ class Recorder:
         # An interrupt ends the run at once, without waiting for the compiler.
         self._thread.shutdown(wait=error is None and not self.skipped, cancel_futures=True)
 
-    def compile(self, spent: Spent | None = None) -> None:
-        """Start to compile the programs.
-
-        Args:
-            spent: time spent on the code of the trials. Each program here takes about as long.
-                None if unknown.
-        """
+    def compile(self) -> None:
+        """Start to compile the programs, one after the other."""
         from evo_cpg.training.replay import compile_replay
 
-        took = spent.seconds if spent is not None and spent.seconds > 0 else None
-        if spent is not None and self._animal is not None:
-            operations = estimate_operations(self._experiment.simulation).total
-            note_seconds(operations, self._animal, spent)
         devices = self._folder.read_meta()["devices"]
         recorded = self._experiment
         if self._measures_displacement:
             recorded = recorded._replace(simulation=with_displacement(recorded.simulation))
-        self._program = _Compilation(self._thread, took, compile_replay, recorded, devices)
+        self._program = self._thread.submit(compile_replay, recorded, devices)
         if self._least is not None:
             from evo_cpg.api.audit import compile_first_look
 
-            # The displacement at the original step takes another program if there is noise.
-            programs = 1 if self._measures_displacement else 2
-            expected = None if took is None else programs * took
-            self._look = _Compilation(
-                self._thread, expected, compile_first_look, self._experiment, self._least
-            )
-
-    def expected_to_record(self) -> float | None:
-        """Estimate the remaining time to compile for `record`, s, or None without a measurement."""
-        return self._program and self._program.left
-
-    def expected_to_look(self) -> float | None:
-        """Estimate the remaining time to compile for `look`, s, or None without a measurement."""
-        return self._look and self._look.left
+            self._look = self._thread.submit(compile_first_look, self._experiment, self._least)
 
     def keep(self, champion: Champion) -> None:
         """Record the champion, check it, and finish the run."""
@@ -319,7 +290,7 @@ class Recorder:
         if self._program is None:
             self.compile()
         assert self._program is not None
-        _, terms, motion = self._program(champion)
+        _, terms, motion = self._program.result()(champion)
         if self._measures_displacement:
             self._displacement = float(np.nan_to_num(terms[DISPLACEMENT]))
         self._folder.save_champion(champion, motion)
@@ -328,7 +299,7 @@ class Recorder:
         """Check a recorded champion at half the step, if a check is configured."""
         if self._look is None:
             return
-        self.seen = seen = self._look(champion, self._displacement)
+        self.seen = seen = self._look.result()(champion, self._displacement)
         noted: dict[str, Any] | None = None
         if seen.passed is not None:
             noted = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
@@ -343,46 +314,6 @@ class Recorder:
     def finish(self) -> None:
         """Record the time at which the run finished."""
         self._folder.update_meta(finished=now())
-
-
-class _Compilation:
-    """Program that a thread compiles, after its earlier work.
-
-    Args:
-        thread: thread that compiles.
-        expected: expected duration, s, or None without a measurement.
-        compile_it: function that returns the program.
-        given: arguments of ``compile_it``.
-    """
-
-    def __init__(
-        self,
-        thread: ThreadPoolExecutor,
-        expected: float | None,
-        compile_it: Callable[..., Any],
-        *given: Any,
-    ):
-        self._expected = expected
-        self._start: float | None = None
-
-        def work() -> Any:
-            self._start = time.monotonic()
-            return compile_it(*given)
-
-        self._program = thread.submit(work)
-
-    @property
-    def left(self) -> float | None:
-        """Estimate of the remaining time, s, or None without a measurement."""
-        if self._program.done():
-            return 0.0
-        if self._expected is None or self._start is None:
-            return self._expected
-        return max(0.0, self._expected - (time.monotonic() - self._start))
-
-    def __call__(self, *given: Any) -> Any:
-        """Wait for the program, and call it with the arguments."""
-        return self._program.result()(*given)
 
 
 def first_look_limit(config: ExperimentConfig) -> float | None:
@@ -410,10 +341,7 @@ def evolve(
     # Importing the loop takes a second, because it imports JAX.
     from evo_cpg.training.loop import train as train_generations
 
-    with measuring() as spent:
-        done = train_generations(
-            experiment, folder, on_generation, on_compiled=lambda: recorder.compile(spent)
-        )
+    done = train_generations(experiment, folder, on_generation, on_compiled=recorder.compile)
     if done.champion is None:
         count = experiment.strategy.population
         if any(row["diverged"] < count for row in done.history):

@@ -1,9 +1,7 @@
-"""Warnings about an animal before it evolves: idle oscillators, high costs, and long steps."""
+"""Warnings about an animal before it evolves: idle oscillators, and long steps."""
 
 import dataclasses
 import functools
-import hashlib
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,30 +11,15 @@ import numpy as np
 from jaxtyping import Bool
 
 from evo_cpg.cli.errors import warn
-from evo_cpg.config.fingerprint import fingerprint
-from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.couplings import uncoupled
 from evo_cpg.control.matsuoka import MatsuokaNetwork, parts
 from evo_cpg.control.rest import resting
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.machine_constants import MOST_OPERATIONS
 from evo_cpg.physics.added_mass import AddedMass
 from evo_cpg.physics.reactive_thrust import ReactiveThrust
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.operations import Operations, estimate_operations
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training.compile_times import expected_seconds
-
-# Number of operations of a trial below which no warning of the cost is printed. No shipped
-# configuration has more.
-_MANY = 200_000
-
-# Number of operations of the shipped swimmer's trial, for comparison.
-_SWIMMER = 18_000
-
-# Largest relative error of the estimated number of operations.
-_ERROR = 0.15
 
 # Mass of the water that slender chains carry, relative to the animal's mass, above which the
 # physics step is tested. Plates roll in the flow with a frequency that grows with this ratio. The
@@ -49,53 +32,14 @@ _LIGHT = 5.0
 # that it tries.
 _TESTED, _TEST_SECONDS, _FINER = 8, 5.0, (2, 4, 8, 16)
 
-# Sections of a configuration that do not change the program of a trial, and keys in them that do.
-_NO_CODE = ("name", "seed", "evolution", "audit")
-_CODE = ("evolution.axes", "audit.disqualify")
-
 # Most oscillators in the example of a ring.
 _IN_RING = 4
 
-# Name of each part of a trial, and changes that lower its cost.
-_CAUSES = {
-    "bodies": ("bodies and joints", "fewer creature.bodies and joint axes"),
-    "ground": (
-        "contact with the ground",
-        "fewer creature.bodies, or capsules and spheres in place of boxes and meshes",
-    ),
-    "obstacles": (
-        "contact with obstacles",
-        "fewer world.ground.obstacles and fewer creature.bodies",
-    ),
-    "pairs": (
-        "bodies that may touch each other",
-        "more pairs in creature.self_collision.exclude, or creature.self_collision=false",
-    ),
-    "water": (
-        "drag",
-        "lower world.water.form_resolution, skin_resolution and random_points, or fewer "
-        "creature.bodies",
-    ),
-    "controller": ("the controller", "fewer neurons in controller.brain.hidden"),
-    "noise": ("noise", "fewer keys in noise"),
-}
-
 
 def advise(path: Path, simulation: Simulation) -> None:
-    """Warn of idle oscillators, and of an animal with a high cost.
-
-    Args:
-        path: path of the configuration.
-        simulation: simulation of the configuration.
-    """
-    for line in advice(simulation):
+    """Warn of idle oscillators in the simulation of a configuration."""
+    for line in about_oscillators(simulation):
         warn(f"{path}: {line}")
-
-
-def advice(simulation: Simulation) -> list[str]:
-    """Return warnings of idle oscillators, and of an animal with a high cost."""
-    cost = about_cost(simulation)
-    return [*about_oscillators(simulation), *([cost] if cost else [])]
 
 
 def about_oscillators(simulation: Simulation) -> list[str]:
@@ -229,52 +173,3 @@ def about_step(simulation: Simulation) -> str:
                 f"With simulation.substeps: {more} none diverges"
             )
     return f"{found}, also with {_FINER[-1] * now} substeps. Is a force or a motor too strong?"
-
-
-def about_cost(simulation: Simulation) -> str:
-    """Return a warning of an animal that takes long to compile or is too large for native code."""
-    return "" if simulation.engine.name == "jax" else _line(estimate_operations(simulation))
-
-
-def expected_to_compile(simulation: Simulation, animal: str | None = None) -> float | None:
-    """Estimate the time to compile a trial, s, or None if nothing was measured on this machine.
-
-    Args:
-        simulation: simulation of the trial.
-        animal: digest from `animal_digest`, or None to assume that no compiled code is kept.
-    """
-    return expected_seconds(estimate_operations(simulation).total, animal)
-
-
-def animal_digest(config: ExperimentConfig) -> str:
-    """Return a digest of all settings and code that the program of a trial depends on."""
-    found = fingerprint(config)
-    parts = {
-        key: value
-        for key, value in found["config"].items()
-        if key.split(".")[0] not in _NO_CODE or key.startswith(_CODE)
-    }
-    text = json.dumps([parts, found["code"]], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _line(operations: Operations) -> str:
-    """Return the cost, its main cause and the cure, or "" for an animal with a low cost."""
-    total = operations.total
-    if total < _MANY:
-        return ""
-    limit = f"Native code is limited to {MOST_OPERATIONS:,}"
-    seconds = expected_seconds(total)
-    # The estimate is not accurate to more than two digits.
-    rounded = float(f"{total:.2g}")
-    times = f"{total / _SWIMMER:.0f} times as many as iwadate2010_swimmer"
-    words = f"a trial has about {rounded:,.0f} operations, {times}"
-    if total > (1 + _ERROR) * MOST_OPERATIONS:
-        words += f". {limit}, so plain JAX will compute the trial, many times more slowly"
-    elif total > (1 - _ERROR) * MOST_OPERATIONS:
-        words += f". {limit}, so plain JAX may have to compute the trial, many times more slowly"
-    elif seconds is not None:
-        words += f". On this machine they take about {seconds:.0f} s to compile"
-    part, most = max(operations._asdict().items(), key=lambda item: item[1])
-    cause, cure = _CAUSES[part]
-    return f"{words}. {most / total:.0%} of them are for {cause}. To lower the cost: {cure}"

@@ -25,13 +25,13 @@ def model(
     browser: Browser = True,
 ) -> None:
     """Draw a creature on a page in the browser."""
-    from evo_cpg.cli.advice import advice
+    from evo_cpg.cli.advice import about_oscillators
     from evo_cpg.drawing.page.server import DrawingServer
     from evo_cpg.drawing.session import Session
     from evo_cpg.view.page.server import opened
 
     document = _document(config)
-    with DrawingServer(Session(document, advice), port) as server:
+    with DrawingServer(Session(document, about_oscillators), port) as server:
         print(f"{document.path}: open this address in a browser of this machine")
         print(server.address)
         print("Control-C ends the program.", flush=True)

@@ -1,6 +1,5 @@
 """Tables, files and warnings of the command `probe`."""
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -54,11 +53,9 @@ def probe_champion(
     make_folder(place)
     simulation, genes = experiment.simulation, opened.champion.genes
     with working(f"compiling, and probing {len(situations)} lights") as work:
-        start = time.monotonic()
         found = seeing = probe(simulation, genes, situations)
         if blind:
-            took = time.monotonic() - start
-            work.doing(f"compiling, and probing {len(situations)} lights blind", expected=took)
+            work.doing(f"compiling, and probing {len(situations)} lights blind")
             found = probe(blinded(simulation), genes, situations)
     reached = found.reached(reach)
     rows = probe_rows(found, reach)

@@ -17,7 +17,7 @@ from evo_cpg.api.training import (
     reopen_run,
 )
 from evo_cpg.api.warm_start import What, warm_start
-from evo_cpg.cli.advice import about_step, advise, animal_digest, expected_to_compile
+from evo_cpg.cli.advice import about_step, advise
 from evo_cpg.cli.building import build
 from evo_cpg.cli.champions import open_and_build
 from evo_cpg.cli.errors import UsageError, tell, warn
@@ -163,17 +163,16 @@ def evolve_run(opened: Opened) -> None:
     with working("starting JAX"):
         import evo_cpg.training.loop  # noqa: F401
 
-    done, animal = folder.load(), animal_digest(opened.config)
+    done = folder.load()
     least, start = first_look_limit(opened.config), done.generation if done else 0
     try:
-        with Recorder(experiment, folder, least, animal) as recorder:
+        with Recorder(experiment, folder, least) as recorder:
             with progress(
                 "generations",
                 experiment.generations,
                 start,
                 "compiling",
                 "" if experiment.simulation.noise.silent else "choosing the champion",
-                expected_to_compile(experiment.simulation, animal),
             ) as show:
 
                 def report(rows: list[dict[str, float]]) -> None:
@@ -204,13 +203,11 @@ def evolve_run(opened: Opened) -> None:
 
 def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
     """Record the champion, and test it at half the physics step unless interrupted."""
-    expected = recorder.expected_to_record()
-    with working("recording the champion's motion", expected=expected):
+    with working("recording the champion's motion"):
         recorder.record(champion)
     if recorder.checks:
-        what = "half-step test (Ctrl-C skips it)"
         try:
-            with working(what, expected=recorder.expected_to_look()):
+            with working("half-step test (Ctrl-C skips it)"):
                 recorder.look(champion)
         except KeyboardInterrupt:
             recorder.skip()

@@ -1,1 +1,1 @@
-"""Searches for good genomes: genetic algorithms, maps of behaviour, evosax, pyribs, islands."""
+"""Searches for good genomes: genetic algorithms, maps of behaviour, evosax, islands."""

@@ -118,6 +118,16 @@ def warn_of_fallback(name: str, error: Exception) -> None:
     _warn_once(f"{name} runs on plain JAX, not as native code: {kind}{reason}")
 
 
+def warn_of_size(operations: int) -> None:
+    """Warn once if a program has so many operations that LLVM takes a minute or more."""
+    many = machine_constants.MANY_OPERATIONS
+    if operations > many:
+        _warn_once(
+            f"A program has more than {many:,} operations, so it takes long to compile. Fewer "
+            "bodies, contacts or points of drag make it smaller"
+        )
+
+
 @contextlib.contextmanager
 def smallest_fallback(name: str, error: Exception) -> Iterator[None]:
     """Compute a program in parts, and warn of it unless a part falls back to plain JAX, too.

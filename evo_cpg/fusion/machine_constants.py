@@ -78,6 +78,9 @@ LONGEST_FUNCTION = 6000
 """Fitted: approximate number of lines of LLVM IR in one function. At a cut between functions, all
 values that are used again go through memory."""
 
+MANY_OPERATIONS = 200_000
+"""A limit: operations of a program above which its size is reported. No shipped animal has more."""
+
 MOST_OPERATIONS = 600_000
 """A limit: operations of a program. A larger one would take minutes and much memory to compile."""
 

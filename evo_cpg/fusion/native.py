@@ -101,6 +101,7 @@ def _native(program: Program, count: int) -> Native:
 def _make(program: Program, variant: Variant) -> Native:
     start = time.perf_counter()
     module = to_llvm(program, variant)
+    engine.warn_of_size(module.operations)
     middle = time.perf_counter()
     name, address = load(module.text, variant.target)
     taken = middle - start, time.perf_counter() - middle

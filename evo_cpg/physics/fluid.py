@@ -56,9 +56,6 @@ from evo_cpg.spatial.numerics import Number, xp
 # Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 _SPEED_FLOOR = 1e-12
 
-# Operations of native code per point of form drag, of skin friction, and of either at a surface.
-_FORM_POINT, _SKIN_POINT, _SURFACE_POINT = 27.0, 36.0, 38.0
-
 DragLaw = Literal["normal", "isotropic"]
 
 
@@ -130,18 +127,6 @@ class Drag(ForceLaw):
         return dataclasses.replace(
             self, form_drag=self.form_drag * factor, skin_drag=self.skin_drag * factor
         )
-
-    def operations(self) -> float:
-        """Return the operations, fitted as in `evo_cpg.simulation.operations`."""
-        total = 0.0
-        for patch in self.patches:
-            form, skin = len(patch.normal_area), len(patch.tangential_area)
-            if patch.normal_places is None:
-                one = _FORM_POINT * form + _SKIN_POINT * skin
-            else:
-                one = _SURFACE_POINT * (form + skin)
-            total += len(patch.bodies) * one
-        return total
 
 
 def make_patches(

@@ -279,10 +279,3 @@ class ForceLaw(eqx.Module):
         """Return the law with its drag multiplied by a factor. By default it has no drag."""
         del factor
         return self
-
-    def operations(self) -> float:
-        """Return the approximate number of native-code operations of the law, or 0 if unknown.
-
-        `evo_cpg.simulation.operations` warns about programs that take long to compile.
-        """
-        return 0.0

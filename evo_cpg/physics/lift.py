@@ -85,9 +85,6 @@ _SPEED_FLOOR = 1e-12
 # Resolution of the surface points from which the area of a plate is found.
 _RESOLUTION = 16
 
-# Operations of native code per plate.
-_PLATE = 1700.0
-
 
 class PlateLift(ForceLaw):
     """Lift of plates, in addition to their form drag.
@@ -145,10 +142,6 @@ class PlateLift(ForceLaw):
         row, c = self._resistance(start)
         own = 2.0 * c * dot(row, self._own(moving.velocity))
         return whole + self._spread(start, row * own[None])
-
-    def operations(self) -> float:
-        """Return the operations (`ForceLaw.operations`)."""
-        return _PLATE * len(self.bodies)
 
     def _own(self, x: Float[Array, "k b *n"]) -> Float[Array, "k p *n"]:
         """Return a quantity of the plates."""

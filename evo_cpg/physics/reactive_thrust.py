@@ -63,9 +63,6 @@ _SPEED_FLOOR = 1e-12
 # body counts as missing, m.
 _NO_DIFFERENCE, _MISSING = 1e-9, 1e-9
 
-# Operations of native code per edge.
-_EDGE = 70.0
-
 
 class Edges(NamedTuple):
     """Edges at which chains shed water, in working frames.
@@ -143,10 +140,6 @@ class ReactiveThrust(ForceLaw):
         momentum, tangent = flow.momentum, flow.tangent
         force = tangent * dot(momentum, velocity)[None] - momentum * dot(tangent, velocity)[None]
         return self._on_bodies(start, self._wrenches(force))
-
-    def operations(self) -> float:
-        """Return the approximate number of operations (`ForceLaw.operations`)."""
-        return _EDGE * len(self.bodies)
 
     def _velocity(self, bodies: Bodies) -> Float[Array, "3 e *n"]:
         """Return the velocity of every edge relative to the water, m/s."""

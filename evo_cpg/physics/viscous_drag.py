@@ -51,9 +51,6 @@ _DIP_RE = 2500.0
 # Floors under the squared speed (m^2/s^2) and the squared rate (1/s^2), for gradients at rest.
 _SPEED_FLOOR, _RATE_FLOOR = 1e-12, 1e-12
 
-# Operations of native code per body, and per point of form drag without and with a surface.
-_BODY, _FORM_POINT, _SURFACE_POINT = 240.0, 27.0, 38.0
-
 
 class Wetted(NamedTuple):
     """Constants of one body in the water, in its working frame.
@@ -155,14 +152,6 @@ class ViscousDrag(ForceLaw):
     def scaled(self, factor: float) -> "ViscousDrag":
         """Return the law with all its forces multiplied by a factor."""
         return dataclasses.replace(self, factor=self.factor * factor)
-
-    def operations(self) -> float:
-        """Return the operations, fitted as in `evo_cpg.simulation.operations`."""
-        total = 0.0
-        for patch in self.patches:
-            point = _FORM_POINT if patch.places is None else _SURFACE_POINT
-            total += len(patch.bodies) * (_BODY + point * len(patch.wetted.form))
-        return total
 
     def _patch(
         self,

@@ -15,6 +15,8 @@ from evo_cpg.analysis.limit_cycle import limit_cycle
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import uncoupled
 from evo_cpg.control.rest import resting
+from evo_cpg.training.loop import train
+from evo_cpg.training.run_folder import RunFolder
 
 ROOT = Path(__file__).parents[2]
 
@@ -192,13 +194,35 @@ def test_the_task_of_the_tutorial_trains(here, monkeypatch):
 
 
 def test_a_custom_optimiser_trains(here, monkeypatch):
-    strategy, program = programs("docs/searches.md")
+    strategy, program, *_ = programs("docs/searches.md")
     (here / "climber.py").write_text(strategy)
     monkeypatch.delitem(sys.modules, "climber", raising=False)
     names: dict = {}
     run(program, names)
     assert type(names["experiment"].parts.strategy).__name__ == "Climber"
     assert len(names["trained"].history) == 3
+
+
+def test_pyribs_resumes_to_the_same_genomes(here, monkeypatch):
+    """The bytes of the state may differ, because pyribs leaves empty cells uninitialised."""
+    pytest.importorskip("ribs")
+    (here / "cma_mae.py").write_text(programs("docs/searches.md")[2])
+    monkeypatch.delitem(sys.modules, "cma_mae", raising=False)
+    section = next(yaml.safe_load(one) for one in configs("docs/searches.md") if "CmaMae" in one)
+    path = "configs/iwadate2010_swimmer.yaml"
+    found = []
+    for name, stops in (("whole", [4]), ("resumed", [2, 4])):
+        folder = RunFolder(here / name)
+        folder.create("", {})
+        for generations in stops:
+            search = section["evolution"] | {"population": 8, "generations": generations}
+            settings = {"evolution": search, "runs": 2, "simulation.seconds": 0.5}
+            train(evo.load(path, settings).parts, folder)
+        found.append(folder.load())
+    whole, resumed = found
+    assert whole is not None and resumed is not None and resumed.generation == 4
+    np.testing.assert_array_equal(whole.genes, resumed.genes)
+    assert not np.array_equal(whole.genes[:, :8], whole.genes[:, 8:])
 
 
 def test_the_api_page_names_every_public_name():

@@ -147,7 +147,7 @@ def test_shipped_configs_are_read_back_unchanged(path, tmp_path):
         (
             "evolution__sigm",
             0.5,
-            "evolution.sigm: unknown key: 'sigma' is a key of type pyribs and evosax. "
+            "evolution.sigm: unknown key: 'sigma' is a key of type evosax. "
             "Valid here: axes, crossover_probability, elites, gene_bound, generations, islands, "
             "learning, mutation_rate, mutation_sigma, parent_fraction, population, selection, type",
         ),

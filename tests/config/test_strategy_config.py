@@ -124,50 +124,6 @@ def test_an_algorithm_of_evosax():
             build(CONFIG, f"evolution={bad}")
 
 
-@pytest.mark.skipif(importlib.util.find_spec("ribs") is None, reason="ribs is an extra")
-def test_cma_mae_of_pyribs():
-    given = f"type: pyribs, axes: {AXES}, sigma: 0.3"
-    strategy = build(WALKER, f"evolution={{{given}}}").strategy
-    assert (strategy.population, strategy.emitters, strategy.es) == (200, 5, "sep_cma_es")
-    assert (strategy.sigma, strategy.learning_rate, strategy.threshold_min) == (0.3, 0.01, None)
-    assert strategy.binary and strategy.gene_bound is None and strategy.shape == (10, 4)
-    speed = "axes: [{name: speed, range: [0, 1]}]"
-    given = f"{{type: pyribs, {speed}, es: lm_ma_es, threshold_min: -2, options: {{n_vectors: 9}}}}"
-    made = build(CONFIG, f"evolution={given}")
-    assert not made.strategy.binary and made.strategy.gene_bound == 8.0
-    assert made.strategy.threshold_min == -2.0 and made.simulation.measures.names == ("speed",)
-    for bad, words in (
-        ("emitters: 3", "emitters: a population of 200 cannot be divided equally among 3 emitters"),
-        (
-            "emitters: 200",
-            "each of 200 emitters needs at least two individuals, but the population is 200",
-        ),
-        ("es: cmaes", r"evolution\.es: .*'sep_cma_es', 'lm_ma_es', 'openai_es' or 'cma_es'"),
-        ("es: openai_es, emitters: 8", "openai_es cannot be built .*even"),
-        ("options: {lr: 1}", "sep_cma_es cannot be built .*'lr'"),
-        ("islands: {count: 2}", "islands"),
-    ):
-        with pytest.raises(ConfigError, match=words):
-            build(CONFIG, f"evolution={{type: pyribs, {speed}, {bad}}}")
-
-
-def test_missing_pyribs_is_reported_with_its_installation(monkeypatch):
-    for name in ("ribs", "ribs.emitters", "ribs.emitters.opt"):
-        monkeypatch.setitem(sys.modules, name, None)
-    given = f"{{type: pyribs, axes: {AXES}, sigma: 0.123}}"
-    with pytest.raises(ConfigError, match=r"'pyribs' is not installed here.*\[pyribs\]"):
-        build(WALKER, f"evolution={given}")
-
-
-@pytest.mark.skipif(importlib.util.find_spec("ribs") is None, reason="ribs is an extra")
-def test_unsupported_pyribs_is_reported(monkeypatch):
-    kind = importlib.import_module("ribs.emitters.opt").SeparableCMAEvolutionStrategy
-    monkeypatch.setattr(kind, "reset", lambda self, x0: setattr(self, "past", [x0]))
-    given = f"{{type: pyribs, axes: {AXES}, sigma: 0.124}}"
-    with pytest.raises(ConfigError, match=r"stores its state differently from pyribs 0\.12"):
-        build(WALKER, f"evolution={given}")
-
-
 def test_missing_evosax_is_reported_with_its_installation(monkeypatch):
     monkeypatch.setitem(sys.modules, "evosax", None)
     monkeypatch.setitem(sys.modules, "evosax.algorithms", None)

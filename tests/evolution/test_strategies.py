@@ -52,12 +52,6 @@ def evosax(name, genes=GENES, **settings):
     return kind(name, SIZE, genes, **settings)
 
 
-def ribs(es):
-    pytest.importorskip("ribs")
-    kind = importlib.import_module("evo_cpg.evolution.from_pyribs").Ribs
-    return kind(SIZE, GENES, AXES, emitters=2, es=es, learning_rate=0.1, threshold_min=-60.0)
-
-
 # LM-MA-ES needs more genes than individuals.
 MANY_GENES = 60
 
@@ -87,7 +81,6 @@ STRATEGIES = {
     "LM_MA_ES": lambda: evosax("LM_MA_ES", MANY_GENES),
     "Open_ES": lambda: evosax("Open_ES", sigma=0.2, learning_rate=0.2),
     "DifferentialEvolution": lambda: evosax("DifferentialEvolution"),
-    "CMA-MAE": lambda: ribs("sep_cma_es"),
 }
 
 
@@ -148,13 +141,7 @@ def search(strategy, generations=40, seed=0, evaluate=sphere, genes=GENES):
     return populations, found, state
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *(name for name in NAMES if name.values != ("CMA-MAE",)),
-        pytest.param("CMA-MAE", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_search_improves_with_finite_genes(name):
     populations, found, _ = search(made(name), genes=genes_of(name))
     assert all(genes.shape == (genes_of(name), SIZE) for genes in populations)

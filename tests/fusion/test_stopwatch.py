@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from evo_cpg.fusion import engine
+from evo_cpg.fusion import engine, machine_constants, native
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.stopwatch import counted, measuring
 
@@ -60,3 +60,22 @@ def test_the_compiler_counts_only_for_new_code():
     (made,) = first.programs
     assert made.name == "a sum" and made.operations == 1
     assert 0 < made.writing < first.seconds and first.compiler <= made.compiling
+
+
+@pytest.mark.skipif(not engine.is_native(), reason="no native code here")
+@pytest.mark.parametrize(("roots", "warned"), [(2, False), (4, True)])
+def test_a_large_program_warns_before_it_compiles(monkeypatch, roots, warned):
+    monkeypatch.setattr(machine_constants, "MANY_OPERATIONS", 3)
+    events = []
+    load = native.load
+    monkeypatch.setattr(native, "load", lambda *given: (events.append("compile"), load(*given))[1])
+    monkeypatch.setattr(engine, "_warn_once", events.append)
+
+    def function(x):
+        for _ in range(roots):
+            x = jnp.sqrt(x)
+        return x
+
+    jax.jit(functools.partial(fuse, function, batch_ndim=1))(jnp.arange(4.0))
+    assert len(events) == 1 + warned and events[-1] == "compile"
+    assert not warned or "more than 3 operations" in events[0]

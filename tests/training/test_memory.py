@@ -6,7 +6,6 @@ import pytest
 
 from evo_cpg.evolution.archive import Axis
 from evo_cpg.evolution.from_evosax import Evosax
-from evo_cpg.evolution.from_pyribs import Ribs
 from evo_cpg.evolution.map_elites import Mapped
 from evo_cpg.training import memory
 from trials import experiment
@@ -40,8 +39,8 @@ def test_the_cells_of_a_map_count(monkeypatch):
         memory.require_memory(mapped)
 
 
-def test_the_state_of_evosax_and_pyribs_counts():
-    """A covariance matrix grows with the square of the genes. Maps of pyribs take twice as much."""
+def test_the_state_of_evosax_counts():
+    """A covariance matrix grows with the square of the genes."""
 
     def of(strategy, genes):
         simulation = experiment().simulation
@@ -50,17 +49,8 @@ def test_the_state_of_evosax_and_pyribs_counts():
         return memory.remembered(experiment()._replace(simulation=own, strategy=strategy))
 
     pytest.importorskip("evosax")
-    pytest.importorskip("ribs")
     full = [of(Evosax("CMA_ES", 12, genes), genes) for genes in (100, 200)]
     assert full[0] > 4 * 100**2 and 3.5 < full[1] / full[0] < 4.1
-    axes = tuple(Axis(name, 0.0, 1.0, 40) for name in ("distance", "energy"))
-    alone = Mapped(12, axes, dataclasses.replace(experiment().strategy, population=12))
-    assert 1.9 < of(Ribs(12, 100, axes, emitters=2), 100) / of(alone, 100) < 2.2
-    matrices = of(Ribs(12, 200, axes, emitters=2, es="cma_es"), 200) - of(
-        Ribs(12, 200, axes, emitters=2), 200
-    )
-    # Each emitter has three matrices in float64.
-    assert matrices == pytest.approx(2 * 3 * 8 * 200**2, rel=0.05)
 
 
 def test_the_memory_of_the_machine_is_known():

@@ -7,15 +7,11 @@ import jax
 import numpy as np
 import pytest
 
-from evo_cpg.api import audit
-from evo_cpg.api import training as api_training
 from evo_cpg.api.opened import Opened
 from evo_cpg.api.training import Recorder
 from evo_cpg.cli import interrupts, training
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
-from evo_cpg.fusion.stopwatch import Spent
-from evo_cpg.simulation.operations import estimate_operations
 from evo_cpg.training import loop, replay
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, TINY
@@ -105,41 +101,3 @@ def test_an_interrupt_skips_only_the_first_look(tmp_path, monkeypatch, capsys):
     assert meta["half_step"] is None and "finished" in meta
     assert "`evo-cpg audit" in capsys.readouterr().err
     assert not interrupts.waits_for_threads()
-
-
-@pytest.mark.parametrize(("noise", "programs"), [((), 1), (("noise.joint_angle_deg=2",), 2)])
-def test_remaining_compile_time_is_estimated_from_the_first_program(
-    tmp_path, monkeypatch, noise, programs
-):
-    """The recording takes as long as the trials, and so does each program of the first look."""
-    experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76", *noise))
-    go_on = threading.Event()
-
-    def compiled(*_: object) -> str:
-        assert go_on.wait(60)
-        return "program"
-
-    monkeypatch.setattr(replay, "compile_replay", compiled)
-    monkeypatch.setattr(audit, "compile_first_look", compiled)
-    with Recorder(experiment, folder, 0.9) as recorder:
-        assert recorder.expected_to_record() is recorder.expected_to_look() is None
-        recorder.compile(Spent(1000.0, 600.0))
-        look, record = recorder.expected_to_look(), recorder.expected_to_record()
-        go_on.set()
-        assert record is not None and 900 < record <= 1000 and look == programs * 1000
-    assert (recorder.expected_to_record(), recorder.expected_to_look()) == (0, 0)
-    with Recorder(experiment, folder) as recorder:
-        recorder.compile()
-        assert recorder.expected_to_record() in (None, 0)
-
-
-def test_the_compile_time_of_an_animal_is_recorded(tmp_path, monkeypatch):
-    experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
-    noted = []
-    monkeypatch.setattr(replay, "compile_replay", lambda *_: None)
-    monkeypatch.setattr(api_training, "note_seconds", lambda *given: noted.append(given))
-    for animal in ("swimmer", None):
-        with Recorder(experiment, folder, None, animal) as recorder:
-            recorder.compile(Spent(8.0, 5.0))
-    operations = estimate_operations(experiment.simulation).total
-    assert noted == [(operations, "swimmer", Spent(8.0, 5.0))]

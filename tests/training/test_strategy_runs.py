@@ -34,17 +34,10 @@ def evosax():
     return kind("DifferentialEvolution", SIZE, 2)
 
 
-def pyribs():
-    pytest.importorskip("ribs")
-    kind = importlib.import_module("evo_cpg.evolution.from_pyribs").Ribs
-    return kind(SIZE, 2, MAP.axes, emitters=3, learning_rate=0.1, threshold_min=-1.0)
-
-
 STRATEGIES = {
     "islands": lambda: Islands(SIZE, GENETICS, 2, every=2, migrants=1),
     "map_elites": lambda: MAP,
     "evosax": evosax,
-    "pyribs": pyribs,
 }
 
 
@@ -63,12 +56,7 @@ def untimed(rows):
     return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
 
 
-FAST_STRATEGIES = [
-    pytest.param(name, marks=[pytest.mark.slow] if name == "pyribs" else []) for name in STRATEGIES
-]
-
-
-@pytest.mark.parametrize("name", FAST_STRATEGIES)
+@pytest.mark.parametrize("name", STRATEGIES)
 def test_a_resumed_run_has_the_bits_of_an_uninterrupted_one(name, tmp_path):
     strategy = STRATEGIES[name]()
     whole = train(made(strategy), folder_at(tmp_path / "whole"))
@@ -125,14 +113,10 @@ def test_a_checkpoint_of_another_strategy_is_refused(tmp_path):
         train(made(Islands(SIZE, GENETICS, 2, 2, 1)), folder_at(tmp_path))
 
 
-@pytest.mark.parametrize(
-    ("name", "prefix"),
-    [("map_elites", ""), pytest.param("pyribs", "archive.", marks=pytest.mark.slow)],
-)
-def test_a_map_holds_the_champion_of_each_run(name, prefix, tmp_path):
+def test_a_map_holds_the_champion_of_each_run(tmp_path):
     """The elite of the cell with the highest fitness is the champion of its run."""
-    done = train(made(STRATEGIES[name]()), folder_at(tmp_path))
-    state = {key.removeprefix(prefix): value for key, value in done.state.items()}
+    done = train(made(MAP), folder_at(tmp_path))
+    state = done.state
     for run in range(RUNS):
         fitness, champion = state["fitness"][run], done.champions[run]
         best = int(np.argmax(fitness))
@@ -150,10 +134,9 @@ def test_states_are_named_by_their_paths():
     assert list(state_arrays(state)) == ["1.a"]
 
 
-@pytest.mark.parametrize("name", ["map_elites", pytest.param("pyribs", marks=pytest.mark.slow)])
-def test_every_elite_of_a_map_replays_as_recorded(name, tmp_path):
+def test_every_elite_of_a_map_replays_as_recorded(tmp_path):
     """Fitness and descriptors are equal."""
-    several = made(STRATEGIES[name]())
+    several = made(MAP)
     done = train(several, folder_at(tmp_path))
     found = gait_map(several, done, 1)
     assert found is not None and found.fitness.shape == (5, 3)
@@ -172,12 +155,12 @@ def test_every_elite_of_a_map_replays_as_recorded(name, tmp_path):
             assert one.terms[axis.name] - 1e-6 <= high or place == axis.cells - 1
 
 
-@pytest.mark.parametrize("name", FAST_STRATEGIES)
+@pytest.mark.parametrize("name", STRATEGIES)
 def test_metrics_have_their_names(name, tmp_path):
     strategy = STRATEGIES[name]()
     done = train(made(strategy, 1), folder_at(tmp_path))
     assert set(strategy.metric_names) <= set(done.history[0])
-    assert ("coverage" in done.history[0]) == (name in ("map_elites", "pyribs"))
+    assert ("coverage" in done.history[0]) == (name == "map_elites")
 
 
 def test_empty_and_missing_cells_are_named(tmp_path):

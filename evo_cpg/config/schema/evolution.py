@@ -312,75 +312,6 @@ class MapElitesConfig(MapSection):
         return self
 
 
-class PyribsConfig(MapSection):
-    """CMA-MAE of pyribs (Fontaine and Nikolaidis 2023), which has to be installed.
-
-    Attributes:
-        type: ``pyribs``.
-        generations: number of generations.
-        population: number of individuals.
-        axes: axes of the map.
-        emitters: number of distributions, among which the population is divided equally.
-        es: algorithm that adapts each distribution, by its name in pyribs (memory and time of
-            ``cma_es`` grow with the square and the cube of the number of genes: use it for 100
-            genes, not for 3000).
-        sigma: standard deviation of the first sample.
-        learning_rate: rate at which the threshold of a cell rises to a new entry's fitness: 0
-            never, 1 at once.
-        threshold_min: fitness to exceed to enter an empty cell; if left out, the median fitness of
-            the first sample of the distributions (of individuals with finite fitness and
-            descriptors).
-        gene_bound: largest magnitude of a gene.
-        options: arguments of the constructor of ``es``, such as ``{lr: 0.02}`` of ``openai_es``.
-    """
-
-    type: Literal["pyribs"] = "pyribs"
-    generations: Count = 100
-    population: Population = 200
-    emitters: Count = 5
-    es: Literal["sep_cma_es", "lm_ma_es", "openai_es", "cma_es"] = "sep_cma_es"
-    sigma: Positive = 0.5
-    learning_rate: Fraction = 0.01
-    threshold_min: Finite | None = None
-    gene_bound: Positive = 8.0
-    options: dict[str, bool | int | Finite] = Field(default_factory=dict)
-
-    def build(self, genome: Genome, population: int) -> Strategy:
-        """Build the search (see `MapSection.build`)."""
-        from evo_cpg.evolution.from_pyribs import Ribs
-        from evo_cpg.evolution.pyribs_host import UnknownPyribsError
-
-        try:
-            return self.into(
-                Ribs,
-                **_of_genome(genome, self.gene_bound),
-                population=population,
-                axes=self.build_axes(),
-                options=tuple(sorted(self.options.items())),
-            )
-        except ImportError as error:
-            raise _missing("pyribs", error) from None
-        except UnknownPyribsError as error:
-            raise KeyProblem(("type",), str(error)) from None
-        except (TypeError, ValueError) as error:
-            raise KeyProblem((), f"{self.es} cannot be built ({error})") from None
-
-    @model_validator(mode="after")
-    def _check(self) -> "PyribsConfig":
-        self.require_axes()
-        if self.population % self.emitters:
-            raise ValueError(
-                f"emitters: a population of {self.population} cannot be divided equally among "
-                f"{self.emitters} emitters"
-            )
-        if self.population < 2 * self.emitters:
-            raise ValueError(
-                f"emitters: each of {self.emitters} emitters needs at least two individuals, but "
-                f"the population is {self.population}"
-            )
-        return self
-
-
 class EvosaxConfig(MapSection):
     """An algorithm of evosax (Lange 2022), which has to be installed.
 
@@ -504,7 +435,6 @@ EvolutionConfig = Annotated[
     Annotated[RealEvolutionConfig, Tag("real")]
     | Annotated[BitEvolutionConfig, Tag("bits")]
     | Annotated[MapElitesConfig, Tag("map_elites")]
-    | Annotated[PyribsConfig, Tag("pyribs")]
     | Annotated[EvosaxConfig, Tag("evosax")]
     | Annotated[RandomSearchConfig, Tag("random")]
     | Annotated[CustomEvolutionConfig, Tag("custom")],
