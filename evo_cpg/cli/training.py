@@ -27,7 +27,7 @@ from evo_cpg.cli.distributed import Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError, tell, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
 from evo_cpg.config.fingerprint import fingerprint
-from evo_cpg.config.load import load_run_config
+from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
@@ -85,7 +85,7 @@ def resume_run(
         opened.require_configured()
         folder, config, experiment = opened.folder, opened.config, opened.experiment
         if generations is not None:
-            config = load_run_config(folder.config, [f"evolution.generations={generations}"])
+            config = load_config(folder.config, [f"evolution.generations={generations}"])
             experiment = experiment._replace(generations=generations)
             opened = Opened(folder, config, experiment)
         require_same(team, fingerprint(config))
