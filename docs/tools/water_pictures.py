@@ -131,7 +131,7 @@ def shelter() -> Figure:
     axes.axhline(1.0, color=GREY, lw=0.8, ls="--")
     axes.set_xlabel("gap between the ends, radii")
     axes.set_ylabel("drag over that of one capsule")
-    axes.set_ylim(0, 7)
+    axes.set_ylim(0, 2)
     axes.grid(True)
     return figure
 
