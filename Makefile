@@ -13,7 +13,7 @@ DEV := $(VENV)/.installed-dev
 RUN := runs/swim-$(shell date +%Y%m%d-%H%M%S)
 
 .DEFAULT_GOAL := help
-.PHONY: help swim test test-all test-slow test-shapes test-rounding test-jax test-mutants test-wheel test-matrix test-compatibility traces check bench docs format clean
+.PHONY: help swim test test-all test-slow test-shapes test-rounding test-jax test-mutants test-wheel test-matrix traces check bench docs format clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -45,9 +45,6 @@ test-jax: $(DEV) ## physics, oscillators and their derivatives on plain JAX, wit
 
 test-wheel: $(DEV) ## build and install the wheel in an empty environment, and go through the commands there
 	$(BIN)/pytest -m "slow or not slow" --numprocesses=0 tests/package
-
-test-compatibility: $(DEV) ## check that configurations, commands and names of version 1.0 still work
-	$(BIN)/pytest -m "slow or not slow" tests/compatibility tests/cli/test_former_runs.py tests/cli/test_runs_of_version_1_0.py
 
 traces: $(DEV) ## record the reference motions of all animals anew, and print which animals moved
 	$(BIN)/python benchmarks/traces.py

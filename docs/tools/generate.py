@@ -45,7 +45,7 @@ def _made(page: Path, kind: str, arguments: list[str]) -> str:
     if kind == "table":
         table = (page.parent / arguments[0]).read_text(encoding="utf-8")
         # The commit is in provenance.json in the table's folder.
-        return re.sub(r" at commit \w+| of runs evolved at [0-9a-f, ]+\b(?= on)", "", table)
+        return re.sub(r" at commit \w+|, of runs evolved at [0-9a-f, ]+\b", "", table)
     if kind == "configuration":
         return configuration_tables.every_key()
     if kind == "import":

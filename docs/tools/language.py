@@ -23,7 +23,7 @@ PRIVATE_WORDS = re.compile(
     "partly|people|plausible|repeating|seats?|shares?|spokes?|strays|surroundings|told|wanted|"
     "ways?|who|yardsticks?"
 )
-# Keys, columns and other names in files of 1.0, and "share" for a shared lock.
+# Keys, columns and other names in files, and "share" for a shared lock.
 EXCEPTIONS = frozenset({"airborne_way", "limp_way", "lives", "peak_share", "share", "told"})
 
 

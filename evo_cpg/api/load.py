@@ -8,7 +8,7 @@ from evo_cpg.api.experiment import Experiment
 from evo_cpg.api.opened import class_folders
 from evo_cpg.api.progress import working
 from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import as_overrides, complete_config, load_config, load_run_config
+from evo_cpg.config.load import as_overrides, complete_config, load_config
 from evo_cpg.config.shipped import find_config
 from evo_cpg.config.trust import trusting
 from evo_cpg.training.devices import use_cores
@@ -52,7 +52,6 @@ def _load(
     config: Path | str | Mapping[str, Any], changed: Sequence[str], cores: int | None
 ) -> Experiment:
     folders: list[Path] = []
-    read_file = load_config
     if isinstance(config, Mapping):
         source = _NO_FILE
         read = complete_config(dict(config), source, changed)
@@ -60,8 +59,8 @@ def _load(
         source = find_config(config, folders=True)
         if source.is_dir():
             folders = class_folders(RunFolder(source))
-            source, read_file = source / "config.yaml", load_run_config
-        read = read_file(source, changed)
+            source = source / "config.yaml"
+        read = load_config(source, changed)
     use_cores(cores)
     with working(f"building {read.name!r}"):
         return Experiment(build_experiment(read, source, folders), read, source)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from jaxtyping import Array
 
 from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_run_config
+from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.recording import Recording, as_recording
 from evo_cpg.system import named
@@ -153,7 +153,7 @@ def open_run(run: Path | str, build: Callable[..., ExperimentParts] = build_expe
     """
     folder = RunFolder(run)
     folder.require()
-    config = load_run_config(folder.config)
+    config = load_config(folder.config)
     return Opened(folder, config, build(config, folder.config, class_folders(folder)))
 
 

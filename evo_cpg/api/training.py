@@ -19,7 +19,7 @@ from evo_cpg.api.opened import Opened
 from evo_cpg.api.progress import Generations, working
 from evo_cpg.api.warm_start import Start
 from evo_cpg.config.build import require_genes
-from evo_cpg.config.fingerprint import changes_of_fitness, changes_since, fingerprint
+from evo_cpg.config.fingerprint import changes, changes_of_fitness, fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
@@ -183,7 +183,7 @@ def reopen_run(run: Opened, devices: int, source: Path | None = None) -> list[st
     """
     folder = run.folder
     before = folder.read_meta()
-    changed = changes_since(before.get("fingerprint"), run.config)
+    changed = changes(before.get("fingerprint"), fingerprint(run.config))
     changed = [each for each in changed if each != "evolution.generations"]
     spoilt = changes_of_fitness(before.get("fingerprint"), run.config) if folder.newest else []
     if spoilt:

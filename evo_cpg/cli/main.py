@@ -10,7 +10,6 @@ import importlib
 import inspect
 import os
 import sys
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any
 
@@ -18,7 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from evo_cpg.cli import streams
-from evo_cpg.cli.errors import ExitCode, message_for, tell, warn
+from evo_cpg.cli.errors import ExitCode, message_for, tell
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 from evo_cpg.cli.usage import add_hint
 
@@ -175,18 +174,6 @@ def _command() -> str:
     return next((word for word in sys.argv[1:] if not word.startswith("-")), "")
 
 
-def _show_warning(
-    shown: Callable[..., None], message: Warning, category: type[Warning], *place: Any
-) -> None:
-    """Print a warning about former keys in one line, and others as before."""
-    from evo_cpg.config.former import FormerKeyWarning
-
-    if issubclass(category, FormerKeyWarning):
-        warn(message)
-    else:
-        shown(message, category, *place)
-
-
 def main() -> None:
     """Run the command line.
 
@@ -195,9 +182,7 @@ def main() -> None:
     # For 200 individuals, native code is 20 to 45 times as fast as a GPU (docs/faq.md).
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     try:
-        with interrupts_delivered(), warnings.catch_warnings():
-            shown = warnings.showwarning
-            warnings.showwarning = functools.partial(_show_warning, shown)
+        with interrupts_delivered():
             app()
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None

@@ -1,9 +1,9 @@
 """`evo-cpg reproduce`: recompute the tables and pictures of a study."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -124,17 +124,5 @@ def _list(names: Sequence[str], out: Path | None) -> None:
         for part, declared in study(name).parts.items():
             record = known.get(part, {})
             made = f"{record['date'][:10]}, {record['commit']}" if "date" in record else "never"
-            rows.append((name, part, declared.title, made, _state(record)))
-    show_table(("study", "part", "contents", "made", "since then"), rows, left=5)
-
-
-def _state(record: Mapping[str, Any]) -> str:
-    """Return what became of the code that made a part."""
-    from evo_cpg.studies.provenance import outdated
-
-    if "sources" not in record:
-        return ""
-    changed = [name.removeprefix("evo_cpg.") for name in outdated(record)]
-    if not changed:
-        return "same code"
-    return f"{changed[0]} changed" if len(changed) == 1 else f"{len(changed)} files changed"
+            rows.append((name, part, declared.title, made))
+    show_table(("study", "part", "contents", "made"), rows, left=4)

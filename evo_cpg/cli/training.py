@@ -22,7 +22,7 @@ from evo_cpg.cli.building import build
 from evo_cpg.cli.champions import open_and_build
 from evo_cpg.cli.errors import UsageError, tell, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.config.load import load_run_config
+from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
@@ -66,7 +66,7 @@ def resume_run(run: Path, generations: int | None, devices: int) -> None:
     opened.require_configured()
     folder, config, experiment = opened.folder, opened.config, opened.experiment
     if generations is not None:
-        config = load_run_config(folder.config, [f"evolution.generations={generations}"])
+        config = load_config(folder.config, [f"evolution.generations={generations}"])
         experiment = experiment._replace(generations=generations)
         opened = Opened(folder, config, experiment)
     done = _require_alike(opened)

@@ -452,7 +452,7 @@ def _surface_points(
         return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
 
     def surfaces(resolution: int) -> tuple[Surface, ...]:
-        return outer_surfaces(creature, resolution, water.sheltered, layout, water.shelter)
+        return outer_surfaces(creature, resolution, water.sheltered, layout)
 
     if water.points == "random":
         rng = np.random.default_rng(water.points_seed)

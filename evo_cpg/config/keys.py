@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from evo_cpg.config.errors import Key
-from evo_cpg.config.former import current_name, newest_key
 
 _T = TypeVar("_T")
 
@@ -32,7 +31,7 @@ def replaces(key: str, other: str) -> bool:
     This is so if the other key is the same in another spelling, or lies in the key's section.
     """
     new, old = (
-        [part.lstrip("0") or "0" if part.isdigit() else part for part in newest_key(parts_of(text))]
+        [part.lstrip("0") or "0" if part.isdigit() else part for part in parts_of(text)]
         for text in (key, other)
     )
     return old[: len(new)] == new
@@ -55,12 +54,11 @@ def value_at(place: Any, key: Key) -> Any:
 
 
 def inside(place: Any, part: str | int) -> Any:
-    """Return the value at one part of a key, which may be a former name.
+    """Return the value at one part of a key.
 
     Raises:
         LookupError: there is no such value.
     """
-    part = current_name(place, part)
     if isinstance(place, BaseModel) or dataclasses.is_dataclass(place):
         return getattr(place, str(part))
     if isinstance(place, Mapping):
@@ -75,7 +73,6 @@ def put(place: Any, key: Key, value: Any) -> Any:
     if not key:
         return value
     name, *rest = key
-    name = current_name(place, name)
     changed = put(inside(place, name), rest, value)
     if isinstance(place, BaseModel):
         return place.model_copy(update={str(name): changed})

@@ -11,12 +11,6 @@ import yaml
 
 from evo_cpg.config.errors import ConfigError, Key, KeyProblem, under
 from evo_cpg.config.files import read_small
-from evo_cpg.config.former import (
-    current_key,
-    use_current_names,
-    with_former_values,
-    with_seconds,
-)
 from evo_cpg.config.keys import follow, is_index, parts_of, value_at
 from evo_cpg.config.lines import located
 from evo_cpg.config.named_files import read_heights, read_mesh
@@ -44,22 +38,6 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
     return complete_config(read_yaml(path), path, overrides)
 
 
-def load_run_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
-    """Read and check the ``config.yaml`` of a run folder, which may be of a former version.
-
-    Keys that the former version lacked get the values that give its results.
-
-    Args:
-        path: YAML file.
-        overrides: as in `load_config`.
-
-    Raises:
-        ConfigError: the configuration is invalid.
-    """
-    path = Path(path)
-    return complete_config(with_former_values(read_yaml(path)), path, overrides)
-
-
 def complete_config(
     data: dict[str, Any], source: Path, overrides: Sequence[str] = ()
 ) -> ExperimentConfig:
@@ -75,7 +53,6 @@ def complete_config(
     """
     data = copy.deepcopy(data)
     with located(source, data):
-        use_current_names(data)
         _read_files(data, source)
         for key, entry in _mesh_entries(data):
             if isinstance(entry["shape"].get("file"), str):
@@ -83,7 +60,6 @@ def complete_config(
                     beside(source, entry["shape"]["file"])
         for override in overrides:
             _apply(data, override)
-            use_current_names(data)
             # The user wrote the overrides, so the files that they name may be anywhere.
             with trusting():
                 _read_files(data, source)
@@ -103,7 +79,6 @@ def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
 
 
 def _check(data: dict[str, Any]) -> ExperimentConfig:
-    data = with_seconds(data)
     config = checked(ExperimentConfig, data)
     for key, value, problem in _misread(data, config.model_dump()):
         raise KeyProblem(key, f"{short(value)}: {problem}")
@@ -265,7 +240,7 @@ def _apply(data: dict[str, Any], override: str) -> None:
         value = parse_yaml(text)
     except yaml.YAMLError as error:
         raise refused(f"{text!r} is not YAML: {syntax_problem(text, error)[1]}") from None
-    *parents, last = current_key(parts_of(key))
+    *parents, last = parts_of(key)
     place, known = follow(data, parents)
     for part in parents[known:]:
         if not isinstance(place, dict) or part in place:
@@ -274,9 +249,6 @@ def _apply(data: dict[str, Any], override: str) -> None:
         place, known = place[part], known + 1
     if known == len(parents) and isinstance(place, dict):
         place[last] = value
-        if parents == ["simulation"] and last in ("steps", "seconds"):
-            # The override replaces the duration in either form.
-            place.pop("seconds" if last == "steps" else "steps", None)
     elif known == len(parents) and isinstance(place, list) and is_index(last, place):
         place[int(last)] = value
     else:

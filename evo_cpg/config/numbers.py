@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from pydantic import BaseModel, ValidationError
 
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.former import current_key
 from evo_cpg.config.keys import follow, inside, parts_of, put
 from evo_cpg.config.load import check_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -36,7 +35,7 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     Raises:
         ConfigError: there is no real number.
     """
-    parts = current_key(parts_of(key))
+    parts = parts_of(key)
     place, known = follow(config.model_dump(mode="json"), parts)
     if known < len(parts):
         problem = f"does not exist: {_hint(config, key)}"

@@ -3,10 +3,9 @@
 Faces of neighbouring bodies that face each other across a joint are sheltered from the flow.
 Counting them made a 10-body chain swim at 0.05 m/s instead of 0.50 m/s.
 
-There are two rules for shelter. ``outline`` straightens round ends at joints
-(`evo_cpg.creature.outline`). A round body covers other points by a fraction, continuous in the
-geometry. ``facing``, the only rule of version 1.0, omits points whose normal meets another body.
-Facing half-balls of capsules then count as exposed. Both rules agree for boxes and meshes.
+Round ends at joints are straightened (`evo_cpg.creature.outline`), because facing half-balls would
+count as exposed. A round body covers other points by a fraction, continuous in the geometry. Boxes
+and meshes omit the points whose normal meets another body.
 """
 
 import dataclasses
@@ -27,9 +26,6 @@ from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 # that move alike in the water. Bodies of a batch need one layout: "separate" merges nothing, and
 # "complete" also keeps the sheltered points, with no area.
 PointLayout = Literal["merged", "separate", "complete"]
-
-# Rule for the points that are sheltered (see above).
-ShelterRule = Literal["outline", "facing"]
 
 # A point is sheltered when a step of this many joint gaps along its normal ends in another body.
 _SHELTER_GAPS = 1.5
@@ -58,7 +54,6 @@ def outer_surfaces(
     resolution: int,
     sheltered: bool = True,
     layout: PointLayout = "merged",
-    rule: ShelterRule = "outline",
 ) -> tuple[Surface, ...]:
     """Return quadrature points on the outer surface of each body, in its geometric frame.
 
@@ -68,13 +63,12 @@ def outer_surfaces(
         sheltered: whether to drop points that another body covers in the neutral pose. False counts
             every face, as a literal reading of Iwadate 2010 would.
         layout: layout of the points. With "complete", sheltered points remain and their area is 0.
-        rule: rule for the points that are sheltered.
 
     Returns:
         One surface per body, in the order of ``creature.bodies``.
     """
-    if rule == "facing" or all(_is_flat(body) for body in creature.bodies):
-        return _facing(creature, resolution, sheltered, layout)
+    if all(_is_flat(body) for body in creature.bodies):
+        return _of_flat_bodies(creature, resolution, sheltered, layout)
     surfaces = _outline(creature, resolution, sheltered, layout)
     if layout == "complete":
         return surfaces
@@ -91,7 +85,7 @@ def outer_surfaces(
 def _outline(
     creature: Creature, resolution: int, sheltered: bool, layout: PointLayout
 ) -> tuple[Surface, ...]:
-    """Return the surfaces by the rule ``outline``, with all points.
+    """Return the surfaces of a creature with round bodies, with all points.
 
     Round bodies have the points of `outline_surface` whether or not they are sheltered.
     """
@@ -135,10 +129,10 @@ def _is_flat(body: Body) -> bool:
     return body.shape.corners is not None
 
 
-def _facing(
+def _of_flat_bodies(
     creature: Creature, resolution: int, sheltered: bool, layout: PointLayout
 ) -> tuple[Surface, ...]:
-    """Return the surfaces by the rule ``facing``, which suits boxes and meshes."""
+    """Return the surfaces of boxes and meshes."""
     surfaces = tuple(body.shape.surface(resolution) for body in creature.bodies)
     if not sheltered or len(surfaces) == 1:
         return surfaces

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from evo_cpg.config.load import load_run_config
+from evo_cpg.config.load import load_config
 from evo_cpg.config.trust import is_trusted
 from evo_cpg.drawing.document import DrawingError
 from evo_cpg.drawing.trying import motion
@@ -80,7 +80,7 @@ class TrainingRun:
         """
         try:
             _, recording, _ = RunFolder(self.folder).load_champion()
-            config = load_run_config(RunFolder(self.folder).config)
+            config = load_config(RunFolder(self.folder).config)
         except UserError as error:
             raise DrawingError(f"there is no champion yet ({error})") from None
         if recording is None:

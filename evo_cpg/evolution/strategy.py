@@ -37,7 +37,7 @@ class Evaluation(eqx.Module):
     fitness: Float[Any, " n"]
     terms: dict[str, Float[Any, " n"]]
     descriptors: dict[str, Float[Any, " n"]]
-    trial_fitness: Float[Any, "trials n"] = None  # Version 1.0 had no such field.
+    trial_fitness: Float[Any, "trials n"] = None
 
     def __post_init__(self):
         if self.trial_fitness is None:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evo_cpg.api.opened import Opened
-from evo_cpg.config.load import load_run_config
+from evo_cpg.config.load import load_config
 from evo_cpg.errors import UserError
 from evo_cpg.fusion.machine_constants import LANES
 from evo_cpg.live.contents import Answer, Numbered, Pace
@@ -110,7 +110,7 @@ class Replaying:
 
     def _replays_now(self) -> Replays:
         """Return the replays, built again if the configuration has changed."""
-        config = load_run_config(self._folder.config)
+        config = load_config(self._folder.config)
         settings = config.model_dump(mode="json")
         # `resume` changes only this.
         settings["evolution"].pop("generations")

@@ -6,7 +6,7 @@ from typing import Literal
 
 from evo_cpg.api.opened import class_folders
 from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_run_config
+from evo_cpg.config.load import load_config
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.devices import use_cores
@@ -29,7 +29,7 @@ class Replays:
 
     def __init__(self, folder: RunFolder, build: Callable[..., ExperimentParts] = build_experiment):
         use_cores(1)
-        config = load_run_config(folder.config)
+        config = load_config(folder.config)
         self.experiment = build(config, folder.config, class_folders(folder))
         self._devices = folder.read_meta().get("devices", 1)
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evo_cpg.config.load import load_run_config
+from evo_cpg.config.load import load_config
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
@@ -80,7 +80,7 @@ def standing(folder: RunFolder, before: Standing | None = None) -> Standing:
         with contextlib.suppress(OSError):
             changed = folder.metrics.stat().st_mtime
     # The configuration is read each time, because `resume` may change it.
-    config = load_run_config(folder.config)
+    config = load_config(folder.config)
     return Standing(checkpoint, config.evolution.generations, not config.noise.silent, changed)
 
 

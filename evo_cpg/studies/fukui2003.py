@@ -44,7 +44,7 @@ _WALK = (
 )
 _RANDOM = "evolution={type: random, generations: 500, population: 15}"
 # Number of runs of every setting but the three models, whose eight runs are the main result. The
-# long runs are three. Version 1.0 made eight of each, which took twice as long.
+# long runs are three.
 _FEW, _LONG = 5, 3
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from evo_cpg.files import write_text
-from evo_cpg.studies import sources
 from evo_cpg.training.run_folder import read_checked
 
 FILE = "provenance.json"
@@ -55,24 +54,21 @@ def problems(folder: Path) -> list[str]:
     return found
 
 
-def outdated(part: Mapping[str, Any]) -> list[str]:
-    """Return the modules that changed since a part was made. Parts of version 1.0 name none."""
-    return sources.changed(sources.unpacked(part.get("sources", {})))
-
-
 def caption(study: str, part: str, record: Mapping[str, Any]) -> str:
     """Return the line of provenance for the end of every table."""
     words = (
         f"*Made by `evo-cpg reproduce {study} {part}` with evo-cpg {record['versions']['evo-cpg']}"
     )
-    commits = record["run_commits"]
     if record["commit"]:
         words += f" at commit {record['commit']}"
-    elsewhere = sorted({each or "unknown" for each in commits} - {record["commit"] or "unknown"})
-    if elsewhere:
-        words += f" of runs evolved at {', '.join(elsewhere)}"
     cores = "1 core" if record["devices"] == 1 else f"{record['devices']} cores"
-    words += f" on {record['date'][:10]}, {record['processor']}, {cores}.*"
+    words += f" on {record['date'][:10]}, {record['processor']}, {cores}"
+    elsewhere = sorted(
+        {each or "unknown" for each in record["run_commits"]} - {record["commit"] or "unknown"}
+    )
+    if elsewhere:
+        words += f", of runs evolved at {', '.join(elsewhere)}"
+    words += ".*"
     if record["quick"]:
         words = f"**Quick: a small test of the program, not a result.** {words}"
     return words

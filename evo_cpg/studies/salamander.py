@@ -19,8 +19,7 @@ _BELLY_DOWN = 60  # largest tilt, from the mean cosine, degrees
 _BEARINGS = np.deg2rad(np.linspace(-75, 75, 20))
 _RANDOM = "evolution={type: random, generations: 50, population: 200}"
 
-# Number of runs of the slow settings, and generations at the shore. Version 1.0 made five runs, and
-# 60 generations.
+# Number of runs of the slow settings, and generations at the shore.
 _FEW, _AT_SHORE = 3, 40
 
 RUNS = {

@@ -16,9 +16,7 @@ _FOLDER = Path(__file__).parent / "searches"
 _GENETIC, _RANDOM = "genetic algorithm", "random search"
 
 # Files of search settings in `_FOLDER`, each with its configuration and number of runs.
-# Version 1.0 made eight runs of each search, compared searches for the salamander on land, too, and
-# made maps of the walker with twice the evaluations. Fewer than six runs cannot be significant
-# against seven other searches.
+# Fewer than six runs cannot be significant against seven other searches.
 _FILES = {
     "swimmer": ("iwadate2010_swimmer", 6),
     "walker": ("fukui2003_model1", 6),

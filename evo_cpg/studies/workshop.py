@@ -28,7 +28,7 @@ from evo_cpg.api.sweep import Member, evolve
 from evo_cpg.api.training import now
 from evo_cpg.api.version import program_commit
 from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import dump_config, load_config, load_run_config
+from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting
 from evo_cpg.config.shipped import shipped
@@ -37,7 +37,7 @@ from evo_cpg.files import make_folder, read_json, write_text
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.installation import version_of
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.studies import provenance, sources
+from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import ExperimentParts
@@ -212,13 +212,9 @@ class Workshop:
         here = program_commit()
 
         def note_program(member: Member) -> None:
-            meta = member.folder.read_meta()
-            commits = meta.get("commits", [])
-            known = meta.get("sources", {})
-            used = sources.packed(sources.older(sources.unpacked(known), sources.loaded()))
-            if here not in commits or used != known:
-                commits = [*commits, here] if here not in commits else commits
-                member.folder.update_meta(commits=commits, sources=used)
+            commits = member.folder.read_meta().get("commits", [])
+            if here not in commits:
+                member.folder.update_meta(commits=[*commits, here])
 
         if members:
             evolve(members, self.devices, f"{self.study.name} {part}", note_program)
@@ -227,11 +223,7 @@ class Workshop:
         runs = declared.runs
         engine = self.experiment(runs[0]).simulation.engine if runs else Engine()
         folders = {name: self._run(name) for name in runs}
-        metas = [run.read_meta() for run in folders.values()]
-        commits = [each for meta in metas for each in meta.get("commits", [])]
-        used: sources.Sources = {}
-        for meta in metas:
-            used = sources.older(used, sources.unpacked(meta.get("sources", {})))
+        commits = [each for run in folders.values() for each in run.read_meta().get("commits", [])]
         record: dict[str, Any] = {
             "study": self.study.name,
             "quick": self.quick,
@@ -240,7 +232,6 @@ class Workshop:
             "date": now(),
             "seconds": round(seconds, 1),
             "training_seconds": round(sum(map(self._seconds, runs)), 1),
-            "sources": sources.packed(sources.older(used, sources.loaded())),
             "runs": {
                 name: {
                     "config": self.study.runs[name].config,
@@ -306,7 +297,7 @@ def _require_same(member: Member) -> None:
     folder, config = member.folder, dump_config(member.config)
     if not folder.config.is_file() or folder.config.read_text("utf-8") == config:
         return
-    if _what_evolves(load_run_config(folder.config)) != _what_evolves(member.config):
+    if _what_evolves(load_config(folder.config)) != _what_evolves(member.config):
         raise RunFolderError(
             f"{folder.path} was made with another configuration. Choose another --out, or --fresh "
             "to delete and repeat it"

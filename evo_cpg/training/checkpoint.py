@@ -147,20 +147,17 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
     """
     if arrays["genes"].ndim != 1 or not arrays["genes"].size:
         raise ValueError("it holds no genome")
-    # Files of versions without several runs or re-evaluations lack these arrays.
-    names = "run", "index", "lives", "ended_early"
-    run, index, lives, ended_early = (int(arrays.get(name, 0)) for name in names)
     return Champion(
         arrays["genes"],
         arrays["fitness"].item(),
         arrays["generation"].item(),
         _numbers(arrays, TERM_PREFIX),
         _numbers(arrays, SCALE_PREFIX),
-        run,
-        index,
-        lives,
+        arrays["run"].item(),
+        arrays["index"].item(),
+        arrays["lives"].item(),
         arrays["expected"].item() if "expected" in arrays else None,
-        ended_early,
+        arrays["ended_early"].item(),
     )
 
 
@@ -186,7 +183,7 @@ def checkpoint_arrays(
     for kind, champions in (("champion", checkpoint.records), ("chosen", checkpoint.chosen)):
         for run, champion in enumerate(champions):
             if champion is not None:
-                prefix = _prefix(kind, run)
+                prefix = f"{kind}{run}."
                 content = champion_arrays(champion)
                 arrays |= {prefix + name: value for name, value in content.items()}
     if checkpoint.chosen:
@@ -206,10 +203,9 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     rows = len(columns["generation"]) if columns else 0
     if any(column.shape != (rows,) or not rows for column in columns.values()):
         raise ValueError("the columns of its table of generations are empty or differ in length")
-    # Files of versions without several runs lack this array.
-    runs = int(arrays.get("runs", 1))
+    runs = int(arrays["runs"])
     records, chosen = (
-        tuple(_champion_or_none(_below(arrays, _prefix(kind, run))) for run in range(runs))
+        tuple(_champion_or_none(_below(arrays, f"{kind}{run}.")) for run in range(runs))
         for kind in ("champion", "chosen")
     )
     if any(one and len(one.genes) != len(arrays["genes"]) for one in (*records, *chosen)):
@@ -219,10 +215,7 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         arrays["genes"],
         records,
         [{name: column[i].item() for name, column in columns.items()} for i in range(rows)],
-        {
-            name: tuple(np.atleast_1d(values).tolist())
-            for name, values in _below(arrays, SCALE_PREFIX).items()
-        },
+        {name: tuple(values.tolist()) for name, values in _below(arrays, SCALE_PREFIX).items()},
         _below(arrays, _STATE_PREFIX),
         chosen if "chose" in arrays else (),
     )
@@ -230,11 +223,6 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
 
 def _champion_or_none(arrays: Mapping[str, np.ndarray]) -> Champion | None:
     return read_champion(arrays) if arrays else None
-
-
-def _prefix(kind: str, run: int) -> str:
-    """Return the prefix of a champion's array names, without a number for run 0."""
-    return f"{kind}{run or ''}."
 
 
 def _numbers(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, float]:

@@ -336,10 +336,7 @@ class RunFolder:
             RunFolderError: there are none, or the file cannot be read.
         """
         if not self.lineage.is_file():
-            raise RunFolderError(
-                f"{self.path} has no lineage.npz: no champion was found yet, or the run evolved "
-                "with a version that kept no earlier champions"
-            )
+            raise RunFolderError(f"{self.path} has no lineage.npz: no champion was found yet")
         try:
             return read_lineage(read_arrays(self.lineage))
         except DAMAGED as error:

@@ -201,10 +201,6 @@ def test_a_run_of_a_sweep_can_be_verified(swept, capsys):
             {"grid": ("evolution.sigma=4,8", "evolution={type: real},{type: random}"), "given": ()},
             r"evolution would replace evolution\.sigma",
         ),
-        (
-            {"grid": ("controller.cpg.sensory_feedback=0,1", "controller.cpg.constant_input=0,1")},
-            "constant_input would replace controller",
-        ),
         ({"only": ("there",)}, r"no setting 'there'\. Allowed: mutation_rate=0.02, mutation_rate"),
     ],
 )

@@ -88,17 +88,6 @@ def test_a_mass_alone_sets_one_density():
     assert float(head.material.density) == pytest.approx(float(box.material.density))
 
 
-def test_defaults_are_not_written():
-    """Run folders of bodies without these keys keep their fingerprints."""
-    new = {"parts", "mass", "centre_of_mass", "inertia"}
-    assert not new & set(creature().model_dump(mode="json")["bodies"][0])
-    written = creature(mass=1.0, parts=[{"shape": BALL, "at": [0, 0, 1]}]).model_dump(mode="json")
-    assert new & set(written["bodies"][0]) == {"parts", "mass"}
-    assert CreatureConfig.model_validate(written) == creature(
-        mass=1.0, parts=[{"shape": BALL, "at": [0, 0, 1]}]
-    )
-
-
 def test_an_unknown_material_of_a_part_is_named():
     config = load_config("configs/hexapod.yaml").model_dump(mode="json")
     part = {"shape": BALL, "at": [0, 0, 0], "material": "wood"}

@@ -93,10 +93,6 @@ def test_a_tendon_spans_no_ball():
         build_experiment(config, CONFIG)
 
 
-def test_run_folders_without_tendons_have_no_such_key():
-    assert "tendons" not in load_config(CONFIG, TINY).model_dump(mode="json")["creature"]
-
-
 def test_a_key_reaches_the_coefficient_of_a_joint():
     """Names of joint axes have a dot of their own."""
     config = loaded("{name: a, joints: {segment1.x: 1, segment2.x: -1}}")

@@ -150,12 +150,6 @@ def test_chain_has_the_drag_of_its_hull(creature, tolerance, direction):
     assert drag(creature, direction) == pytest.approx(hull_drag(creature, direction), rel=tolerance)
 
 
-def test_rule_of_version_1_0_counts_facing_ends():
-    """Fourteen capsules in a row felt five times the drag of one."""
-    creature, one = chain([CAPSULE] * 14, 0.0), capsule_drag(14 * (L + 2 * R), ALONG)
-    assert 4.5 < drag(creature, ALONG, rule="facing") / one < 5.5
-
-
 def test_limb_across_keeps_its_side():
     """A limb that stands at 90 degrees on a trunk loses the half-ball inside the trunk only.
 

@@ -72,18 +72,6 @@ def test_every_file_of_a_study_has_a_provenance_and_a_caption(folder):
         assert text.count(line) == len(own_tables(text)) > 0, name
 
 
-@pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
-def test_results_of_this_version_are_made_by_this_code(folder):
-    """After a release, the first change of the physics starts a new version."""
-    stale = {
-        name: changed
-        for name, told in provenance.read(folder).items()
-        if told["versions"]["evo-cpg"] == version_of("evo-cpg")
-        and (changed := provenance.outdated(told))
-    }
-    assert not stale
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
 def test_runs_of_this_version_have_the_declared_configurations(folder):

@@ -140,18 +140,6 @@ def test_the_champion_is_the_best_of_all_runs(folder):
     assert folder.load_champion()[0].run == 2
 
 
-def test_a_checkpoint_of_a_version_without_several_runs_is_read(folder):
-    folder.save(checkpoint(2))
-    (path,) = (folder.path / "checkpoints").iterdir()
-    with np.load(path) as file:
-        arrays = dict(file)
-    for name in ("runs", "champion.run", "champion.index"):
-        del arrays[name]
-    arrays["scale.energy"] = arrays["scale.energy"][0]
-    np.savez(path, **arrays)
-    assert_same(folder.load(), checkpoint(2, CHAMPION._replace(index=0)))
-
-
 def test_the_champion_is_read_back_with_its_motion_and_digests(folder):
     folder.save_champion(CHAMPION)
     assert folder.load_champion()[1] is None
@@ -284,7 +272,7 @@ def test_an_empty_array_damages_a_checkpoint(folder):
     assert len(names) > 2
     history = "the columns of its table of generations are empty or differ in length"
     words = dict.fromkeys(names, history)
-    words |= {"genes": "it is not a checkpoint", "champion.genes": "it holds no genome"}
+    words |= {"genes": "it is not a checkpoint", "champion0.genes": "it holds no genome"}
     for name, problem in words.items():
         path.write_bytes(whole)
         emptied(path, name)

@@ -2,10 +2,9 @@
 
 import dataclasses
 import typing
-from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
-from pydantic import Tag, create_model, model_serializer
+from pydantic import Tag, create_model
 from typing_extensions import override
 
 from evo_cpg.config.keys import unchecked
@@ -40,11 +39,6 @@ class _ControllerSection(Section):
 
 class _BrainCpgSection(_ControllerSection):
     settings = BrainCpgSettings
-
-    @model_serializer(mode="wrap")
-    def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        # Run folders of version 1.0 have no such key.
-        return {key: x for key, x in write(self).items() if key != "angle_range_deg" or x != 0.0}
 
     def build(
         self,

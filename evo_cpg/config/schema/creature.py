@@ -2,11 +2,11 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from evo_cpg.config.errors import Key, KeyProblem, nearest
 from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
@@ -130,14 +130,6 @@ class BodyConfig(Section):
     centre_of_mass: Vector | None = None
     inertia: _Inertia | None = None
 
-    @model_serializer(mode="wrap")
-    def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        # Run folders of version 1.0 have no such keys.
-        new = "parts", "mass", "centre_of_mass", "inertia"
-        return {
-            name: x for name, x in write(self).items() if name not in new or x not in (None, [])
-        }
-
     @model_validator(mode="after")
     def _check(self) -> "BodyConfig":
         problem = self.entry.problem() or self._problem_of_mass()
@@ -237,11 +229,6 @@ class CreatureConfig(Section):
     sensors: list[SensorConfig] = Field(default_factory=list)
     tendons: list[TendonConfig] = Field(default_factory=list)
     self_collision: bool | SelfCollisionConfig | None = None
-
-    @model_serializer(mode="wrap")
-    def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        # Run folders of version 1.0 have no such key.
-        return {name: x for name, x in write(self).items() if name != "tendons" or x}
 
     @model_validator(mode="after")
     def _require_few(self) -> "CreatureConfig":

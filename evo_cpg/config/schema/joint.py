@@ -1,10 +1,9 @@
 """Sections of the joint between a body and its parent, and of its motors."""
 
-from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_serializer, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from evo_cpg.config.schema.choice import by_type
 from evo_cpg.config.schema.copies import MirrorAxis
@@ -43,8 +42,7 @@ class ActuatorConfig(Section):
         stiffness: torque per angle error, N m/rad; 0 for a pure velocity servo.
     """
 
-    # Run folders of version 1.0 have no such key.
-    type: Literal["servo"] = Field("servo", exclude=True)
+    type: Literal["servo"] = "servo"
     gain: NotNegative
     torque_limit: Positive | None = None
     stiffness: NotNegative = 0.0
@@ -273,12 +271,6 @@ class JointConfig(Section):
     armature: NotNegative | list[NotNegative] = 0.0
     friction_loss: NotNegative | list[NotNegative] = 0.0
     actuator: _MotorConfig | list[_MotorConfig | None] | None = None
-
-    @model_serializer(mode="wrap")
-    def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        # Run folders of version 1.0 have no such keys.
-        new = "rest_deg", "friction_loss"
-        return {name: x for name, x in write(self).items() if name not in new or x != 0.0}
 
     @model_validator(mode="after")
     def _check(self) -> "JointConfig":

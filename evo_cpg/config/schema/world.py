@@ -9,7 +9,6 @@ from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.ground import GroundConfig
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
 from evo_cpg.config.schema.typical import GRAVITY, LIQUID, VISCOSITY
-from evo_cpg.creature.surface import ShelterRule
 from evo_cpg.physics.fluid import DragLaw
 from evo_cpg.physics.water import Current, Vortex, Water
 
@@ -53,8 +52,6 @@ class WaterConfig(Section):
         law: drag law: ``normal`` splits the drag into form and skin drag, ``isotropic`` is exactly
             eq. 8 of Iwadate 2010. It must be absent or ``null`` with a viscosity.
         sheltered: whether surfaces that other bodies cover at rest have no drag.
-        shelter: rule for what is covered: ``outline`` joins round ends in line, ``facing`` is the
-            rule of version 1.0.
         points: ``quadrature`` distributes the points evenly, ``random`` draws them once, as in the
             paper, from ``points_seed``.
         form_resolution: resolution of points for form drag: its square on each face of a box.
@@ -76,7 +73,6 @@ class WaterConfig(Section):
     vortices: tuple[VortexConfig, ...] = ()
     law: DragLaw | None = "normal"
     sheltered: bool = True
-    shelter: ShelterRule = "outline"
     points: Literal["quadrature", "random"] = "quadrature"
     form_resolution: Annotated[int, Field(ge=1, le=32)] = 2
     skin_resolution: Annotated[int, Field(ge=1, le=32)] = 1
