@@ -11,7 +11,6 @@ from tiny_run import REPOSITORY
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
 SUPPORT = (REPOSITORY / "docs" / "support.md").read_text()
 CHANGELOG = (REPOSITORY / "CHANGELOG.md").read_text()
-NEWEST = re.findall(r"^## \[(\d.+?)\]", CHANGELOG, re.MULTILINE)[0]
 
 
 def test_the_newest_release_is_this_version():
