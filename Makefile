@@ -41,7 +41,7 @@ test-rounding: $(DEV) ## run the fast tests seven times, each with another round
 	$(BIN)/python benchmarks/rounding.py
 
 test-jax: $(DEV) ## physics, oscillators and their derivatives on plain JAX, without native code
-	$(BIN)/pytest --engine=jax tests/spatial tests/physics tests/control
+	$(BIN)/pytest --engine=jax tests/creature/algebra tests/physics tests/control
 
 test-wheel: $(DEV) ## build and install the wheel in an empty environment, and go through the commands there
 	$(BIN)/pytest -m "slow or not slow" --numprocesses=0 tests/package

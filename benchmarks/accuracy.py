@@ -19,8 +19,8 @@ from jaxtyping import Float
 from benchmarks.exercise import Exercise
 from benchmarks.mujoco_peer import Kind, Motion
 from benchmarks.ours import compile_motion, full_lanes
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
 
 SECONDS = 1.0
 # Contacts make neighbouring paths diverge in any program. The quadruped's error after 1 s is a

@@ -17,9 +17,9 @@ from benchmarks.moving import UNIT
 from benchmarks.plan import CONFIGS, Plan, random_genes
 from benchmarks.rows import Row
 from benchmarks.timing import Contender, race, ratio_quartiles, seconds
-from evo_cpg.config.batched import build_batch
-from evo_cpg.config.load import load_config
-from evo_cpg.config.numbers import number_at
+from evo_cpg.io.batched import build_batch
+from evo_cpg.io.load import load_config
+from evo_cpg.io.numbers import number_at
 from evo_cpg.simulation.batched import BatchedSimulation
 from evo_cpg.simulation.rollout import rollout
 

@@ -25,11 +25,11 @@ from rich.progress import track
 
 from benchmarks.animals import ANIMALS
 from benchmarks.exercise import Exercise
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.pairs import separations
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import first_warmstart, step
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.contact.pairs import separations
+from evo_cpg.physics.step.step import first_warmstart, step
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State, resting_state
 
 # Norm of the change of the state at the start of a window, and length of a window, s.
 DISTURBANCE, WINDOW = 1e-9, 0.1

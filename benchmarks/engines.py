@@ -12,7 +12,7 @@ from benchmarks.moving import UNIT
 from benchmarks.plan import CONFIGS, SMALL_SWIMMER, Plan, experiment_of, random_genes
 from benchmarks.rows import Row
 from benchmarks.timing import Contender, race, ratio_quartiles, seconds
-from evo_cpg.fusion.engine import Engine
+from evo_cpg.native.engine import Engine
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 

@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 
 from benchmarks.plan import imported_experiment
 from evo_cpg.control.postures import PostureController
-from evo_cpg.exchange.mjcf_import import Imported
-from evo_cpg.physics.joint_torque import MotorCommand
+from evo_cpg.io.models.mjcf_import import Imported
+from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.training.experiment import ExperimentParts
 
 # Travelling wave of the target rates about z: amplitude (rad/s), frequency (Hz), and lag from joint

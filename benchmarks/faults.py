@@ -261,9 +261,9 @@ def build_odd(folder: Path, number: int) -> str:
         ValueError: the message for the user is too long.
         Exception: any error that is not a message for the user.
     """
-    from evo_cpg.config.build import build_experiment
-    from evo_cpg.config.lint import lint
-    from evo_cpg.config.load import load_config
+    from evo_cpg.io.build import build_experiment
+    from evo_cpg.io.lint import lint
+    from evo_cpg.io.load import load_config
 
     chance = random.Random(number)
     original = chance.choice(sorted(folder.glob("*.yaml")))

@@ -1,4 +1,4 @@
-"""Fit the constants of `evo_cpg.fusion.machine_constants` to this machine.
+"""Fit the constants of `evo_cpg.native.machine_constants` to this machine.
 
     python -m benchmarks.fit_constants [NAME ...] [--rounds 7]
 
@@ -24,7 +24,7 @@ from benchmarks.animals import ANIMALS
 from benchmarks.ours import compile_motion, full_lanes
 from benchmarks.plan import experiment_of, random_genes
 from benchmarks.timing import Contender, race, ratio_quartiles, seconds
-from evo_cpg.fusion import machine_constants
+from evo_cpg.native import machine_constants
 from evo_cpg.simulation.backward import Backward
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.devices import population_mesh, use_cores

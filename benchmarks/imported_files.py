@@ -21,10 +21,10 @@ from xml.etree.ElementTree import Element, TreeBuilder
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.creature.creature import NO_LIMIT, WORLD, TorqueMotor, neutral_pose
-from evo_cpg.exchange.mjcf_import import Imported, read_model
-from evo_cpg.exchange.refusals import ExchangeError
+from evo_cpg.io.models.mjcf_import import Imported, read_model
+from evo_cpg.io.models.refusals import ExchangeError
+from evo_cpg.io.schema.creature import CreatureConfig
 
 # Largest relative difference of numbers that count as equal. They are rounded, because MuJoCo
 # stores the axes of an inertia as a quaternion.

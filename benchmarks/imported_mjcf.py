@@ -21,11 +21,11 @@ import mujoco
 import numpy as np
 
 from benchmarks.imported_models import models
-from evo_cpg.config.load import check_config
 from evo_cpg.creature.creature import NO_LIMIT, neutral_pose
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.exchange.mjcf_import import Imported, read_model
-from evo_cpg.exchange.refusals import ExchangeError
+from evo_cpg.io.load import check_config
+from evo_cpg.io.models.mjcf_import import Imported, read_model
+from evo_cpg.io.models.refusals import ExchangeError
 
 # Largest relative difference of equal numbers.
 _ALIKE = 1e-6

@@ -22,23 +22,28 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from evo_cpg.config.load import check_config
+from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.exchange.compiled import Compiled, compile_model
-from evo_cpg.exchange.mjcf_import import Imported, read_model
-from evo_cpg.exchange.refusals import ExchangeError
-from evo_cpg.physics.articulated import solve
-from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.generalized import generalized_force, mass_matrix
-from evo_cpg.physics.joint_torque import MotorCommand, clamp_torque, motor_torque, passive_torque
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.root import ROOT_DOFS
-from evo_cpg.physics.spatial_algebra import Wrench
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.tendon import TendonForce, tendon_laws
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.io.load import check_config
+from evo_cpg.io.models.compiled import Compiled, compile_model
+from evo_cpg.io.models.mjcf_import import Imported, read_model
+from evo_cpg.io.models.refusals import ExchangeError
+from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.articulated import solve
+from evo_cpg.physics.tree.generalized import generalized_force, mass_matrix
+from evo_cpg.physics.tree.joint_torque import (
+    MotorCommand,
+    clamp_torque,
+    motor_torque,
+    passive_torque,
+)
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.root import ROOT_DOFS
+from evo_cpg.physics.tree.spatial_algebra import Wrench
+from evo_cpg.physics.tree.state import State, resting_state
+from evo_cpg.physics.tree.tendon import TendonForce, tendon_laws
 
 # Spread of random angles (rad or m) and rates (rad/s or m/s).
 _ANGLE, _RATE = 0.5, 2.0

@@ -102,11 +102,11 @@ def _prepare(
     kind: str, count: int, size: int
 ) -> tuple[dict[str, Any], Callable[[Any], dict[str, Any]]]:
     from benchmarks.machine import children_watched, peak_memory
-    from evo_cpg.config.build import build_experiment
-    from evo_cpg.config.load import complete_config
-    from evo_cpg.fusion import engine
-    from evo_cpg.fusion.backend import machine
-    from evo_cpg.fusion.stopwatch import measuring
+    from evo_cpg.io.build import build_experiment
+    from evo_cpg.io.load import complete_config
+    from evo_cpg.native import engine
+    from evo_cpg.native.backend import machine
+    from evo_cpg.native.stopwatch import measuring
     from evo_cpg.training.devices import population_mesh, use_cores
     from evo_cpg.training.experiment import compile_trials
 

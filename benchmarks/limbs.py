@@ -16,11 +16,11 @@ from rich.console import Console
 
 from evo_cpg.cli.champions import open_champion
 from evo_cpg.control.postures import PostureController
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.pairs import separations
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import first_warmstart, step
+from evo_cpg.physics.contact.pairs import separations
+from evo_cpg.physics.step.step import first_warmstart, step
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.simulation.simulation import Simulation
 
 HEADER = """\

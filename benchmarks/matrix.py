@@ -31,7 +31,7 @@ _ROUNDS = 21
 
 _NUMBA = """
 import numba
-from evo_cpg.fusion.self_test import main
+from evo_cpg.native.self_test import main
 
 @numba.njit
 def total(count):
@@ -205,7 +205,7 @@ def _beside_numba(uv: str, environment: Environment) -> list[str]:
         return ["numba: the installation failed"]
     if _run(uv, "pip", "check", *at):
         return ["numba: its dependencies conflict with ours"]
-    find = "from evo_cpg.fusion.backend.machine import host; print(host().name)"
+    find = "from evo_cpg.native.backend.machine import host; print(host().name)"
     found = subprocess.run([environment.python, "-c", find], capture_output=True, text=True)
     program = _NUMBA.format(instructions=found.stdout.strip())
     failed = _run(environment.python, "-c", program)

@@ -10,7 +10,7 @@ from benchmarks.ours import compile_motion, full_lanes
 from benchmarks.plan import experiment_of
 from benchmarks.timing import seconds
 from benchmarks.worker import serve
-from evo_cpg.fusion.engine import Engine, described
+from evo_cpg.native.engine import Engine, described
 from evo_cpg.training.devices import population_mesh, use_cores
 
 _INDIVIDUALS = 200

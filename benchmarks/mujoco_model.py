@@ -6,8 +6,8 @@ from xml.etree.ElementTree import Element
 import mujoco
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.physics.contact_model import Ground
+from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
+from evo_cpg.physics.contact.contact_model import Ground
 
 GRAVITY = 9.81
 
@@ -28,7 +28,7 @@ def mujoco_model(
         creature: the animal.
         options: attributes of MuJoCo's ``option`` element.
         fluid: the ``fluidshape`` of every geom, or empty for MuJoCo's default, the inertia box.
-        motors: whether the motors work (see `evo_cpg.exchange.mujoco_state`).
+        motors: whether the motors work (see `evo_cpg.io.models.mujoco_state`).
         limits: whether MuJoCo's soft constraint holds every joint within its limits.
         ground: ground that every body may touch.
         start: initial place of the root's centre, m.

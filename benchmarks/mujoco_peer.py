@@ -16,7 +16,7 @@ from mujoco import rollout
 
 from benchmarks.exercise import Exercise, Torques
 from benchmarks.mujoco_model import mujoco_model
-from evo_cpg.exchange.mujoco_state import motor_order
+from evo_cpg.io.models.mujoco_state import motor_order
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 # MuJoCo's default solver of contacts.

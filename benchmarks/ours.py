@@ -11,7 +11,7 @@ from jax import Array
 from jax.sharding import Mesh
 
 from benchmarks.exercise import Exercise
-from evo_cpg.physics.step import first_warmstart, step
+from evo_cpg.physics.step.step import first_warmstart, step
 from evo_cpg.simulation.situation import starting_state
 from evo_cpg.training.devices import layout, run_in_blocks, sharded
 

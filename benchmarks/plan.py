@@ -7,9 +7,9 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import check_config, load_config
-from evo_cpg.exchange.mjcf_import import Imported, read_model
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import check_config, load_config
+from evo_cpg.io.models.mjcf_import import Imported, read_model
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.experiment import ExperimentParts
 

@@ -18,9 +18,9 @@ from rich.console import Console
 
 from benchmarks.plan import experiment_of
 from evo_cpg.analysis.energy import mechanical_energy
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import first_warmstart, step
-from evo_cpg.physics.world import World
+from evo_cpg.physics.step.step import first_warmstart, step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.simulation.judge import is_sane
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.training.variations import limp

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import dump_config, load_config
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import ExperimentParts, Learning
 from evo_cpg.training.loop import train

@@ -40,8 +40,8 @@ def main(arguments: list[str]) -> int:
 
 def _has_avx512() -> bool:
     """Return whether native code can use AVX-512 here."""
-    from evo_cpg.fusion.backend import machine
-    from evo_cpg.fusion.unsupported import Unsupported
+    from evo_cpg.native.backend import machine
+    from evo_cpg.native.unsupported import Unsupported
 
     try:
         return machine.host("avx512").name == "avx512"

@@ -20,16 +20,16 @@ from rich.console import Console
 from scipy.optimize import linprog
 
 from benchmarks.plan import experiment_of
-from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.contact_model import ContactModel
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import first_warmstart, step
-from evo_cpg.physics.terrain import Plane
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import matvec
+from evo_cpg.creature.algebra.linear import matvec
+from evo_cpg.physics.contact.contact import find_contacts
+from evo_cpg.physics.contact.contact_model import ContactModel
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.contact.terrain import Plane
+from evo_cpg.physics.step.step import first_warmstart, step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State, resting_state
 
 CONFIGS = (
     "fukui2003_model1",

@@ -21,10 +21,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
-from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.physics.state import State
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.measures import Measures
 from evo_cpg.simulation.noise import Noise

@@ -11,6 +11,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from evo_cpg.analysis.laboratory.ask import Answer
     from evo_cpg.api.analyse import analyse, gait_numbers
     from evo_cpg.api.environment import Environment, EnvironmentState
     from evo_cpg.api.experiment import Experiment, Trials
@@ -19,26 +20,25 @@ if TYPE_CHECKING:
     from evo_cpg.api.progress import show_progress
     from evo_cpg.api.record import Record
     from evo_cpg.api.training import Trained, train
-    from evo_cpg.config.errors import ConfigError
     from evo_cpg.control.controller import Command, Controller, Observation
     from evo_cpg.evolution.strategy import Evaluation, Strategy
-    from evo_cpg.laboratory.ask import Answer
-    from evo_cpg.physics.force_law import Bodies, ForceLaw
+    from evo_cpg.io.errors import ConfigError
+    from evo_cpg.physics.water.force_law import Bodies, ForceLaw
     from evo_cpg.simulation.sensor import Sensor
     from evo_cpg.simulation.snapshot import Forces, Snapshot
     from evo_cpg.simulation.task import Task, Transition
 
 _HOMES = {
-    "Answer": "laboratory.ask",
-    "Bodies": "physics.force_law",
+    "Answer": "analysis.laboratory.ask",
+    "Bodies": "physics.water.force_law",
     "Command": "control.controller",
-    "ConfigError": "config.errors",
+    "ConfigError": "io.errors",
     "Controller": "control.controller",
     "Environment": "api.environment",
     "EnvironmentState": "api.environment",
     "Evaluation": "evolution.strategy",
     "Experiment": "api.experiment",
-    "ForceLaw": "physics.force_law",
+    "ForceLaw": "physics.water.force_law",
     "Forces": "simulation.snapshot",
     "Observation": "control.controller",
     "Record": "api.record",

@@ -33,12 +33,12 @@ if os.environ.get("EVO_CPG_TESTS_SHAPES"):
 
     _PACKAGE = Path(__file__).parents[1] / "evo_cpg"
     _CHECKED = [f"evo_cpg.{path.parent.name}" for path in _PACKAGE.glob("*/__init__.py")]
-    _CHECKED = sorted(set(_CHECKED) - {"evo_cpg.fusion", "evo_cpg.cli"})
+    _CHECKED = sorted(set(_CHECKED) - {"evo_cpg.native", "evo_cpg.cli"})
     jaxtyping.install_import_hook(_CHECKED, "runtime_checks.typechecker")
 
 from costs import Costs
-from evo_cpg.fusion import engine
-from evo_cpg.fusion.backend.machine import keep_code_in
+from evo_cpg.native import engine
+from evo_cpg.native.backend.machine import keep_code_in
 
 # Tests import the rest of the package later.
 rounding.nudge()

@@ -6,28 +6,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, Motor
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.fusion.jax_internals import quick_jit
-from evo_cpg.physics.added_mass import AddedMass, added_inertia
-from evo_cpg.physics.articulated import solve
-from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.buoyancy import make_cells
-from evo_cpg.physics.fluid import Drag, DragLaw, make_patches
-from evo_cpg.physics.generalized import generalized_force, mass_matrix
-from evo_cpg.physics.joint_torque import passive_torque
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.reactive_thrust import reactive_water
-from evo_cpg.physics.root import plus_joint_diagonal, plus_torque
-from evo_cpg.physics.spatial_algebra import Wrench
-from evo_cpg.physics.state import State
-from evo_cpg.physics.step import step
-from evo_cpg.physics.water import Current, Gradient, Vortex, Water
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import expand_dims_like
-from evo_cpg.spatial.rotation import euler_to_matrix
+from evo_cpg.native.jax_internals import quick_jit
+from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.articulated import solve
+from evo_cpg.physics.tree.generalized import generalized_force, mass_matrix
+from evo_cpg.physics.tree.joint_torque import passive_torque
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.root import plus_joint_diagonal, plus_torque
+from evo_cpg.physics.tree.spatial_algebra import Wrench
+from evo_cpg.physics.tree.state import State
+from evo_cpg.physics.water.added_mass import AddedMass, added_inertia
+from evo_cpg.physics.water.buoyancy import make_cells
+from evo_cpg.physics.water.fluid import Drag, DragLaw, make_patches
+from evo_cpg.physics.water.reactive_thrust import reactive_water
+from evo_cpg.physics.water.water import Current, Gradient, Vortex, Water
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 

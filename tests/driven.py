@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.analysis.energy import Ledger, ledger
-from evo_cpg.fusion.jax_internals import quick_jit
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import Effort, step
-from evo_cpg.physics.world import World
+from evo_cpg.native.jax_internals import quick_jit
+from evo_cpg.physics.step.step import Effort, step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 
 

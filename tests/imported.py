@@ -2,10 +2,10 @@
 
 import yaml
 
-from evo_cpg.config.schema.creature import CreatureConfig
-from evo_cpg.config.yaml_text import to_yaml
 from evo_cpg.creature.creature import Creature
-from evo_cpg.exchange.mjcf_import import Imported
+from evo_cpg.io.models.mjcf_import import Imported
+from evo_cpg.io.schema.creature import CreatureConfig
+from evo_cpg.io.yaml_text import to_yaml
 
 
 def creature_of(imported: Imported) -> Creature:

@@ -11,10 +11,10 @@ from creatures import quick_jit
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.state import State, resting_state
 
 H = 1 / 240
 GRAVITY = 9.81

@@ -40,7 +40,7 @@ def of_this_process_alone() -> bool:
 def nudge() -> None:
     """Apply the change to the package: its instruction set, or its masses and places."""
     if CHANGE in _SETS:
-        from evo_cpg.fusion import engine
+        from evo_cpg.native import engine
 
         engine._AUTO = engine.Engine(instructions=CHANGE)
     if CHANGE == "nudged":
@@ -53,7 +53,7 @@ def _nudge_masses_and_places() -> None:
     import numpy as np
 
     from evo_cpg.creature import tree
-    from evo_cpg.physics import state
+    from evo_cpg.physics.tree import state
 
     built, resting = tree.build_tree, state.resting_state
 

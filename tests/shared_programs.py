@@ -18,7 +18,7 @@ from typing import ClassVar
 import jax
 import pytest
 
-from evo_cpg.fusion import engine
+from evo_cpg.native import engine
 from evo_cpg.training import ascent, experiment, replay, running
 
 # Fixtures of tests that get their own programs.

@@ -52,12 +52,12 @@ _SHOWN = (
 
 def collect(run: Path) -> str:
     """Write the files of a run's champion, and return the name of the animal."""
-    from evo_cpg.api.opened import open_run
-    from evo_cpg.config.shipped import shipped_names
+    from evo_cpg.io.opened import open_run
+    from evo_cpg.io.shipped import shipped_names
     from evo_cpg.training.checkpoint import genes_digest
     from evo_cpg.view.film import picture
     from evo_cpg.view.frames import Film
-    from evo_cpg.view.page.viewer_data import viewer_data
+    from evo_cpg.view.run_page.viewer_data import viewer_data
     from evo_cpg.view.scene import panel_of
 
     opened = open_run(run).load_champion()
@@ -96,10 +96,10 @@ def collect(run: Path) -> str:
 
 def redraw(name: str) -> None:
     """Replace the shapes in an animal's scene with those that this version draws."""
-    from evo_cpg.config.build import build_creature
-    from evo_cpg.config.load import load_config
-    from evo_cpg.config.shipped import shipped
-    from evo_cpg.view.page.viewer_data import Arrays, animal_data
+    from evo_cpg.io.build import build_creature
+    from evo_cpg.io.load import load_config
+    from evo_cpg.io.shipped import shipped
+    from evo_cpg.view.run_page.viewer_data import Arrays, animal_data
 
     path = shipped(name).path
     creature = build_creature(load_config(path), path)
@@ -121,15 +121,15 @@ def _write_scene(name: str, scene: dict[str, Any]) -> None:
 
 def config_digest(name: str) -> str:
     """Return the digest of a shipped configuration."""
-    from evo_cpg.config.load import load_config
-    from evo_cpg.config.shipped import shipped
+    from evo_cpg.io.load import load_config
+    from evo_cpg.io.shipped import shipped
 
     return _digest(load_config(shipped(name).path))
 
 
 def _digest(config: Any) -> str:
     """Return the digest of all values of a configuration but its name and its number of runs."""
-    from evo_cpg.config.fingerprint import fingerprint
+    from evo_cpg.io.fingerprint import fingerprint
 
     parts = fingerprint(config)["config"]
     values = json.dumps(
@@ -149,7 +149,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _gait(analysis: dict[str, Any]) -> list[tuple[str, str]]:
-    from evo_cpg.view.page.html import quantity
+    from evo_cpg.view.run_page.html import quantity
 
     found = analysis.get("quantities", {})
     shown = [found[key] for key in _SHOWN if key in found]
@@ -176,7 +176,7 @@ def rounded(scene: dict[str, Any]) -> dict[str, Any]:
 
 def page(name: str) -> str:
     """Return the generated part of an animal's page."""
-    from evo_cpg.config.shipped import shipped
+    from evo_cpg.io.shipped import shipped
 
     about = re.sub(r"(^|\. )docs/([\w/-]+\.md)", r"\1[This page](../\2)", shipped(name).about)
     about = re.sub(r"docs/([\w/-]+\.md)", r"[this page](../\1)", about)
@@ -217,7 +217,7 @@ def _table(facts: dict[str, Any]) -> str:
 
 def cards(chosen: list[str]) -> str:
     """Return a gallery of animals, or of all animals if none is chosen."""
-    from evo_cpg.config.shipped import shipped_names
+    from evo_cpg.io.shipped import shipped_names
 
     base = "animals/" if chosen else ""
     lines = []
@@ -233,7 +233,7 @@ def cards(chosen: list[str]) -> str:
 
 def new_pages() -> list[Path]:
     """Return the pages that do not exist, one for each shipped configuration."""
-    from evo_cpg.config.shipped import shipped_names
+    from evo_cpg.io.shipped import shipped_names
 
     found = [ANIMALS / f"{name}.md" for name in shipped_names()]
     return [path for path in found if not path.is_file()]
@@ -309,7 +309,7 @@ def _with_frame(app: Any, docname: str, source: list[str]) -> None:
 
 def _write_animals(app: Any, failed: Exception | None) -> None:
     """Write one file for each animal, with its viewer."""
-    from evo_cpg.view.page.document import animal_alone
+    from evo_cpg.view.run_page.document import animal_alone
 
     if failed or app.builder.name != "html":
         return

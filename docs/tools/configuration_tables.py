@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
-from evo_cpg.config.file_schema import Schema, file_schema
+from evo_cpg.io.file_schema import Schema, file_schema
 
 # Longer units come first, because "m" is the end of many of them.
 _UNITS = (

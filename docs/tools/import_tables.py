@@ -1,6 +1,6 @@
 """Write the tables of what an import of MJCF and URDF maps, refuses and leaves out."""
 
-from evo_cpg.exchange import mjcf_fields
+from evo_cpg.io.models import mjcf_fields
 
 _KINDS = {"dof": "joint", "wrap": "tendon"}
 

@@ -29,28 +29,28 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.analysis.along_time import along_time
+from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec
 from evo_cpg.creature.tendons import Tendons
-from evo_cpg.physics.ball_limit import Angles, ball_laws
-from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.force_law import Bodies, body_velocity
-from evo_cpg.physics.joint_torque import (
+from evo_cpg.physics.contact.contact import find_contacts
+from evo_cpg.physics.contact.pair_contacts import find_pair_contacts
+from evo_cpg.physics.step.step import needs_iteration
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.ball_limit import Angles, ball_laws
+from evo_cpg.physics.tree.joint_torque import (
     Coordinates,
     Limits,
     expected_limit_torque,
     friction_torque,
     limit_torque,
 )
-from evo_cpg.physics.kinematics import Kinematics, kinematics
-from evo_cpg.physics.pair_contacts import find_pair_contacts
-from evo_cpg.physics.per_body import take
-from evo_cpg.physics.state import State
-from evo_cpg.physics.step import needs_iteration
-from evo_cpg.physics.tendon import length_of, lengths_of, tendon_energy, torque_of
-from evo_cpg.physics.weight import buoyancy_alone
-from evo_cpg.physics.world import World
+from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
+from evo_cpg.physics.tree.per_body import take
+from evo_cpg.physics.tree.state import State
+from evo_cpg.physics.tree.tendon import length_of, lengths_of, tendon_energy, torque_of
+from evo_cpg.physics.water.force_law import Bodies, body_velocity
+from evo_cpg.physics.water.weight import buoyancy_alone
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.snapshot import Snapshot
-from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
 
 
 class Ledger(NamedTuple):

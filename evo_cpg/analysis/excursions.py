@@ -11,21 +11,21 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.analysis.along_time import along_time
 from evo_cpg.analysis.overlap import gaps
+from evo_cpg.creature.algebra.linear import expand_dims_like, matvec
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.contact_points import contact_points
-from evo_cpg.physics.kinematics import Kinematics, kinematics
-from evo_cpg.physics.pairs import Pairs, make_pairs, separations
-from evo_cpg.physics.per_body import take
-from evo_cpg.physics.tendon import torque_of
-from evo_cpg.physics.world import World
+from evo_cpg.physics.contact.contact_points import contact_points
+from evo_cpg.physics.contact.pairs import Pairs, make_pairs, separations
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
+from evo_cpg.physics.tree.per_body import take
+from evo_cpg.physics.tree.tendon import torque_of
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.spatial.linear import expand_dims_like, matvec
 
 # Residuals above which a step's equations count as unsolved, and its friction as off its cone
-# (`evo_cpg.physics.equations.Residual`).
+# (`evo_cpg.physics.step.equations.Residual`).
 SOLVED, SLIPPING = 1e-3, 1e-1
 
 # Number of instants at which the overlap of two bodies is computed in one call.

@@ -21,13 +21,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.physics.world import World
+from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.judge import score
 from evo_cpg.simulation.measures import Displacement, Measure, Measures, Trial, no_displacement
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Transition
-from evo_cpg.spatial.numerics import Number
 
 # Relative change that checks a derivative, or absolute change of a parameter that is 0.
 CHANGE = 0.01

@@ -24,8 +24,8 @@ from evo_cpg.analysis.swimming import (
 from evo_cpg.analysis.water_power import water_power
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.slender import SlenderChain
-from evo_cpg.physics.viscous_drag import ViscousDrag
-from evo_cpg.physics.water import Water
+from evo_cpg.physics.water.viscous_drag import ViscousDrag
+from evo_cpg.physics.water.water import Water
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 

@@ -2,8 +2,8 @@
 
 The net force on a free swimmer is zero on average, so a force law that pushes has to be told from
 laws that resist. **Thrust** is the force of reactive thrust alone: of the water that leaves the
-tail (`evo_cpg.physics.reactive_thrust`). **Power** is the energy that all laws of the water take
-from the body per time. Over whole cycles it is the power of the muscles into the water.
+tail (`evo_cpg.physics.water.reactive_thrust`). **Power** is the energy that all laws of the water
+take from the body per time. Over whole cycles it is the power of the muscles into the water.
 
 Without reactive thrust, drag both pushes and resists, and thrust cannot be told apart. Such an
 animal needs a tow.
@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.analysis.along_time import along_time
-from evo_cpg.physics.joints import Subspace
-from evo_cpg.physics.kinematics import Kinematics
-from evo_cpg.physics.reactive_thrust import ReactiveThrust
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
+from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.joints import Subspace
+from evo_cpg.physics.tree.kinematics import Kinematics
+from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
 
 
 class WaterPower(NamedTuple):

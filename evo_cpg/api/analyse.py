@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from evo_cpg.analysis.chains import joint_rows
 from evo_cpg.analysis.gait_numbers import GaitNumbers
-from evo_cpg.api.opened import OpenedChampion, open_run
 from evo_cpg.api.paper_differences import paper_differences
 from evo_cpg.api.progress import working
 from evo_cpg.api.training import now
 from evo_cpg.api.version import version
-from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.trust import trusting
 from evo_cpg.files import read_json, write_text
+from evo_cpg.io.opened import OpenedChampion, open_run
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
@@ -27,7 +27,7 @@ from evo_cpg.training.run_folder import RunFolder
 if TYPE_CHECKING:
     from PIL import Image
 
-    from evo_cpg.view.page.subject import Crowd
+    from evo_cpg.view.run_page.subject import Crowd
     from evo_cpg.view.scene import Panel
 
 # Size of the picture for print, pixels, and quality of its JPEG.
@@ -210,9 +210,9 @@ def page(
     from evo_cpg.view.clip import sample
     from evo_cpg.view.film import picture
     from evo_cpg.view.frames import Film
-    from evo_cpg.view.page.document import document
-    from evo_cpg.view.page.subject import RecordedMotion, Subject
-    from evo_cpg.view.page.viewer_data import RATE, viewer_data
+    from evo_cpg.view.run_page.document import document
+    from evo_cpg.view.run_page.subject import RecordedMotion, Subject
+    from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
     from evo_cpg.view.scene import panel_of
 
     folder, config, champion = opened.folder, opened.config, opened.champion
@@ -260,8 +260,8 @@ def page(
 
 def _together(panel: "Panel") -> "Crowd":
     """Return a generation for the page, with words about animals for which there is no room."""
-    from evo_cpg.view.page.subject import Crowd
-    from evo_cpg.view.page.viewer_data import viewer_data
+    from evo_cpg.view.run_page.subject import Crowd
+    from evo_cpg.view.run_page.viewer_data import viewer_data
 
     scene, title = viewer_data(panel), (panel.title or "").capitalize()
     shown = scene["crowd"]["count"]

@@ -13,21 +13,22 @@ import numpy as np
 
 from evo_cpg.analysis.energy import Ledger, ledger
 from evo_cpg.analysis.excursions import Excursions, displacement, excursions
-from evo_cpg.analysis.verdict import KEPT, Check, Limits, Verdict, shown
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.creature.creature import Creature, length_of
-from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
-from evo_cpg.exchange.refusals import ExchangeError
-from evo_cpg.exchange.second_opinion import (
+from evo_cpg.analysis.second_opinion import (
     Brain,
     DivergedError,
     Opinion,
     own_opinion,
     second_opinion,
 )
-from evo_cpg.fusion.engine import Engine, described
-from evo_cpg.physics.pairs import make_pairs
+from evo_cpg.analysis.verdict import KEPT, Check, Verdict, shown
+from evo_cpg.creature.creature import Creature, length_of
+from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.models.refusals import ExchangeError
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.limits import Limits
+from evo_cpg.native.engine import Engine, described
+from evo_cpg.physics.contact.pairs import make_pairs
 from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
@@ -150,7 +151,7 @@ def audits(
         limits: limits of the checks.
         config: configuration that the experiment was built from.
         source: file of the configuration.
-        folders: folders of a user's classes, see `evo_cpg.config.build.build_experiment`.
+        folders: folders of a user's classes, see `evo_cpg.io.build.build_experiment`.
         tell: called with the name and number of the next step, and the number of steps.
     """
     simulation = experiment.simulation

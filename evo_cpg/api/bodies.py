@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from jax.typing import ArrayLike
 
-from evo_cpg.config.batched import BodyPlan, build_batch
-from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.numbers import number_at
-from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.io.batched import BodyPlan, build_batch
+from evo_cpg.io.errors import ConfigError
+from evo_cpg.io.numbers import number_at
+from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import ExperimentParts, compile_trials
@@ -48,7 +48,7 @@ class Bodies:
             The function and its argument, or None if no individual differs from the configuration.
 
         Raises:
-            ConfigError: wrong numbers, see `evo_cpg.config.batched.build_batch`.
+            ConfigError: wrong numbers, see `evo_cpg.io.batched.build_batch`.
             ValueError: a number does not have one value for each individual.
         """
         columns = {key: np.asarray(values, float) for key, values in numbers.items()}

@@ -17,9 +17,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.api.progress import working
 from evo_cpg.control.controller import Command, Observation
-from evo_cpg.fusion.engine import using
-from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.jax_internals import Tracer
+from evo_cpg.native.engine import using
+from evo_cpg.native.fuse import fuse
+from evo_cpg.native.jax_internals import Tracer
 from evo_cpg.simulation.control_step import (
     AnimalState,
     EpisodeConstants,

@@ -23,15 +23,15 @@ from evo_cpg.api.fitness import JudgedBy, fitness_function
 from evo_cpg.api.machine import warn_of_gpu
 from evo_cpg.api.progress import working
 from evo_cpg.api.record import Record, as_record
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.errors import KeyProblem
-from evo_cpg.config.numbers import number_at, with_numbers
-from evo_cpg.config.own_checks import described, is_real, require_separate
-from evo_cpg.config.parameters import parametrise
-from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation
-from evo_cpg.physics.world import World
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.errors import KeyProblem
+from evo_cpg.io.numbers import number_at, with_numbers
+from evo_cpg.io.own_checks import described, is_real, require_separate
+from evo_cpg.io.parameters import parametrise
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.judge import Outcome, no_terms
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout

@@ -12,8 +12,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.api.progress import working
-from evo_cpg.config.errors import nearest
-from evo_cpg.config.parameters import Parameters
+from evo_cpg.io.errors import nearest
+from evo_cpg.io.parameters import Parameters
 from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.task import Task

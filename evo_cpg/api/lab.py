@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evo_cpg.api.opened import class_folders, open_run
+from evo_cpg.analysis.laboratory.ask import Answer, Subject, ask
+from evo_cpg.analysis.laboratory.settings import LabError
 from evo_cpg.api.progress import working
-from evo_cpg.config.load import load_config
-from evo_cpg.config.shipped import find_config
-from evo_cpg.config.trust import trusting
-from evo_cpg.laboratory.ask import Answer, Subject, ask
-from evo_cpg.laboratory.settings import LabError
+from evo_cpg.io.load import load_config
+from evo_cpg.io.opened import class_folders, open_run
+from evo_cpg.io.shipped import find_config
+from evo_cpg.io.trust import trusting
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
 

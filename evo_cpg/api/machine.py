@@ -8,8 +8,8 @@ from typing import Any
 
 import jax
 
-from evo_cpg.fusion.engine import Engine, EngineWarning, described
 from evo_cpg.installation import version_of
+from evo_cpg.native.engine import Engine, EngineWarning, described
 from evo_cpg.system import described_by
 
 _PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")

@@ -7,10 +7,10 @@ Comments in the shipped files mark every value as the paper's or ours: "# paper:
 import re
 from typing import Any
 
-from evo_cpg.config.load import load_config
-from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.shipped import shipped, shipped_names
-from evo_cpg.view.page.subject import Difference, Note, PaperDifferences
+from evo_cpg.io.load import load_config
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.shipped import shipped, shipped_names
+from evo_cpg.view.run_page.subject import Difference, Note, PaperDifferences
 
 # Matches a line such as ` steps: 2000 # paper`: indent, key, value and comment.
 _LINE = re.compile(r"^( *)([A-Za-z_]\w*):\s*(.*?)\s*(?:# ?(.*))?$")

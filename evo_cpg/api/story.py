@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.api.display import working
-from evo_cpg.api.opened import OpenedChampion
 from evo_cpg.evolution.random_search import RandomSearch
+from evo_cpg.io.opened import OpenedChampion
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at

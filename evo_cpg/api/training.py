@@ -15,14 +15,14 @@ from jax.typing import ArrayLike
 from evo_cpg.analysis.verdict import Check
 from evo_cpg.api.experiment import Experiment
 from evo_cpg.api.machine import machine_changes, machine_fingerprint, warn_of_gpu
-from evo_cpg.api.opened import Opened
 from evo_cpg.api.progress import Generations, working
 from evo_cpg.api.warm_start import Start
-from evo_cpg.config.build import require_genes
-from evo_cpg.config.fingerprint import changes, changes_of_fitness, fingerprint
-from evo_cpg.config.load import dump_config
-from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.shipped import shipped_name
+from evo_cpg.io.build import require_genes
+from evo_cpg.io.fingerprint import changes, changes_of_fitness, fingerprint
+from evo_cpg.io.load import dump_config
+from evo_cpg.io.opened import Opened
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.shipped import shipped_name
 from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training import experiment as parts

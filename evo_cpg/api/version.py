@@ -65,7 +65,7 @@ def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
 
 def _engine() -> str:
     """Return the engine of this machine, with the reason if it is plain JAX, the slower one."""
-    from evo_cpg.fusion.engine import Engine, described
+    from evo_cpg.native.engine import Engine, described
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

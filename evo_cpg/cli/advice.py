@@ -15,8 +15,8 @@ from evo_cpg.control.couplings import uncoupled
 from evo_cpg.control.matsuoka import MatsuokaNetwork, parts
 from evo_cpg.control.rest import resting
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.added_mass import AddedMass
-from evo_cpg.physics.reactive_thrust import ReactiveThrust
+from evo_cpg.physics.water.added_mass import AddedMass
+from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from evo_cpg.analysis.laboratory.ask import Answer, ask
+from evo_cpg.analysis.laboratory.columns import shown_columns
+from evo_cpg.analysis.laboratory.settings import KNOBS
 from evo_cpg.api.display import working
 from evo_cpg.api.lab import subject_of
 from evo_cpg.cli.errors import UsageError, require_free, warn
 from evo_cpg.cli.tables import show_table, show_words
 from evo_cpg.files import make_folder, write_table
-from evo_cpg.laboratory.ask import Answer, ask
-from evo_cpg.laboratory.columns import shown_columns
-from evo_cpg.laboratory.settings import KNOBS
 from evo_cpg.system import named
 from evo_cpg.view.answer_plots import Panel, cell, lab_figure
 from evo_cpg.view.figure import save_figure

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from evo_cpg.analysis.second_opinion import Opinion
 from evo_cpg.analysis.verdict import Check, limits_from, shown
 from evo_cpg.api import audit
 from evo_cpg.api.audit import Audit
@@ -15,7 +16,6 @@ from evo_cpg.cli.champions import open_champion
 from evo_cpg.cli.errors import ExitCode, UsageError, tell
 from evo_cpg.cli.options import Which
 from evo_cpg.cli.tables import show_table, show_words
-from evo_cpg.exchange.second_opinion import Opinion
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.probe import UNSEEING
 from evo_cpg.training.run_folder import RunFolder

@@ -50,7 +50,7 @@ def bench(
     ] = False,
 ) -> None:
     """Measure the speed of this program and its peers."""
-    from evo_cpg.config.errors import nearest
+    from evo_cpg.io.errors import nearest
     from evo_cpg.studies.benchmarks import bench_suite
     from evo_cpg.view.output import output_path
 

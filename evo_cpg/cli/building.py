@@ -5,10 +5,10 @@ from pathlib import Path
 
 from evo_cpg.api.display import working
 from evo_cpg.cli.errors import UsageError, warn
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.lint import lint
-from evo_cpg.config.load import load_config
-from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.lint import lint
+from evo_cpg.io.load import load_config
+from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.training.experiment import ExperimentParts
 
 

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evo_cpg.api.display import working
-from evo_cpg.api.opened import Opened, OpenedChampion, open_run
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.options import BEST, Which
+from evo_cpg.io.opened import Opened, OpenedChampion, open_run
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder

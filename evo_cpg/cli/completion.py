@@ -15,7 +15,7 @@ def complete_config(incomplete: str) -> list[str]:
 
 def complete_shipped(incomplete: str) -> list[str]:
     """Return names of shipped configurations that match."""
-    from evo_cpg.config.shipped import shipped_names
+    from evo_cpg.io.shipped import shipped_names
 
     return [name for name in shipped_names() if name.startswith(incomplete)]
 

@@ -35,7 +35,7 @@ def copy(
     ] = Path("."),
 ) -> None:
     """Copy a configuration and the files that it names."""
-    from evo_cpg.config.shipped import copy_shipped
+    from evo_cpg.io.shipped import copy_shipped
 
     print(copy_shipped(name, folder))
 
@@ -45,7 +45,7 @@ def schema() -> None:
     """Print the JSON Schema of configuration files, for editors."""
     import json
 
-    from evo_cpg.config.file_schema import file_schema
+    from evo_cpg.io.file_schema import file_schema
 
     print(json.dumps(file_schema(), indent=1))
 
@@ -53,7 +53,7 @@ def schema() -> None:
 def _list() -> None:
     from evo_cpg.cli.errors import UsageError
     from evo_cpg.cli.tables import show_table
-    from evo_cpg.config.shipped import shipped, shipped_names
+    from evo_cpg.io.shipped import shipped, shipped_names
 
     names = shipped_names()
     if not names:

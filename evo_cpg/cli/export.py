@@ -63,7 +63,7 @@ def _export_scene(run: Path, output: Path, which: Which) -> None:
     opened, recording = champion_motion(run, which)
     experiment = opened.experiment
     with working("writing the scene"):
-        from evo_cpg.exchange.gltf_film import gltf_film
+        from evo_cpg.view.gltf_film import gltf_film
         from evo_cpg.view.scene import panel_of
 
         scene = gltf_film(panel_of(experiment, recording, experiment.name))
@@ -74,9 +74,9 @@ def _export_model(source: Path, output: Path) -> None:
     """Write a MuJoCo model, and print the parts that are left out."""
     from evo_cpg.cli.building import build
     from evo_cpg.cli.champions import open_and_build
-    from evo_cpg.config.load import load_config
-    from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
     from evo_cpg.files import write_text
+    from evo_cpg.io.load import load_config
+    from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 
     if os.path.isdir(source):
         experiment = open_and_build(source).experiment

@@ -8,10 +8,10 @@ import numpy as np
 
 from evo_cpg.analysis.gait_numbers import gait_numbers
 from evo_cpg.api.display import working
-from evo_cpg.api.opened import OpenedChampion, Replay
 from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_motion, open_champion
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.options import Which
+from evo_cpg.io.opened import OpenedChampion, Replay
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
 from evo_cpg.training.lineage import champion_at, representatives

@@ -22,12 +22,12 @@ from evo_cpg.cli.measured_motion import (
     read_motion,
 )
 from evo_cpg.cli.tables import show_table
-from evo_cpg.config.errors import ConfigError, nearest
-from evo_cpg.config.load import dump_config, load_config
-from evo_cpg.config.numbers import number_at, with_numbers
-from evo_cpg.config.parameters import Parameters, parametrise
-from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.files import write_text
+from evo_cpg.io.errors import ConfigError, nearest
+from evo_cpg.io.load import dump_config, load_config
+from evo_cpg.io.numbers import number_at, with_numbers
+from evo_cpg.io.parameters import Parameters, parametrise
+from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.track import ATTITUDE, POSITION, beginning_names, column_names, track
 from evo_cpg.view.answer_plots import fit_figure

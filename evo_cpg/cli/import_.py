@@ -38,10 +38,10 @@ def import_(
     overwrite: Overwrite = False,
 ) -> None:
     """Import a creature and its world from MJCF or URDF."""
-    from evo_cpg.config.schema.section import LARGEST
-    from evo_cpg.exchange.imported_files import write_imported
-    from evo_cpg.exchange.mjcf_import import read_model
     from evo_cpg.files import require_place
+    from evo_cpg.io.models.imported_files import write_imported
+    from evo_cpg.io.models.mjcf_import import read_model
+    from evo_cpg.io.schema.section import LARGEST
 
     if motor_gain is not None and not motor_gain > 0:
         raise UsageError(f"--motor-gain: must be greater than 0, got {motor_gain:g}")

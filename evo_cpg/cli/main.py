@@ -143,7 +143,7 @@ def _show_version(value: bool) -> bool:
 
 def _trust(value: bool) -> bool:
     if value:
-        from evo_cpg.config.trust import trust
+        from evo_cpg.io.trust import trust
 
         trust()
     return value

@@ -26,9 +26,9 @@ def model(
 ) -> None:
     """Draw a creature on a page in the browser."""
     from evo_cpg.cli.advice import about_oscillators
-    from evo_cpg.drawing.page.server import DrawingServer
-    from evo_cpg.drawing.session import Session
-    from evo_cpg.view.page.server import opened
+    from evo_cpg.view.drawing_page.page.server import DrawingServer
+    from evo_cpg.view.drawing_page.session import Session
+    from evo_cpg.view.run_page.server import opened
 
     document = _document(config)
     with DrawingServer(Session(document, about_oscillators), port) as server:
@@ -49,8 +49,8 @@ def model(
 
 def _document(config: Path | None):
     """Open, copy or begin a document."""
-    from evo_cpg.config.shipped import find_config
-    from evo_cpg.drawing.document import Document
+    from evo_cpg.io.shipped import find_config
+    from evo_cpg.view.drawing_page.document import Document
 
     if config is None:
         return Document.new(_free("animal"))

@@ -29,7 +29,7 @@ class View(enum.StrEnum):
 
 
 def _find_config(given: Path) -> Path:
-    from evo_cpg.config.shipped import find_config
+    from evo_cpg.io.shipped import find_config
 
     config = given / "config.yaml"
     if os.path.isfile(config):
@@ -42,7 +42,7 @@ def _find_config(given: Path) -> Path:
 
 def find_config_or_folder(given: Path) -> Path:
     """Return the file of a configuration, or the folder of a run or sweep."""
-    from evo_cpg.config.shipped import find_config
+    from evo_cpg.io.shipped import find_config
 
     if len(given.parts) > 1 and not given.suffix and not os.path.exists(given):
         from evo_cpg.cli.run_names import find_run
@@ -67,7 +67,7 @@ def run_folders(given: list[Path] | None) -> list[Path] | None:
 
 def name_replaced(overrides: list[str] | None) -> list[str] | None:
     """Return the overrides, with a warning for each that a later one replaces."""
-    from evo_cpg.config.keys import replaces
+    from evo_cpg.io.keys import replaces
 
     given = [(override.partition("=")[0], override) for override in overrides or []]
     for i, (key, override) in enumerate(given):

@@ -21,8 +21,8 @@ def preview(
     """Draw the creature of a config at rest."""
     from evo_cpg.api.display import working
     from evo_cpg.cli.building import read_config
-    from evo_cpg.config.build import build_creature, build_experiment
-    from evo_cpg.config.schema.ground import PlaneConfig
+    from evo_cpg.io.build import build_creature, build_experiment
+    from evo_cpg.io.schema.ground import PlaneConfig
     from evo_cpg.simulation.situation import starting_pose
     from evo_cpg.system import named
     from evo_cpg.view.preview import preview as draw

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 
 from evo_cpg.api.display import working
-from evo_cpg.api.opened import Opened
 from evo_cpg.cli.champions import open_champion
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.options import Which
 from evo_cpg.cli.tables import show_table
-from evo_cpg.config.situations import out_of_reach
 from evo_cpg.files import make_folder, write_table
+from evo_cpg.io.opened import Opened
+from evo_cpg.io.situations import out_of_reach
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.probe import UNSEEING, Probe, around, blinded, probe, seen_from_start

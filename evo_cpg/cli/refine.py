@@ -14,7 +14,7 @@ from evo_cpg.cli.options import CoresOfRun, Number, Run
 if TYPE_CHECKING:
     import numpy as np
 
-    from evo_cpg.config.parameters import Parameters
+    from evo_cpg.io.parameters import Parameters
     from evo_cpg.training.ascent import Free
     from evo_cpg.training.experiment import ExperimentParts
     from evo_cpg.training.refine import Round
@@ -54,9 +54,9 @@ def _refine(
     from evo_cpg.api.training import now
     from evo_cpg.cli.building import build
     from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_of, open_and_build, replayed
-    from evo_cpg.config.fingerprint import fingerprint
-    from evo_cpg.config.load import dump_config
-    from evo_cpg.config.parameters import parametrise
+    from evo_cpg.io.fingerprint import fingerprint
+    from evo_cpg.io.load import dump_config
+    from evo_cpg.io.parameters import parametrise
     from evo_cpg.training.refine import Refinement, Round, compile_refinement
     from evo_cpg.training.run_folder import refinements
 
@@ -150,8 +150,8 @@ def _refine(
 
 
 def _free(parameters: "Parameters") -> "Free":
-    from evo_cpg.config.build import build_experiment
-    from evo_cpg.config.errors import ConfigError
+    from evo_cpg.io.build import build_experiment
+    from evo_cpg.io.errors import ConfigError
     from evo_cpg.training.ascent import Free
 
     def rebuild(values: "np.ndarray") -> "ExperimentParts | None":

@@ -48,7 +48,7 @@ def reproduce(
     cores: Cores = None,
 ) -> None:
     """Recompute the tables and pictures of a study."""
-    from evo_cpg.config.errors import nearest
+    from evo_cpg.io.errors import nearest
     from evo_cpg.studies.catalogue import NAMES
     from evo_cpg.studies.catalogue import study as study_called
     from evo_cpg.training.devices import use_cores

@@ -20,11 +20,11 @@ from evo_cpg.cli.advice import about_oscillators
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import ExitCode, UsageError, tell, warn
 from evo_cpg.cli.tables import show_table, show_words
-from evo_cpg.config.errors import nearest
-from evo_cpg.config.load import load_config
 from evo_cpg.control.couplings import ring_members
 from evo_cpg.control.matsuoka import CpgSettings, Oscillators
 from evo_cpg.creature.tree import Tree
+from evo_cpg.io.errors import nearest
+from evo_cpg.io.load import load_config
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.compile_cache import keep_compiled_programs
 

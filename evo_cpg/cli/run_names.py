@@ -40,7 +40,7 @@ def _hint(given: Path) -> str:
     near = similar(given.name, runs)
     if near:
         return "D" + question([str(runs[name]) for name in near])[1:]
-    from evo_cpg.config.shipped import shipped_names
+    from evo_cpg.io.shipped import shipped_names
 
     if str(given) in shipped_names():
         return f"It is a configuration. `evo-cpg train {given}` makes the run runs/{given}"

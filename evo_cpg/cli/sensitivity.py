@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from evo_cpg.analysis.sensitivity import Sensitivity
     from evo_cpg.api.display import Work
-    from evo_cpg.config.parameters import Parameters
+    from evo_cpg.io.parameters import Parameters
     from evo_cpg.training.checkpoint import Champion
 
 # Number of rows on the terminal and of bars in the picture. The table file has all rows.
@@ -50,8 +50,8 @@ def sensitivity(
     from evo_cpg.api.display import working
     from evo_cpg.cli.champions import open_champion
     from evo_cpg.cli.tables import show_table
-    from evo_cpg.config.parameters import all_parameters, parametrise
     from evo_cpg.files import make_folder, write_table
+    from evo_cpg.io.parameters import all_parameters, parametrise
     from evo_cpg.view.answer_plots import sensitivity_figure
     from evo_cpg.view.figure import save_figure
 
@@ -122,7 +122,7 @@ def _measure(parameters: "Parameters", champion: "Champion", scaled: bool, work:
     import numpy as np
 
     from evo_cpg.analysis.sensitivity import changed, differentiate, measured, sensitivities
-    from evo_cpg.config.errors import ConfigError
+    from evo_cpg.io.errors import ConfigError
     from evo_cpg.training.experiment import champion_keys
 
     keys = (*parameters.keys, GENES) if scaled else parameters.keys

@@ -14,7 +14,7 @@ from evo_cpg.cli.options import Cores, Overrides, find_config_or_folder
 
 if TYPE_CHECKING:
     from evo_cpg.api.sweep import Member
-    from evo_cpg.config.settings import Setting
+    from evo_cpg.io.settings import Setting
 
 # Largest number of rows of a table on a terminal. The file has all rows.
 _MOST_ROWS = 30
@@ -92,8 +92,8 @@ def sweep(
 def _varied(
     overrides: Sequence[str], grid: Sequence[str], settings: Path | None
 ) -> "list[Setting]":
-    from evo_cpg.config.keys import replaces
-    from evo_cpg.config.settings import combine, read_settings
+    from evo_cpg.io.keys import replaces
+    from evo_cpg.io.settings import combine, read_settings
 
     axes: dict[str, list[Any]] = {}
     for word in grid:
@@ -119,7 +119,7 @@ def _axis(word: str) -> tuple[str, list[Any]]:
     """Return key and values of ``key=a,b,c``, of ``key=[a,b,c]`` or of ``key=[a,b],[c,d]``."""
     import yaml
 
-    from evo_cpg.config.yaml_text import parse_yaml
+    from evo_cpg.io.yaml_text import parse_yaml
 
     key, equals, text = word.partition("=")
     if not (key and equals and text):

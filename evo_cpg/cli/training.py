@@ -8,7 +8,6 @@ import numpy as np
 
 from evo_cpg.analysis.verdict import Check, shown
 from evo_cpg.api.display import progress, working
-from evo_cpg.api.opened import Opened
 from evo_cpg.api.training import (
     Recorder,
     begin_run,
@@ -22,8 +21,9 @@ from evo_cpg.cli.building import build
 from evo_cpg.cli.champions import open_and_build
 from evo_cpg.cli.errors import UsageError, tell, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.config.load import load_config
-from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.io.load import load_config
+from evo_cpg.io.opened import Opened
+from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import TABLE_COLUMNS, ExperimentParts

@@ -36,8 +36,8 @@ def _add_setting(error: Any) -> None:
     command = error.ctx and error.ctx.command
     if not any(parameter.name == "overrides" for parameter in getattr(command, "params", ())):
         return
-    from evo_cpg.config.allowed import Allowed
-    from evo_cpg.config.schema.experiment import ExperimentConfig
+    from evo_cpg.io.allowed import Allowed
+    from evo_cpg.io.schema.experiment import ExperimentConfig
 
     name = error.option_name.lstrip("-").replace("-", "_")
     allowed = Allowed(ExperimentConfig, {}, frozenset())

@@ -26,9 +26,9 @@ def validate(
     from evo_cpg.api.display import working
     from evo_cpg.cli.advice import about_step, advise, is_light_in_water
     from evo_cpg.cli.building import build, read_config
-    from evo_cpg.config.build import require_genes
-    from evo_cpg.config.errors import ConfigError
-    from evo_cpg.config.shipped import find_config
+    from evo_cpg.io.build import require_genes
+    from evo_cpg.io.errors import ConfigError
+    from evo_cpg.io.shipped import find_config
 
     overrides = [word for word in configs if "=" in word and not _exists(word)]
     paths = [Path(word) for word in configs if word not in overrides]

@@ -18,7 +18,7 @@ from evo_cpg.cli.options import Browser, Port
 from evo_cpg.cli.streams import is_read
 
 if TYPE_CHECKING:
-    from evo_cpg.live.standing import Standing
+    from evo_cpg.view.live_page.standing import Standing
 
 # Interval between two checks of the folder, s.
 LOOK = 1.0
@@ -58,11 +58,11 @@ def watch(
 
 def _on_a_page(run: Path, port: int, browser: bool) -> None:
     """Serve the live page until Control-C."""
-    from evo_cpg.live.following import Following
-    from evo_cpg.live.page.server import LiveServer
     from evo_cpg.system import resolved
     from evo_cpg.training.run_folder import RunFolder
-    from evo_cpg.view.page.server import opened
+    from evo_cpg.view.live_page.following import Following
+    from evo_cpg.view.live_page.page.server import LiveServer
+    from evo_cpg.view.run_page.server import opened
 
     followed = Following(RunFolder(run), lambda words: print(words, flush=True))
     # A thread may compile for long, or wait in JAX.
@@ -82,8 +82,8 @@ def _on_a_page(run: Path, port: int, browser: bool) -> None:
 def _in_lines(run: Path, once: bool) -> None:
     """Print a line for each generation until the run is finished, or only the present lines."""
     from evo_cpg.cli.run_names import find_run
-    from evo_cpg.live.standing import require_run, standing
     from evo_cpg.training.run_folder import RunFolder
+    from evo_cpg.view.live_page.standing import require_run, standing
 
     folder = RunFolder(find_run(run))
     require_run(folder)

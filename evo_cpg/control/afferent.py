@@ -18,9 +18,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.linear import expand_dims_like, of_each
-from evo_cpg.spatial.numerics import Number, Numbers
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.linear import expand_dims_like, of_each
+from evo_cpg.creature.algebra.numerics import Number, Numbers
 
 # Longest delay, s. A delay costs one stored sample of each oscillator per control step.
 _LONGEST = 1.0

@@ -23,8 +23,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.spatial.linear import matvec
-from evo_cpg.spatial.numerics import Number
+from evo_cpg.creature.algebra.linear import matvec
+from evo_cpg.creature.algebra.numerics import Number
 
 # XLA:CPU splits a sum over more than 32 terms into two passes and stores all products in between.
 # Sums over blocks of this many terms take one pass each. The difference is 20 % of the time of a

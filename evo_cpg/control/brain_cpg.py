@@ -12,9 +12,10 @@ output sigma of the brain, between 0 and 1:
 
 u_e and u_f are the tonic inputs of the extensor and flexor neuron. The target rate drives motors.
 The paper describes it only as "angular-velocity control". The activations ML and MR drive muscles
-(`evo_cpg.physics.muscle`), which ignore the target rate. So do torque motors, which take the torque
-of muscles without length and speed. ``gear`` is `evo_cpg.creature.creature.TorqueMotor.gear`. A
-motor with a spring follows the angle, at a target rate of 0, if A is more than 0.
+(`evo_cpg.physics.tree.muscle`), which ignore the target rate. So do torque motors, which take the
+torque of muscles without length and speed. ``gear`` is
+`evo_cpg.creature.creature.TorqueMotor.gear`. A motor with a spring follows the angle, at a target
+rate of 0, if A is more than 0.
 
 | symbol | name |
 |---|---|
@@ -66,12 +67,12 @@ from evo_cpg.control.matsuoka import (
     Oscillators,
     build_network,
 )
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import NO_LIMIT
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
-from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.linear import expand_dims_like
-from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Bias that drives an output of the brain to 0.
 _SILENT = -60.0

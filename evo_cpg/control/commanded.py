@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.creature.algebra.linear import array_of, expand_dims_like
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.linear import array_of, expand_dims_like
 
 
 class Commanded(Controller):

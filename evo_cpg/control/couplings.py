@@ -29,10 +29,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
-from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Cosines and sines of a smaller size are rounding errors.
 _NO_COUPLING = 1e-12

@@ -21,8 +21,8 @@ from jaxtyping import Array, Float
 from evo_cpg.control.afferent import Gain, Weight
 from evo_cpg.control.limb_load import Load, LoadFeedback, build_load
 from evo_cpg.control.stretch import Stretch, StretchFeedback, build_stretch
+from evo_cpg.creature.algebra.numerics import Number
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.numerics import Number
 
 
 @dataclasses.dataclass(frozen=True)

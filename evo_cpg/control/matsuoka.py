@@ -62,11 +62,11 @@ from evo_cpg.control.couplings import (
     start_phases,
 )
 from evo_cpg.control.feedback import FeedbackSettings
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.fuse import fuse
-from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.linear import expand_dims_like
-from evo_cpg.spatial.numerics import Number, Numbers, xp
+from evo_cpg.native.fuse import fuse
 
 # (T_r, T_a) in s: Iwadate 2010, Table 3, swapped and as printed.
 TIME_CONSTANTS = {"swapped": (0.153337, 1.181958), "as_printed": (1.181958, 0.153337)}

@@ -36,10 +36,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.linear import expand_dims_like
-from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Number of periods whose switches are at exactly the right control step. If this many periods are a
 # whole number of control steps, all later switches are exact too. A trial of the thesis, 20 s, has

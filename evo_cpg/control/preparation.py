@@ -24,8 +24,8 @@ from evo_cpg.control.brain_cpg import BrainCpg, Decoded
 from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.control.matsuoka import MatsuokaState, Oscillators
 from evo_cpg.control.stretch import Stretch
-from evo_cpg.spatial.linear import expand_dims_like, of_each
-from evo_cpg.spatial.numerics import Numbers
+from evo_cpg.creature.algebra.linear import expand_dims_like, of_each
+from evo_cpg.creature.algebra.numerics import Numbers
 
 SENSES = ("light", "pressure", "balance", "joints", "depth", "sensors", "feedback")
 """Senses that can be silenced. ``joints`` is what the brain senses of the joints, and ``feedback``

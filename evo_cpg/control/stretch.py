@@ -42,8 +42,8 @@ from evo_cpg.control.afferent import (
     spread,
 )
 from evo_cpg.control.couplings import axis_directions, axis_parents, listed_oscillators
+from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.numerics import Numbers
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,9 +6,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from evo_cpg.creature.algebra.decisions import some_hold
+from evo_cpg.creature.algebra.numerics import Numbers, xp
 from evo_cpg.creature.torque_motors import TorqueMotors
-from evo_cpg.spatial.decisions import some_hold
-from evo_cpg.spatial.numerics import Numbers, xp
 
 # A soft limit is a critically damped spring on the effective inertia of the coordinate, with its
 # rotor. A step of 1/120 s resolves it. The spring also balances the coordinate's own motor, which

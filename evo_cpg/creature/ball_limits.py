@@ -1,4 +1,4 @@
-"""Limits of ball joints as arrays of the physics (`evo_cpg.physics.ball_limit` has the law)."""
+"""Limits of ball joints as arrays of the physics (`tree.ball_limit` has the law)."""
 
 from collections.abc import Sequence
 
@@ -6,9 +6,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.numerics import Numbers, xp
 from evo_cpg.creature.creature import NO_LIMIT, SPANNING, DegreeOfFreedom
-from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.numerics import Numbers, xp
 
 
 class BallLimits(eqx.Module):

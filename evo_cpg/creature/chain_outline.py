@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.slender import SlenderChain
-from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Volume over that of the bounding box, up to which a shape counts as round (a cylinder), and from
 # which it is a box.

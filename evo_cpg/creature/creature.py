@@ -10,9 +10,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from evo_cpg.creature.algebra.decisions import Condition, chosen
+from evo_cpg.creature.algebra.numerics import Number, Numbers, Triple, as_vector, is_traced, xp
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.spatial.decisions import Condition, chosen
-from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, is_traced, xp
 
 
 class CreatureError(ValueError):
@@ -81,8 +81,8 @@ class TorqueMotor:
 class Muscle:
     """Two antagonistic muscles about each axis of a joint, after Ekeberg 1993 and Hill 1938.
 
-    `evo_cpg.physics.muscle` has the equations. Strength is area times stress times arm. The bend
-    sets the stiffness in proportion to the strength, so equal numbers fit animals of any size.
+    `evo_cpg.physics.tree.muscle` has the equations. Strength is area times stress times arm. The
+    bend sets the stiffness in proportion to the strength, so equal numbers fit animals of any size.
 
     Attributes:
         area: cross-section of the muscle on each side, m^2.

@@ -6,6 +6,8 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
+from evo_cpg.creature.algebra.decisions import Condition, chosen
+from evo_cpg.creature.algebra.numerics import Number, Numbers, as_vector, xp
 from evo_cpg.creature.shapes import (
     LEAST,
     Cell,
@@ -18,8 +20,6 @@ from evo_cpg.creature.shapes import (
     joined,
     ring,
 )
-from evo_cpg.spatial.decisions import Condition, chosen
-from evo_cpg.spatial.numerics import Number, Numbers, as_vector, xp
 
 # Points on each rim of a cylinder that stand for it in pictures of contact, and corners of a rim in
 # pictures of the body.

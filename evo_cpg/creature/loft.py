@@ -23,9 +23,9 @@ from typing import NamedTuple
 import numpy as np
 from typing_extensions import override
 
+from evo_cpg.creature.algebra.numerics import Triple
 from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh, hull
 from evo_cpg.creature.shapes import Skin
-from evo_cpg.spatial.numerics import Triple
 
 # Corners of an elliptic section. Their second moment is that of the ellipse to 3e-5.
 _ROUND = 24

@@ -20,6 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from typing_extensions import override
 
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.shapes import (
     Cell,
     FloorPart,
@@ -29,8 +31,6 @@ from evo_cpg.creature.shapes import (
     Skin,
     Surface,
 )
-from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # More triangles do not change the physics, but fill the run folder's config.
 MOST_TRIANGLES = 2000

@@ -1,12 +1,12 @@
-"""Muscles of a creature as arrays of the physics (`evo_cpg.physics.muscle` has the equations)."""
+"""Muscles of a creature as arrays of the physics (`tree.muscle` has the equations)."""
 
 from collections.abc import Sequence
 
 import equinox as eqx
 from jaxtyping import Float
 
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Muscle
-from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 
 class Muscles(eqx.Module):

@@ -22,10 +22,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Barrel
-from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 
 # Bounds between which bodies cease to be in line. Cosine of the angle between their axes.
 _TURN = (0.9, 0.72)

@@ -10,9 +10,9 @@
 import numpy as np
 from jaxtyping import Bool
 
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.outline import Outline, fade
 from evo_cpg.creature.shapes import Shape, Surface
-from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Cosine between the normal of a flat end and the axis: a face at the first value belongs to the
 # end, and at the second to the side.

@@ -11,10 +11,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from evo_cpg.creature.algebra.decisions import Condition, chosen
+from evo_cpg.creature.algebra.numerics import Numbers, xp
 from evo_cpg.creature.creature import NO_LIMIT
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.decisions import Condition, chosen
-from evo_cpg.spatial.numerics import Numbers, xp
 
 # Widening of joint limits, because loads push joints beyond their soft limits: an angle (rad), and
 # for a slide a fraction of its range, which has no common size in m.

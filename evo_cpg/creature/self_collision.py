@@ -14,11 +14,11 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from evo_cpg.creature.algebra.decisions import Condition, all_hold
+from evo_cpg.creature.algebra.numerics import Numbers, is_traced, xp
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.creature.reach import PIECES, keeps_apart
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.decisions import Condition, all_hold
-from evo_cpg.spatial.numerics import Numbers, is_traced, xp
 
 # Alternating projections that find the nearest points of two boxes, and the gap (m) below which
 # boxes count as overlapping.

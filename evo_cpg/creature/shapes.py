@@ -21,8 +21,8 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.numerics import Number, Numbers, Triple, as_vector, xp
 
 # Number n of discs that a capsule's cylinder is cut into. Together they have its second moment. The
 # righting moment of a level capsule about its short axes is 33 % / n^2 = 2 % too large.

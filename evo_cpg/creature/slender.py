@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.creature.algebra.decisions import Condition, all_hold, chosen
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.spatial.decisions import Condition, all_hold, chosen
-from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Cosine of the largest turn at a link, and largest cosine between the two links of a body.
 _STRAIGHT, _OPPOSITE = 0.7, -0.5
@@ -34,7 +34,7 @@ _STRAIGHT, _OPPOSITE = 0.7, -0.5
 # Largest ratio of the widths of linked bodies, unless the wider one is a thin fin at the end.
 _SIMILAR = 4.0
 
-# Least ratio of width to thickness of a thin fin, as for its lift (`evo_cpg.physics.lift`).
+# Least ratio of width to thickness of a thin fin, as for its lift (`evo_cpg.physics.water.lift`).
 _THIN = 4.0
 
 # Ratio of the likeness of two candidates above which they count as equally alike.

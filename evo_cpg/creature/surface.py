@@ -15,12 +15,12 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
+from evo_cpg.creature.algebra.decisions import Condition, all_hold, chosen
+from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
 from evo_cpg.creature.creature import Body, Creature, neutral_pose
 from evo_cpg.creature.outline import outlines
 from evo_cpg.creature.outline_points import outline_surface
 from evo_cpg.creature.shapes import Surface
-from evo_cpg.spatial.decisions import Condition, all_hold, chosen
-from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 
 # Layout of the surface points of a model. "merged" leaves sheltered points out, and merges points
 # that move alike in the water. Bodies of a batch need one layout: "separate" merges nothing, and

@@ -1,4 +1,4 @@
-"""Fixed tendons of a creature as arrays of the physics (`evo_cpg.physics.tendon` has the laws)."""
+"""Fixed tendons of a creature as arrays of the physics (`tree.tendon` has the laws)."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.axis_laws import (
     DryFriction,
     dry_friction_of,
@@ -16,7 +17,6 @@ from evo_cpg.creature.axis_laws import (
 from evo_cpg.creature.creature import CreatureError, Tendon, driven_by
 from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
 from evo_cpg.errors import nearest
-from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 
 class Tendons(eqx.Module):

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import equinox as eqx
 from jaxtyping import Float
 
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import TorqueMotor
-from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 
 class TorqueMotors(eqx.Module):

@@ -22,6 +22,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from evo_cpg.creature.algebra.decisions import chosen, some_hold
+from evo_cpg.creature.algebra.numerics import Number, Numbers, Triple, xp
 from evo_cpg.creature.axis_laws import (
     DryFriction,
     dry_friction_of,
@@ -42,8 +44,6 @@ from evo_cpg.creature.creature import (
 from evo_cpg.creature.muscles import Muscles, muscles_of
 from evo_cpg.creature.tendons import Tendons, tendons_of
 from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
-from evo_cpg.spatial.decisions import chosen, some_hold
-from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
 _LEAST_VOLUME = 1e-30
@@ -76,8 +76,8 @@ class Group(NamedTuple):
 class Tree(eqx.Module):
     """A tree of rigid bodies in the order of the recursions.
 
-    The root floats freely, or hangs on the fixed world (`evo_cpg.physics.hanging`). The joint of a
-    root that hangs comes first among the degrees of freedom.
+    The root floats freely, or hangs on the fixed world (`evo_cpg.physics.tree.hanging`). The joint
+    of a root that hangs comes first among the degrees of freedom.
 
     Attributes:
         names: body names.

@@ -28,9 +28,9 @@ from jax.extend.core import Literal
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from evo_cpg.fusion import machine_constants
-from evo_cpg.physics.state import State
-from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.native import machine_constants
+from evo_cpg.physics.tree.state import State
 
 Carry = TypeVar("Carry")
 Values = TypeVar("Values")

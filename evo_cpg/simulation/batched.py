@@ -14,9 +14,9 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from evo_cpg.creature.algebra.mixed_array import MixedArray
+from evo_cpg.creature.algebra.numerics import is_number
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.spatial.mixed_array import MixedArray
-from evo_cpg.spatial.numerics import is_number
 
 # Differences up to this fraction of an array's largest number are rounding errors.
 _ROUNDING = 16 * np.finfo(float).eps

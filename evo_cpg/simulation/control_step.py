@@ -11,12 +11,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.control.controller import Command, Observation
-from evo_cpg.fusion.fuse import fuse
-from evo_cpg.physics.equations import Residual, Warmstart
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State
-from evo_cpg.physics.step import Effort, first_warmstart, step
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.native.fuse import fuse
+from evo_cpg.physics.step.equations import Residual, Warmstart
+from evo_cpg.physics.step.step import Effort, first_warmstart, step
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.genome import Phenotype
 from evo_cpg.simulation.noise import disturb_motion, disturb_start, friction_scale_of
 from evo_cpg.simulation.sensors import (
@@ -29,7 +30,6 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import light_places, starting_state
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 from evo_cpg.simulation.task import Transition
-from evo_cpg.spatial.linear import expand_dims_like
 
 
 class AnimalState(NamedTuple):

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.physics.world import World
+from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.measures import Displacement, Measure, Measures, Trial, no_displacement
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.snapshot import Snapshot

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
-from evo_cpg.fusion.fuse import fuse
-from evo_cpg.physics.state import State
+from evo_cpg.native.fuse import fuse
+from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.control_step import AnimalState, Effects, transition
 from evo_cpg.simulation.measures import Trial
 from evo_cpg.simulation.observer import Observer, Seen

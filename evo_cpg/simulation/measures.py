@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
-from evo_cpg.physics.world import World
+from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.foot_slip import Slip, no_slip, slip_of_step
 from evo_cpg.simulation.task import Transition
 

@@ -25,15 +25,15 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Shaped, UInt32
 
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.numerics import is_traced
+from evo_cpg.creature.algebra.rotation import integrate_quaternion
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics import ball_limit, hanging
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import expand_dims_like
-from evo_cpg.spatial.numerics import is_traced
-from evo_cpg.spatial.rotation import integrate_quaternion
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree import ball_limit, hanging
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State
 
 # Tags that keep the random streams of one trial apart.
 _START, _PUSH, _FRICTION = 0, 1, 2

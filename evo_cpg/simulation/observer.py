@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
-from evo_cpg.physics.state import State
+from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.control_step import AnimalState, Effects, EpisodeConstants
 from evo_cpg.simulation.simulation import Simulation
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.physics.state import State
+from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.control_step import motor_command
 from evo_cpg.simulation.observer import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
@@ -34,9 +34,11 @@ class PhysicsSteps(NamedTuple):
         contact_force: force of the ground on every contact point, world axes, N. No points without
             ground.
         pair_force: force between touching limbs, N. Empty if no limbs can touch.
-        solved_residual: residual of the step's equations (`evo_cpg.physics.equations.Residual`), 0
+        solved_residual: residual of the step's equations
+        (`evo_cpg.physics.step.equations.Residual`), 0
             if the physics solves each step exactly, without iterations.
-        coulomb_residual: residual of Coulomb's law (`evo_cpg.physics.equations.Residual`), 0 if the
+        coulomb_residual: residual of Coulomb's law (`evo_cpg.physics.step.equations.Residual`), 0
+        if the
             physics solves each step exactly, without iterations.
         light: light seen by each eye in the control step, 0 to 1.
         tension: forces of the motors of tendons, or None without tendons.

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.numerics import TABLES, is_number
+from evo_cpg.creature.algebra.numerics import TABLES, is_number
+from evo_cpg.physics.step.world import World
 
 _Program = TypeVar("_Program")
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.algebra.numerics import Number, Triple
 from evo_cpg.simulation.task import Task, Transition
-from evo_cpg.spatial.numerics import Number, Triple
 
 # Upper limit of the distance relative to the initial distance. So one individual that flees from
 # the light cannot dominate averages.

@@ -9,16 +9,16 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
+from evo_cpg.creature.algebra.linear import cross, expand_dims_like
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.errors import UserError
-from evo_cpg.fusion.fuse import fuse
-from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.native.fuse import fuse
+from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.simulation.control_step import Effects
 from evo_cpg.simulation.observer import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.snapshot import Snapshot
-from evo_cpg.spatial.linear import cross, expand_dims_like
 
 # Prefixes of the names of recorded arrays with readings of sensors and with the controller's state.
 SENSE, NERVE = "sense.", "nerve."

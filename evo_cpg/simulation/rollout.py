@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree, UInt32
 
-from evo_cpg.fusion.engine import using
-from evo_cpg.fusion.fuse import fuse
-from evo_cpg.physics.state import State
+from evo_cpg.native.engine import using
+from evo_cpg.native.fuse import fuse
+from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.backward import Backward
 from evo_cpg.simulation.batched import BatchedSimulation
 from evo_cpg.simulation.control_step import begin_episode, control_step

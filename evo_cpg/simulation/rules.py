@@ -8,13 +8,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.pairs import Pairs, separations
-from evo_cpg.physics.state import State
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import expand_dims_like
-from evo_cpg.spatial.numerics import Number
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.contact.pairs import Pairs, separations
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State
 
 
 class Rules(eqx.Module):

@@ -7,14 +7,14 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.algebra.linear import dot, expand_dims_like, matvec
+from evo_cpg.creature.algebra.mixed_array import MixedArray
+from evo_cpg.creature.algebra.numerics import Numbers, xp
 from evo_cpg.creature.creature import Creature, DepthSensor, LightSensor
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics
-from evo_cpg.physics.per_body import take
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import dot, expand_dims_like, matvec
-from evo_cpg.spatial.mixed_array import MixedArray
-from evo_cpg.spatial.numerics import Numbers, xp
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import Kinematics
+from evo_cpg.physics.tree.per_body import take
 
 # Added under square roots, so that a light at the sensor's own place gives a finite gradient.
 _DISTANCE_FLOOR = 1e-12

@@ -30,22 +30,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from evo_cpg.creature.algebra.decisions import Undecidable, chosen, searched
+from evo_cpg.creature.algebra.numerics import is_traced
+from evo_cpg.creature.algebra.rotation import (
+    axis_rotation,
+    integrate_quaternion,
+    quaternion_to_matrix,
+)
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.jax_internals import quick_jit
-from evo_cpg.physics import root
-from evo_cpg.physics.contact import BAUMGARTE_FRACTION
-from evo_cpg.physics.contact_model import STIFFNESS
-from evo_cpg.physics.hanging import Base
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.statics import FrictionState, Touch, radius_of_gyration, static_forces
-from evo_cpg.physics.step import first_warmstart, step
-from evo_cpg.physics.water import Current
-from evo_cpg.physics.world import World
+from evo_cpg.native.jax_internals import quick_jit
+from evo_cpg.physics.contact.contact import BAUMGARTE_FRACTION
+from evo_cpg.physics.contact.contact_model import STIFFNESS
+from evo_cpg.physics.step.statics import FrictionState, Touch, radius_of_gyration, static_forces
+from evo_cpg.physics.step.step import first_warmstart, step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree import root
+from evo_cpg.physics.tree.hanging import Base
+from evo_cpg.physics.tree.state import State, resting_state
+from evo_cpg.physics.water.water import Current
 from evo_cpg.simulation.plans import Programs, WorldPlan
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.spatial.decisions import Undecidable, chosen, searched
-from evo_cpg.spatial.numerics import is_traced
-from evo_cpg.spatial.rotation import axis_rotation, integrate_quaternion, quaternion_to_matrix
 
 # Longest time of the fall, and its shortest time before the first balance, which doubles after
 # each failure, s. Number of quiet steps before a balance.
@@ -60,7 +64,7 @@ _LIGHTEST = 0.02
 _DAMPING = 4.0
 
 # Speed below which a creature is quiet, in units of sqrt(g r). In addition, it may creep on a slope
-# at up to ``g h / STIFFNESS`` (`evo_cpg.physics.contact`).
+# at up to ``g h / STIFFNESS`` (`evo_cpg.physics.contact.contact`).
 _QUIET = 0.8e-3
 
 # Time after the release in which the creature has to stay, s.

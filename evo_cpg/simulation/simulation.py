@@ -3,8 +3,9 @@
 import equinox as eqx
 
 from evo_cpg.control.controller import Controller
-from evo_cpg.fusion.engine import Engine
-from evo_cpg.physics.world import World
+from evo_cpg.creature.algebra.numerics import Number, Triple
+from evo_cpg.native.engine import Engine
+from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.genome import Genome
 from evo_cpg.simulation.measures import Measures
 from evo_cpg.simulation.noise import Noise
@@ -13,7 +14,6 @@ from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.sensors import Sensors
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
-from evo_cpg.spatial.numerics import Number, Triple
 
 
 class Simulation(eqx.Module):

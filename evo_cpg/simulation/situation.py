@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from evo_cpg.creature.algebra.linear import array_of, cosine_sine
+from evo_cpg.creature.algebra.numerics import Number, Triple
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.hanging import Base
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.spatial.linear import array_of, cosine_sine
-from evo_cpg.spatial.numerics import Number, Triple
+from evo_cpg.physics.tree.hanging import Base
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State, resting_state
 
 
 class Situation(NamedTuple):

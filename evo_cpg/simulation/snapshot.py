@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from evo_cpg.physics.contact_points import contact_points
-from evo_cpg.physics.kinematics import Kinematics, kinematics
-from evo_cpg.physics.per_body import take
-from evo_cpg.physics.state import State
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
-from evo_cpg.spatial.numerics import Numbers
+from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
+from evo_cpg.creature.algebra.numerics import Numbers
+from evo_cpg.physics.contact.contact_points import contact_points
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
+from evo_cpg.physics.tree.per_body import take
+from evo_cpg.physics.tree.state import State
 
 
 class Forces(NamedTuple):
@@ -60,7 +60,7 @@ class Snapshot:
 
     @functools.cached_property
     def kinematics(self) -> Kinematics:
-        """Positions, axes and velocities of the bodies' origins (`evo_cpg.physics.kinematics`)."""
+        """Positions, axes and velocities of the bodies' origins (`tree.kinematics`)."""
         return kinematics(self.world.tree, self.state)
 
     @property

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.physics.state import State
+from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
+from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.observer import States
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.spatial.rotation import quaternion_to_matrix
 
 # Columns: position of the root's centre (m), and its attitude (rad) as yaw, then pitch, then roll
 # about its own axes. All others are joint angles (rad), by the names of their axes.

@@ -4,10 +4,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.algebra.linear import matvec_t
+from evo_cpg.creature.algebra.numerics import Number
 from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.snapshot import Forces, Snapshot
-from evo_cpg.spatial.linear import matvec_t
-from evo_cpg.spatial.numerics import Number
 
 
 class VelocitySensor(Sensor):

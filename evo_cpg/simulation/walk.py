@@ -48,10 +48,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.algebra.numerics import Number
 from evo_cpg.simulation.foot_slip import Slip, no_slip, slip_of_step
 from evo_cpg.simulation.measures import Displacement, no_displacement
 from evo_cpg.simulation.task import Task, Transition
-from evo_cpg.spatial.numerics import Number
 
 # ``any``: displacement in any direction. ``forward``: displacement along the world's +x, which an
 # animal faces at the start unless it is turned. Backwards is negative.

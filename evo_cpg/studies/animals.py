@@ -6,8 +6,8 @@ Evolution never sees the card. A row says so if the animal was tuned for its num
 from collections.abc import Sequence
 from functools import partial
 
+from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.api.lab import lab
-from evo_cpg.laboratory.ask import Answer
 from evo_cpg.studies import card_land, card_nerves, card_water
 from evo_cpg.studies.card import (
     Absent,

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evo_cpg.laboratory.ask import Answer
+from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.studies.study import Table, middle
 
 _THIRD, _POINTS, _EXPONENT, _FACTOR = 1 / 3, 10.0, 0.1, 2.0

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.physics.state import State
+from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.observer import States
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation

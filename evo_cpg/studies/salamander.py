@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
 from evo_cpg.simulation.measures import measures
 from evo_cpg.studies.audits import audit_part
 from evo_cpg.studies.lights import evaluate, light_table, still

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evo_cpg.config.settings import Setting, read_settings
+from evo_cpg.io.settings import Setting, read_settings
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle
 from evo_cpg.studies.workshop import Workshop
 

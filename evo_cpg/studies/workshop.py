@@ -27,15 +27,15 @@ from evo_cpg.api.machine import machine_fingerprint
 from evo_cpg.api.sweep import Member, evolve
 from evo_cpg.api.training import now
 from evo_cpg.api.version import program_commit
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import dump_config, load_config
-from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.settings import Setting
-from evo_cpg.config.shipped import shipped
 from evo_cpg.creature.creature import length_of
 from evo_cpg.files import make_folder, read_json, write_text
-from evo_cpg.fusion.engine import Engine
 from evo_cpg.installation import version_of
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import dump_config, load_config
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.settings import Setting
+from evo_cpg.io.shipped import shipped
+from evo_cpg.native.engine import Engine
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table

@@ -18,7 +18,7 @@ import optimistix
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt32
 
-from evo_cpg.fusion.machine_constants import LANES
+from evo_cpg.native.machine_constants import LANES
 from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation

@@ -2,7 +2,7 @@
 
 Every later command that needs an already compiled program loads it: `train` with another seed,
 `resume`, `render` or `verify`. JAX keeps XLA's programs under a key of program, options and
-version. Native code is kept next to them (`evo_cpg.fusion.backend.machine`). Machine code for one
+version. Native code is kept next to them (`evo_cpg.native.backend.machine`). Machine code for one
 processor may not run on another. A cluster may share the home folder, so each kind of processor has
 a folder of its own.
 
@@ -18,7 +18,7 @@ from pathlib import Path
 
 import jax
 
-from evo_cpg.fusion.backend.machine import keep_code_in
+from evo_cpg.native.backend.machine import keep_code_in
 from evo_cpg.system import described_by, home_folder, is_writable
 
 # Largest size of the cache, bytes. The oldest programs are deleted. A program has 1 to 4 MB.

@@ -20,8 +20,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int
 
-from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.machine_constants import LANES
+from evo_cpg.native import machine_constants
+from evo_cpg.native.machine_constants import LANES
 from evo_cpg.training.compile_cache import keep_compiled_programs
 
 Tree = TypeVar("Tree")

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from evo_cpg.fusion.machine_constants import LANES
+from evo_cpg.native.machine_constants import LANES
 from evo_cpg.simulation.judge import JUDGE, score
 from evo_cpg.simulation.recording import Recorder, Recording, as_recording
 from evo_cpg.simulation.rollout import rollout

@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Float
 
-from evo_cpg.fusion.machine_constants import LANES
+from evo_cpg.native.machine_constants import LANES
 from evo_cpg.training.ascent import Free, compile_ascent, draw_settings, log_uniform, reach
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import chunk_width, population_mesh

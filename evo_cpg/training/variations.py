@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from evo_cpg.fusion.engine import Engine
+from evo_cpg.native.engine import Engine
 from evo_cpg.simulation.batched import batch
 from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement
 from evo_cpg.simulation.judge import Outcome

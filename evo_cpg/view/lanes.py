@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.physics.contact_model import Ground
+from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.crowd_motion import CrowdMotion
 from evo_cpg.view.camera import Bodies, course, overview, project

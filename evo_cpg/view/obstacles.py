@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.physics.terrain import Block, Boulder, Part
+from evo_cpg.physics.contact.terrain import Block, Boulder, Part
 from evo_cpg.view.offscreen import placed
 
 _STONE = np.array([0.60, 0.57, 0.53])

@@ -13,8 +13,8 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Body, Creature, lowest_height, neutral_pose
-from evo_cpg.physics.contact_model import Ground
-from evo_cpg.physics.terrain import Plane
+from evo_cpg.physics.contact.contact_model import Ground
+from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import VIEW_ANGLE, CameraPath, level_axes
 from evo_cpg.view.clip import sample

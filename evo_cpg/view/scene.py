@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.physics.contact_model import Ground
-from evo_cpg.physics.terrain import Plane
+from evo_cpg.physics.contact.contact_model import Ground
+from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording, require_whole
 from evo_cpg.training.crowd_motion import CrowdMotion
 from evo_cpg.training.experiment import ExperimentParts

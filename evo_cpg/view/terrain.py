@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.physics.terrain import Part, Plane, Relief, Shore
+from evo_cpg.physics.contact.terrain import Part, Plane, Relief, Shore
 
 # Distance between the grid's lines near the path, and the margin with this distance, in radii of
 # the animal. Most lines with this distance, and growth of the distance further out. A frame of 960

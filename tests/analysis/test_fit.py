@@ -9,9 +9,9 @@ from scipy import optimize, stats
 
 from creatures import quick_jit
 from evo_cpg.analysis.fit import fit, fit_warnings, student_quantile
-from evo_cpg.config.load import check_config, load_config
-from evo_cpg.config.parameters import parametrise
 from evo_cpg.control.commanded import Commanded
+from evo_cpg.io.load import check_config, load_config
+from evo_cpg.io.parameters import parametrise
 from evo_cpg.simulation.track import track
 from tiny_run import CONFIG, TINY
 

@@ -13,8 +13,8 @@ from evo_cpg.analysis.gait_numbers import GaitNumbers, gait_numbers
 from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.world import World
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.recording import Recording
 
 STEP = 1 / 60

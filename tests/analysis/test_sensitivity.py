@@ -9,7 +9,7 @@ import pytest
 import trials
 from evo_cpg.analysis import sensitivity
 from evo_cpg.analysis.sensitivity import changed, differentiate, measured, sensitivities
-from evo_cpg.physics.contact_model import Ground, make_contact_model
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
 from evo_cpg.simulation import measures as gait
 from evo_cpg.simulation.judge import Outcome, finish_tally
 from evo_cpg.simulation.measures import Displacement

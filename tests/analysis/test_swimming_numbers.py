@@ -3,7 +3,7 @@
 import numpy as np
 
 from evo_cpg.analysis.swim_quantities import drift
-from evo_cpg.physics.water import Current, Water
+from evo_cpg.physics.water.water import Current, Water
 
 STEP = 0.1
 TIME = STEP * np.arange(50)

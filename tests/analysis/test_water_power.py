@@ -6,7 +6,7 @@ import pytest
 from creatures import box_chain, in_water
 from evo_cpg.analysis.water_power import water_power
 from evo_cpg.creature.creature import neutral_pose
-from evo_cpg.physics.reactive_thrust import ReactiveThrust
+from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
 
 
 @pytest.mark.parametrize("current", [0.0, 0.3])

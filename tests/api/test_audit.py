@@ -9,12 +9,13 @@ import mujoco
 import numpy as np
 import pytest
 
-import evo_cpg.physics.step
+import evo_cpg.physics.step.step
 from benchmarks.mujoco_model import mujoco_model
 from creatures import AXES, STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import ledger, mechanical_energy
 from evo_cpg.analysis.excursions import excursions
-from evo_cpg.analysis.verdict import Limits, Verdict
+from evo_cpg.analysis.second_opinion import Opinion
+from evo_cpg.analysis.verdict import Verdict
 from evo_cpg.api.audit import (
     Trial,
     _carried,
@@ -28,13 +29,13 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSens
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Ellipsoid
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.mujoco_state import load_state
-from evo_cpg.exchange.second_opinion import Opinion
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.pairs import make_pairs
-from evo_cpg.physics.terrain import Plane
-from evo_cpg.physics.water import Current, Water
-from evo_cpg.physics.world import World
+from evo_cpg.io.models.mujoco_state import load_state
+from evo_cpg.io.schema.limits import Limits
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.contact.pairs import make_pairs
+from evo_cpg.physics.contact.terrain import Plane
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.water.water import Current, Water
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.physics_steps import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
@@ -180,7 +181,7 @@ def test_energies_are_relative_to_the_motors_work(honest):
 @pytest.mark.parametrize("cheat", ["energy", "momentum"])
 def test_a_solver_that_adds_energy_or_momentum_is_flagged(monkeypatch, cheat):
     """Two wrong solvers: one lets velocities grow by 5 % a step, one pushes without a force."""
-    right = evo_cpg.physics.step.integrate
+    right = evo_cpg.physics.step.step.integrate
 
     def wrong(tree, state, root, qdd, h):
         new = right(tree, state, root, qdd, h)
@@ -188,7 +189,7 @@ def test_a_solver_that_adds_energy_or_momentum_is_flagged(monkeypatch, cheat):
             return dataclasses.replace(new, velocity=_MORE * new.velocity, qd=_MORE * new.qd)
         return dataclasses.replace(new, velocity=new.velocity.at[3].add(_PUSH))
 
-    monkeypatch.setattr(evo_cpg.physics.step, "integrate", wrong)
+    monkeypatch.setattr(evo_cpg.physics.step.step, "integrate", wrong)
     made = experiment(steps=60)
     assert f"simulator_{cheat}" in failed((made, compile_steps(made)(champion())))
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
-from evo_cpg.config.numbers import number_at
+from evo_cpg.io.numbers import number_at
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 WALKER = REPOSITORY / "configs" / "fukui2003_model1.yaml"

@@ -17,7 +17,7 @@ import pytest
 import evo_cpg as evo
 from evo_cpg.api import fitness
 from evo_cpg.cli.main import main
-from evo_cpg.fusion.engine import EngineWarning
+from evo_cpg.native.engine import EngineWarning
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from shared_programs import programs_of_its_own, remember_programs
 from tiny_run import CONFIG, PAIR, REPOSITORY, TINY, environment

@@ -14,17 +14,17 @@ import evo_cpg as evo
 from creatures import box_chain, coast, in_water, quick_jit, random_state
 from evo_cpg.analysis.energy import ledger
 from evo_cpg.cli.export import export
-from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.lint import lint
-from evo_cpg.config.load import load_config
-from evo_cpg.config.parameters import parametrise
 from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box
-from evo_cpg.fusion.engine import EngineWarning
-from evo_cpg.physics.fluid import Drag
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.statics import FrictionState, static_forces
+from evo_cpg.io.errors import ConfigError
+from evo_cpg.io.lint import lint
+from evo_cpg.io.load import load_config
+from evo_cpg.io.parameters import parametrise
+from evo_cpg.native.engine import EngineWarning
+from evo_cpg.physics.step.statics import FrictionState, static_forces
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.fluid import Drag
 from evo_cpg.simulation.physics_steps import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 
@@ -262,7 +262,10 @@ def test_lint_reports_no_falling_if_a_law_may_hold_the_creature(glider):
         ({"type": "plate:PlateLift", "options": {"body": "wing", "area": 1}}, "no body 'wing'"),
         ({"type": "plate:PlateLift"}, "cannot be built with these options"),
         ({"type": "plate:Nobody"}, "cannot be imported"),
-        ({"type": "wriggler:Wave"}, "is not a subclass of evo_cpg.physics.force_law:ForceLaw"),
+        (
+            {"type": "wriggler:Wave"},
+            "is not a subclass of evo_cpg.physics.water.force_law:ForceLaw",
+        ),
         (
             {"type": "plate:Wrong", "options": {"body": "fluke", "area": 1}},
             r"Wrong.wrench must return 6 x 2 numbers, shape \(6, 2, 7\)",

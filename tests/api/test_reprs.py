@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
-from evo_cpg.config.schema.world import WaterConfig, WorldConfig
+from evo_cpg.io.schema.world import WaterConfig, WorldConfig
 from evo_cpg.simulation.recording import Recording
 from tiny_run import CONFIG, PAIR
 

@@ -11,7 +11,7 @@ from benchmarks.exercise import Postures, Torques, Wave
 from benchmarks.mujoco_model import mujoco_model
 from benchmarks.mujoco_peer import DRY, WET, Motion, Peer, peer_model, stopped
 from benchmarks.plan import MODELS, experiment_of
-from evo_cpg.exchange.mujoco_state import dof_order, motor_order
+from evo_cpg.io.models.mujoco_state import dof_order, motor_order
 from evo_cpg.simulation.situation import Situation
 
 COUNT = 24

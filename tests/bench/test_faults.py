@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from benchmarks import faults
-from evo_cpg.config.load import load_config
+from evo_cpg.io.load import load_config
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, REPOSITORY
 
@@ -40,7 +40,7 @@ def test_errors_of_the_program_are_raised(tmp_path, monkeypatch):
     def broken(path):
         raise KeyError("ours")
 
-    monkeypatch.setattr("evo_cpg.config.load.load_config", broken)
+    monkeypatch.setattr("evo_cpg.io.load.load_config", broken)
     with pytest.raises(KeyError):
         faults.build_odd(tmp_path, 0)
 

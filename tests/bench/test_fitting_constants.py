@@ -5,7 +5,7 @@ import time
 import pytest
 
 from benchmarks.fit_constants import CONSTANTS, Constant, compare
-from evo_cpg.fusion import machine_constants
+from evo_cpg.native import machine_constants
 
 
 def test_twice_the_time_is_measured(monkeypatch):

@@ -30,8 +30,8 @@ def has_fast_test(text: str) -> bool:
 
 
 def test_a_mutant_of_missing_code_is_refused():
-    gone = Mutant("physics/step.py", "right", "wrong", "physics/test_water.py")
-    words = r"physics/step.py contains 'right' 0 times, not once. Correct the mutant"
+    gone = Mutant("physics/step/step.py", "right", "wrong", "physics/test_water.py")
+    words = r"physics/step/step.py contains 'right' 0 times, not once. Correct the mutant"
     with pytest.raises(ValueError, match=words):
         mutated(gone, "")
 

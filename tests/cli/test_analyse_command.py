@@ -16,11 +16,11 @@ import evo_cpg as evo
 from evo_cpg.api import analyse as analysing
 from evo_cpg.api import paper_differences as module
 from evo_cpg.api.paper_differences import notes, paper_differences
-from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.io.load import dump_config, load_config
 from evo_cpg.training.checkpoint import genes_digest
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-from evo_cpg.view.page import origin
-from evo_cpg.view.page.subject import Subject
+from evo_cpg.view.run_page import origin
+from evo_cpg.view.run_page.subject import Subject
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 CHANGED = "config.yaml has changed since the champion evolved"
@@ -399,7 +399,7 @@ def differs(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def test_numbers_have_three_digits():
-    from evo_cpg.view.page.html import number
+    from evo_cpg.view.run_page.html import number
 
     assert number(0.12345) == "0.123" and number(11120.0) == "11120"
     assert number(math.nan) == "\N{EN DASH}" and number(-2.0) == "\N{MINUS SIGN}2"

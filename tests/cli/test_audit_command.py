@@ -9,17 +9,18 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.verdict import KEPT, Check, Limits, Verdict, limits_from, shown
+from evo_cpg.analysis.verdict import KEPT, Check, Verdict, limits_from, shown
 from evo_cpg.api import audit
 from evo_cpg.api.audit import Audit
 from evo_cpg.cli.audited import say_verdict
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
+from evo_cpg.io.schema.limits import Limits
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.variations import Variation, compile_variation, finer
-from evo_cpg.view.page import origin
+from evo_cpg.view.run_page import origin
 from pictures import ink
 from tiny_run import CONFIG, PAIR
 

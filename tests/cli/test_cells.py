@@ -8,8 +8,8 @@ import pytest
 from evo_cpg.analysis.verdict import Check, Verdict
 from evo_cpg.api import audit
 from evo_cpg.api.audit import Audit
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
 from evo_cpg.training.elites import gait_map
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.variations import Variation, compile_variation

@@ -7,9 +7,9 @@ import sys
 import pytest
 
 from evo_cpg.cli.completion import complete_config, complete_folder, complete_shipped
-from evo_cpg.config import shipped as module
-from evo_cpg.config.file_schema import file_schema
-from evo_cpg.config.shipped import shipped, shipped_names
+from evo_cpg.io import shipped as module
+from evo_cpg.io.file_schema import file_schema
+from evo_cpg.io.shipped import shipped, shipped_names
 from tiny_run import PAIR, REPOSITORY
 
 NAME = "iwadate2010_swimmer"

@@ -381,7 +381,7 @@ def test_version_is_printed_without_a_device(monkeypatch):
     def none(engine):
         raise AssertionError
 
-    monkeypatch.setattr("evo_cpg.fusion.engine.described", none)
+    monkeypatch.setattr("evo_cpg.native.engine.described", none)
     monkeypatch.setenv("JAX_PLATFORMS", "tpu")
     assert version().endswith("engine: none: JAX finds no device for JAX_PLATFORMS=tpu")
 

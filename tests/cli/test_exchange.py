@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from evo_cpg.cli import building
 from evo_cpg.cli.measured_motion import read_motion
-from evo_cpg.config.load import load_config
+from evo_cpg.io.load import load_config
 from evo_cpg.simulation.situation import Situation, starting_pose
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, REPOSITORY

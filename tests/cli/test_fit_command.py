@@ -13,9 +13,9 @@ import yaml
 from creatures import quick_jit
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.measured_motion import MeasuredMotion, commands, late_commands, read_motion
-from evo_cpg.config.load import check_config, load_config
-from evo_cpg.config.numbers import number_at
-from evo_cpg.config.parameters import parametrise
+from evo_cpg.io.load import check_config, load_config
+from evo_cpg.io.numbers import number_at
+from evo_cpg.io.parameters import parametrise
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.track import track
 from evo_cpg.training.run_folder import RunFolder

@@ -15,7 +15,7 @@ TINY = ("u=0.4,0.8", "b=2", "--seconds", "1")
 @pytest.fixture(scope="module")
 def animal(tmp_path_factory):
     """Configuration of a tiny swimmer."""
-    from evo_cpg.config.load import load_config
+    from evo_cpg.io.load import load_config
     from tiny_run import CONFIG
 
     path = tmp_path_factory.mktemp("lab") / "tiny.yaml"

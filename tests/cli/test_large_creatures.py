@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from benchmarks.large_bodies import walker
-from evo_cpg.config.yaml_text import to_yaml
+from evo_cpg.io.yaml_text import to_yaml
 from tiny_run import REPOSITORY
 
 # Default size of a program's stack on Linux, KiB.

@@ -4,10 +4,10 @@ import platform
 
 import pytest
 
-from evo_cpg.fusion import engine as engines
-from evo_cpg.fusion.backend.machine import llvm_version
-from evo_cpg.fusion.engine import is_native
-from evo_cpg.fusion.unsupported import Unsupported
+from evo_cpg.native import engine as engines
+from evo_cpg.native.backend.machine import llvm_version
+from evo_cpg.native.engine import is_native
+from evo_cpg.native.unsupported import Unsupported
 from tiny_run import CONFIG, PAIR, REPOSITORY
 
 GRAMS = "creature.materials.body.density=1"

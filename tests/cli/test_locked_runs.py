@@ -7,7 +7,7 @@ import pytest
 
 import evo_cpg as evo
 from evo_cpg.api.sweep import claim, new_plan
-from evo_cpg.config.settings import Setting
+from evo_cpg.io.settings import Setting
 from evo_cpg.locks import LockedError, locked
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, PAIR, TINY

@@ -10,9 +10,9 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from evo_cpg.drawing.document import Document
-from evo_cpg.drawing.page.server import DrawingServer
-from evo_cpg.view.page import server as page_server
+from evo_cpg.view.drawing_page.document import Document
+from evo_cpg.view.drawing_page.page.server import DrawingServer
+from evo_cpg.view.run_page import server as page_server
 from tiny_run import REPOSITORY
 
 

@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from evo_cpg.cli.refine import _free
-from evo_cpg.config.load import load_config
-from evo_cpg.config.parameters import parametrise
-from evo_cpg.physics.fluid import Drag
+from evo_cpg.io.load import load_config
+from evo_cpg.io.parameters import parametrise
+from evo_cpg.physics.water.fluid import Drag
 from evo_cpg.training.run_folder import RunFolder, refinements
 from tiny_run import CONFIG, REPOSITORY, TINY
 

@@ -7,7 +7,7 @@ import pytest
 
 from evo_cpg.analysis.sensitivity import Sensitivity
 from evo_cpg.cli import champions, sensitivity
-from evo_cpg.config.schema.controller import PosturesConfig
+from evo_cpg.io.schema.controller import PosturesConfig
 from pictures import ink
 
 KEYS = ("world.water.form_drag", "world.water.current.0", "genes")

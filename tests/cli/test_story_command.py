@@ -9,8 +9,8 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from evo_cpg.api.opened import open_run
 from evo_cpg.api.story import generations_of
+from evo_cpg.io.opened import open_run
 from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
 from evo_cpg.training.run_folder import RunFolderError
 from tiny_run import CONFIG, PAIR

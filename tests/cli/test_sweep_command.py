@@ -15,8 +15,8 @@ from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.sweep import _varied
 from evo_cpg.cli.sweep import sweep as run_sweep
 from evo_cpg.cli.verify import verify
-from evo_cpg.config.load import as_overrides
-from evo_cpg.config.settings import combine
+from evo_cpg.io.load import as_overrides
+from evo_cpg.io.settings import combine
 from evo_cpg.training import devices, loop
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder, RunFolderError

@@ -9,8 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.config.build import build_creature
-from evo_cpg.config.load import load_config
 from evo_cpg.control import controller as protocol
 from evo_cpg.control import matsuoka
 from evo_cpg.control.brain import BrainSettings
@@ -22,6 +20,8 @@ from evo_cpg.creature.creature import Muscle, TorqueMotor
 from evo_cpg.creature.muscles import muscles_of
 from evo_cpg.creature.torque_motors import torque_motors_of
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.io.build import build_creature
+from evo_cpg.io.load import load_config
 from tiny_run import REPOSITORY
 
 

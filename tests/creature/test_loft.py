@@ -5,13 +5,13 @@ import contextlib
 import numpy as np
 import pytest
 
-from evo_cpg.config.load import complete_config
-from evo_cpg.config.schema.shape import LoftConfig
 from evo_cpg.creature.cylinder import Cylinder
 from evo_cpg.creature.loft import LoftSection, Piece, loft
 from evo_cpg.creature.mesh import MeshError
 from evo_cpg.creature.shapes import Box, Ellipsoid
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.io.load import complete_config
+from evo_cpg.io.schema.shape import LoftConfig
 
 
 def straight(*sizes: tuple[float, float, float], corners: int | None = None) -> tuple[Piece, ...]:

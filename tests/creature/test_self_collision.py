@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.config.build import build_creature
-from evo_cpg.config.load import load_config
 from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.pairs import make_pairs, separations
-from evo_cpg.physics.state import resting_state
+from evo_cpg.io.build import build_creature
+from evo_cpg.io.load import load_config
+from evo_cpg.physics.contact.pairs import make_pairs, separations
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 POSTURES = 4000

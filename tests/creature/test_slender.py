@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from creatures import box_chain
+from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
 from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Shape
 from evo_cpg.creature.slender import slender_chains
-from evo_cpg.spatial.decisions import recording_decisions, replaying_decisions
 
 FLESH = Material(1000.0)
 

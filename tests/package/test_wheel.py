@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg.config.shipped import shipped_names
+from evo_cpg.io.shipped import shipped_names
 from tiny_run import PAIR, REPOSITORY
 
 # It runs in an empty folder. The path has the wheel, then the dependencies.
 _LOADS_ALL = """
 import evo_cpg
-from evo_cpg.config.load import load_config
-from evo_cpg.config.shipped import find_config, shipped_names
+from evo_cpg.io.load import load_config
+from evo_cpg.io.shipped import find_config, shipped_names
 
 print(evo_cpg.__file__)
 for name in shipped_names():
@@ -85,7 +85,7 @@ def test_the_wheel_has_its_metadata(wheel):
         "Name: evo-cpg",
         "Author: The evo_cpg authors",
         "License-Expression: Apache-2.0 AND MIT",
-        "License-File: evo_cpg/view/page/three.LICENSE",
+        "License-File: evo_cpg/view/run_page/three.LICENSE",
         "Requires-Python: >=3.11",
         "Classifier: Programming Language :: Python :: 3.13",
         "Classifier: Typing :: Typed",

@@ -13,15 +13,15 @@ import pytest
 
 from benchmarks.mujoco_model import mujoco_model
 from creatures import STRUCTURES, quick_jit, random_creature, random_state
+from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.exchange.mujoco_state import dof_order, load_state
-from evo_cpg.physics.articulated import solve
-from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.joint_torque import passive_torque
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.io.models.mujoco_state import dof_order, load_state
+from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.articulated import solve
+from evo_cpg.physics.tree.joint_torque import passive_torque
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State
 
 GRAVITY = 9.81
 TREES_PER_STRUCTURE = 9

@@ -13,11 +13,11 @@ from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, r
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.added_mass import AddedMass, added_inertia, ellipsoid
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.added_mass import AddedMass, added_inertia, ellipsoid
 
 GRAVITY, WATER = 9.81, 1000.0
 

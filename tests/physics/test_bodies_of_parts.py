@@ -10,23 +10,23 @@ import numpy as np
 import pytest
 
 from creatures import in_water, quick_jit, random_state
-from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.creature.creature import Creature, lowest_height
 from evo_cpg.creature.limbs import limbs
 from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs
 from evo_cpg.creature.slender import slender_chains
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree, spatial_inertia
-from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.exchange.mujoco_state import dof_order, load_state
-from evo_cpg.fusion.engine import Engine, using
-from evo_cpg.physics.articulated import solve
-from evo_cpg.physics.body_equations import body_equations, central_inertia
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.step import step
-from evo_cpg.physics.weight import weight
-from evo_cpg.physics.world import World
+from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
+from evo_cpg.io.models.mujoco_state import dof_order, load_state
+from evo_cpg.io.schema.creature import CreatureConfig
+from evo_cpg.native.engine import Engine, using
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.step.body_equations import body_equations, central_inertia
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.articulated import solve
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.water.weight import weight
 
 GRAVITY = 9.81
 SPHERE = {"shape": {"type": "sphere", "radius": 0.06}, "at": [0.1, 0.02, 0.08], "material": "light"}

@@ -10,16 +10,16 @@ from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.added_mass import AddedMass, added_inertia
-from evo_cpg.physics.buoyancy import make_cells
-from evo_cpg.physics.force_law import Bodies
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.lift import make_plate_lift
-from evo_cpg.physics.reactive_thrust import reactive_water
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.viscous_bodies import make_viscous_drag
-from evo_cpg.physics.water import Water
-from evo_cpg.physics.world import World
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.added_mass import AddedMass, added_inertia
+from evo_cpg.physics.water.buoyancy import make_cells
+from evo_cpg.physics.water.force_law import Bodies
+from evo_cpg.physics.water.lift import make_plate_lift
+from evo_cpg.physics.water.reactive_thrust import reactive_water
+from evo_cpg.physics.water.viscous_bodies import make_viscous_drag
+from evo_cpg.physics.water.water import Water
 
 WATER, SAMPLES = 1000.0, 4
 # Bodies of a unit size. A plate has lift.

@@ -15,9 +15,9 @@ import pytest
 from creatures import in_water, quick_jit
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
-from evo_cpg.physics.reactive_thrust import Edges, ReactiveThrust
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.reactive_thrust import Edges, ReactiveThrust
 
 H, SECONDS = 1 / 120, 16.0
 # Viscosity over density, L^2 / T.

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
+from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
-from evo_cpg.physics import contact
-from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.contact_model import combine
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State
-from evo_cpg.physics.terrain import Plane
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.rotation import quaternion_to_matrix
+from evo_cpg.physics.contact import contact
+from evo_cpg.physics.contact.contact import find_contacts
+from evo_cpg.physics.contact.contact_model import combine
+from evo_cpg.physics.contact.terrain import Plane
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State
 from on_ground import GRAVITY, H, alone, record, recorder, released
 
 # The stiffness c h of each contact point is 60 times the mass of a single body.

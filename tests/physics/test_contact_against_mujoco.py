@@ -15,14 +15,14 @@ from creatures import quick_jit
 from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.mujoco_state import dof_order, load_state
-from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import first_warmstart, step
-from evo_cpg.physics.terrain import Block, Plane
-from evo_cpg.physics.world import World
+from evo_cpg.io.models.mujoco_state import dof_order, load_state
+from evo_cpg.physics.contact.contact import find_contacts
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.contact.terrain import Block, Plane
+from evo_cpg.physics.step.step import first_warmstart, step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State, resting_state
 from on_ground import GRAVITY
 
 H = 1 / 1000

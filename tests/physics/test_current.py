@@ -10,9 +10,9 @@ import pytest
 from creatures import in_water, quick_jit
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Sphere
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.water import Current, Vortex, Water
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.water import Current, Vortex, Water
 
 H = 1 / 120
 VORTEX = Vortex(centre=(0.5, -0.2), circulation=1.5, core=0.3)

@@ -11,14 +11,14 @@ from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.cylinder import Cylinder
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.added_mass import ellipsoid
-from evo_cpg.physics.buoyancy import displacement, make_cells
-from evo_cpg.physics.contact_points import contact_points
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.viscous_bodies import make_viscous_drag
-from evo_cpg.physics.water import Water
-from evo_cpg.physics.world import World
+from evo_cpg.physics.contact.contact_points import contact_points
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.added_mass import ellipsoid
+from evo_cpg.physics.water.buoyancy import displacement, make_cells
+from evo_cpg.physics.water.viscous_bodies import make_viscous_drag
+from evo_cpg.physics.water.water import Water
 from measured_water import CYLINDER, CYLINDER_ALONG, SHORT_CYLINDER
 from on_ground import GRAVITY, H, alone, record, released
 

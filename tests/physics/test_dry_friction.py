@@ -10,11 +10,11 @@ import pytest
 from evo_cpg.creature.creature import NO_LIMIT, Body, Creature, Joint, Material, TorqueMotor
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.fusion.jax_internals import quick_jit
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
+from evo_cpg.native.jax_internals import quick_jit
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.state import resting_state
 
 pytestmark = pytest.mark.usefixtures("x64")
 

@@ -17,14 +17,14 @@ import pytest
 
 from benchmarks.mujoco_model import mujoco_model
 from creatures import STRUCTURES, quick_jit, random_creature, random_state
+from evo_cpg.creature.algebra.rotation import integrate_quaternion
 from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.mujoco_state import load_state
-from evo_cpg.physics.state import State
-from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.rotation import integrate_quaternion
+from evo_cpg.io.models.mujoco_state import load_state
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.state import State
 
 DURATION = 0.5
 # Steps in `DURATION`; the shortest step is 1/1920 s.

@@ -11,13 +11,13 @@ import pytest
 
 from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.articulated import solve
-from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.generalized import body_accelerations, generalized_force, mass_matrix
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.root import ROOT_DOFS
-from evo_cpg.physics.spatial_algebra import Wrench
-from evo_cpg.physics.world import World
+from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.articulated import solve
+from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force, mass_matrix
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.root import ROOT_DOFS
+from evo_cpg.physics.tree.spatial_algebra import Wrench
 
 GRAVITY = 9.81
 

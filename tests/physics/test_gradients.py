@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from creatures import box_chain, in_water, jit_as_for_users, quick_jit
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.fluid import Drag
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.fluid import Drag
 from evo_cpg.simulation.situation import starting_state
 
 WALKER = Path(__file__).parents[2] / "configs" / "fukui2003_model1.yaml"

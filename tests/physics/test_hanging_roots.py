@@ -15,24 +15,24 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from creatures import accelerations, in_water, quick_jit, random_creature, random_state
+from evo_cpg.creature.algebra.rotation import euler_to_matrix, quaternion_to_matrix
 from evo_cpg.creature.creature import NO_MASS, WORLD, Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.exchange.mujoco_state import dof_order, load_state
-from evo_cpg.fusion.engine import Engine, using
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.pairs import make_pairs
-from evo_cpg.physics.root import ROOT_DOFS
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
+from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
+from evo_cpg.io.models.mujoco_state import dof_order, load_state
+from evo_cpg.native.engine import Engine, using
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.contact.pairs import make_pairs
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.root import ROOT_DOFS
+from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start
 from evo_cpg.simulation.settle import Settling
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.spatial.rotation import euler_to_matrix, quaternion_to_matrix
 
 GRAVITY = 9.81
 START, HEADING = (1.0, 2.0, 3.0), 0.4

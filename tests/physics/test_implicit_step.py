@@ -25,20 +25,20 @@ from evo_cpg.creature.creature import Actuator, Creature
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.mujoco_state import dof_order, load_state
-from evo_cpg.physics import fluid
-from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.equations import prepare, solve_at_once
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.pairs import make_pairs, separations
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import needs_iteration, step
-from evo_cpg.physics.step_problem import StepProblem
-from evo_cpg.physics.step_solver import free_motion
-from evo_cpg.physics.world import World
+from evo_cpg.io.models.mujoco_state import dof_order, load_state
+from evo_cpg.physics.contact.contact import find_contacts
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.contact.pairs import make_pairs, separations
+from evo_cpg.physics.step.equations import prepare, solve_at_once
+from evo_cpg.physics.step.step import needs_iteration, step
+from evo_cpg.physics.step.step_problem import StepProblem
+from evo_cpg.physics.step.step_solver import free_motion
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State, resting_state
+from evo_cpg.physics.water import fluid
 
 H = 1 / 120
 CURRENT = (0.3, -0.2, 0.1)

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from creatures import accelerations, quick_jit, random_shape, random_state
+from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, TorqueMotor
 from evo_cpg.creature.reach import keeps_apart
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.exchange.mujoco_state import dof_order, joint_state, load_state
-from evo_cpg.fusion.engine import Engine, using
-from evo_cpg.physics import joints
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.rotation import euler_to_matrix
+from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
+from evo_cpg.io.models.mujoco_state import dof_order, joint_state, load_state
+from evo_cpg.native.engine import Engine, using
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree import joints
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.state import State, resting_state
 
 TURN, SLIDE, BALL = ("turn",), ("slide",), ("ball",) * 3
 # Parent, kinds of the axes, and whether turning axes have places of their own.

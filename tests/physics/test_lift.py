@@ -10,22 +10,22 @@ import scipy.optimize
 import yaml
 
 from creatures import AXES, coast, in_water, quick_jit, random_state
-from evo_cpg.config.build import build_simulation
-from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.load import check_config, load_config
+from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.force_law import Bodies
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.lift import PlateLift, make_plate_lift
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.viscous_bodies import make_viscous_drag
-from evo_cpg.physics.water import Current, Water
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.decisions import recording_decisions, replaying_decisions
+from evo_cpg.io.build import build_simulation
+from evo_cpg.io.errors import ConfigError
+from evo_cpg.io.load import check_config, load_config
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.force_law import Bodies
+from evo_cpg.physics.water.lift import PlateLift, make_plate_lift
+from evo_cpg.physics.water.viscous_bodies import make_viscous_drag
+from evo_cpg.physics.water.water import Current, Water
 from measured_water import LIFT
 from tiny_run import CONFIG
 

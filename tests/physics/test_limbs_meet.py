@@ -14,24 +14,24 @@ import pytest
 from creatures import quick_jit
 from evo_cpg.api.record import as_record
 from evo_cpg.control.controller import Command
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.fusion.engine import Engine, using
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.pairs import make_pairs, separations
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import first_warmstart, step
-from evo_cpg.physics.world import World
+from evo_cpg.native.engine import Engine, using
+from evo_cpg.physics.contact.pairs import make_pairs, separations
+from evo_cpg.physics.step.step import first_warmstart, step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.walk import Distance
-from evo_cpg.spatial.linear import expand_dims_like
-from evo_cpg.spatial.rotation import euler_to_matrix
 from trials import SineController
 
 H = 1 / 240

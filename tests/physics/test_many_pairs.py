@@ -12,16 +12,16 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.fusion.engine import Engine, using
-from evo_cpg.physics import many_pairs
-from evo_cpg.physics import pairs as written_out
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.many_pairs import ManyPairContacts
-from evo_cpg.physics.pairs import make_pairs, separations
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import first_warmstart, step
-from evo_cpg.physics.world import World
+from evo_cpg.native.engine import Engine, using
+from evo_cpg.physics.contact import many_pairs
+from evo_cpg.physics.contact import pairs as written_out
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.contact.many_pairs import ManyPairContacts
+from evo_cpg.physics.contact.pairs import make_pairs, separations
+from evo_cpg.physics.step.step import first_warmstart, step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
 
 H, COUNT = 1 / 240, 24
 FLESH = Material(500.0, static_friction=0.8, dynamic_friction=0.8)

@@ -13,16 +13,16 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material,
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.fusion.fuse import fuse
-from evo_cpg.physics.added_mass import added_inertia
-from evo_cpg.physics.buoyancy import displacement, make_cells
-from evo_cpg.physics.contact_model import make_contact_model
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.fluid import Drag, drag
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.terrain import Block
+from evo_cpg.native.fuse import fuse
+from evo_cpg.physics.contact.contact_model import make_contact_model
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.contact.terrain import Block
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.added_mass import added_inertia
+from evo_cpg.physics.water.buoyancy import displacement, make_cells
+from evo_cpg.physics.water.fluid import Drag, drag
 from on_ground import DENSITY, alone, record, released
 from polyhedra import ball_mesh, box_mesh, tetrahedron, wedge
 

@@ -12,12 +12,12 @@ import driven
 from creatures import box_chain, in_water
 from evo_cpg.creature.creature import Actuator, Muscle
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.fusion.jax_internals import quick_jit
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.muscle import metabolic_rate, pull_of
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
+from evo_cpg.native.jax_internals import quick_jit
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.muscle import metabolic_rate, pull_of
+from evo_cpg.physics.tree.state import resting_state
 
 pytestmark = pytest.mark.usefixtures("x64")
 

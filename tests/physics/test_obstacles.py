@@ -9,15 +9,15 @@ import pytest
 from scipy.optimize import minimize
 
 from creatures import quick_jit
+from evo_cpg.creature.algebra.rotation import euler_to_matrix, quaternion_to_matrix
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.ellipsoids import nearest_to_ball, nearest_to_box
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.separation import RoundedBoxes
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.terrain import Block, Boulder, Plane
-from evo_cpg.spatial.rotation import euler_to_matrix, quaternion_to_matrix
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.contact.ellipsoids import nearest_to_ball, nearest_to_box
+from evo_cpg.physics.contact.separation import RoundedBoxes
+from evo_cpg.physics.contact.terrain import Block, Boulder, Plane
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
 from on_ground import H, alone, record, released
 
 COUNT, STEPS = 24, 120

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.physics.outer_updates import Cone, PairBias, reduced
+from evo_cpg.physics.step.outer_updates import Cone, PairBias, reduced
 
 
 def test_cone_iteration_solves_linear_fixed_point_in_three_rounds():

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
 from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape
 from evo_cpg.creature.slender import slender_chains
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.reactive_thrust import reactive_water
-from evo_cpg.physics.sections import chain_inertia, sections
-from evo_cpg.spatial.decisions import recording_decisions, replaying_decisions
+from evo_cpg.physics.water.reactive_thrust import reactive_water
+from evo_cpg.physics.water.sections import chain_inertia, sections
 
 WATER = 1000.0
 

@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.physics.box_separation import separation_of_boxes
-from evo_cpg.physics.flat_separation import separation_of_flat
-from evo_cpg.physics.separation import (
+from evo_cpg.creature.algebra.rotation import euler_to_matrix
+from evo_cpg.physics.contact.box_separation import separation_of_boxes
+from evo_cpg.physics.contact.flat_separation import separation_of_flat
+from evo_cpg.physics.contact.separation import (
     SAME,
     RoundedBoxes,
     separation_of_line_and_box,
     separation_of_lines,
     separation_of_rounded,
 )
-from evo_cpg.spatial.rotation import euler_to_matrix
 
 COUNT = 400
 PROJECTIONS = 20_000

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 from creatures import in_water
+from evo_cpg.creature.algebra.linear import inverse_symmetric, toward_one
+from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.fusion.engine import Engine, using
-from evo_cpg.fusion.jax_internals import quick_jit
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import first_warmstart, step
-from evo_cpg.physics.terrain import Block, Plane
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import inverse_symmetric, toward_one
-from evo_cpg.spatial.rotation import quaternion_to_matrix
+from evo_cpg.native.engine import Engine, using
+from evo_cpg.native.jax_internals import quick_jit
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.contact.terrain import Block, Plane
+from evo_cpg.physics.step.step import first_warmstart, step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
 from on_ground import alone
 
 GRAVITY = 9.81

@@ -9,8 +9,8 @@ from benchmarks.slopes import Standing, limit_of_statics, stander, stands, steep
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.world import World
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.step.world import World
 
 
 def test_the_limit_of_statics_equals_a_blocks():

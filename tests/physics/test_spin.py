@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
+from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
-from evo_cpg.physics.step import step
-from evo_cpg.spatial.rotation import quaternion_to_matrix
+from evo_cpg.physics.step.step import step
 from on_ground import alone, released
 
 

@@ -11,10 +11,10 @@ from scipy.spatial import ConvexHull
 from creatures import quick_jit
 from evo_cpg.creature.mesh import convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
-from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.contact_points import contact_points
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore
+from evo_cpg.physics.contact.contact import find_contacts
+from evo_cpg.physics.contact.contact_points import contact_points
+from evo_cpg.physics.contact.terrain import Block, Boulder, Plane, Relief, Shore
+from evo_cpg.physics.tree.kinematics import kinematics
 from on_ground import H, alone, record, released
 
 ABYSS = Plane(height=-1000.0)

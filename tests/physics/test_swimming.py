@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from creatures import box_chain, in_water, quick_jit
+from evo_cpg.creature.algebra.linear import matvec_t
 from evo_cpg.creature.creature import Actuator
-from evo_cpg.physics.fluid import Drag, drag
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.spatial.linear import matvec_t
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.fluid import Drag, drag
 from resistive_force import PlanarChain
 
 BODIES, SIZE, GAP = 10, (0.2, 0.1, 0.1), 0.02

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from creatures import in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator
-from evo_cpg.physics.state import State
-from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.state import State
 
 H = 1 / 120
 STEPS = 100

@@ -23,17 +23,17 @@ from evo_cpg.creature.creature import (
 )
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order
-from evo_cpg.fusion.engine import Engine, using
-from evo_cpg.physics.equations import prepare, solve_at_once
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.statics import joint_torque
-from evo_cpg.physics.step import step
-from evo_cpg.physics.step_problem import StepProblem
-from evo_cpg.physics.step_solver import free_motion
-from evo_cpg.physics.world import World
+from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
+from evo_cpg.io.models.mujoco_state import dof_order, load_state, motor_order
+from evo_cpg.native.engine import Engine, using
+from evo_cpg.physics.step.equations import prepare, solve_at_once
+from evo_cpg.physics.step.statics import joint_torque
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.step_problem import StepProblem
+from evo_cpg.physics.step.step_solver import free_motion
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.state import resting_state
 
 pytestmark = pytest.mark.usefixtures("x64")
 

@@ -7,7 +7,7 @@ import pytest
 
 from creatures import quick_jit
 from evo_cpg.creature.shapes import Box, Sphere
-from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore, nearest
+from evo_cpg.physics.contact.terrain import Block, Boulder, Plane, Relief, Shore, nearest
 from on_ground import GRAVITY, H, alone, record, released
 
 SLOPE = 0.2

@@ -18,10 +18,10 @@ from evo_cpg.creature.creature import (
 )
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.state import resting_state
 
 pytestmark = pytest.mark.usefixtures("x64")
 

@@ -14,15 +14,15 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.buoyancy import make_cells
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.stokes import ellipsoid_resistance
-from evo_cpg.physics.viscous_bodies import make_viscous_drag
-from evo_cpg.physics.viscous_drag import ViscousDrag
-from evo_cpg.physics.water import Current, Water
-from evo_cpg.physics.world import World
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.buoyancy import make_cells
+from evo_cpg.physics.water.stokes import ellipsoid_resistance
+from evo_cpg.physics.water.viscous_bodies import make_viscous_drag
+from evo_cpg.physics.water.viscous_drag import ViscousDrag
+from evo_cpg.physics.water.water import Current, Water
 from measured_water import CYLINDER, FRICTION, PLATE, SPHERE
 
 WATER, VISCOSITY, GRAVITY = 1000.0, 1e-3, 9.81

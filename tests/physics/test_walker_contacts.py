@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from creatures import jit_as_for_users, quick_jit
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
 from evo_cpg.control.controller import Observation
 from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.joint_torque import MotorCommand
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State, integrate, resting_state
-from evo_cpg.physics.step import Effort, step
-from evo_cpg.physics.step_solver import solve_step
-from evo_cpg.physics.world import World
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
+from evo_cpg.physics.contact.contact import find_contacts
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.step.step import Effort, step
+from evo_cpg.physics.step.step_solver import solve_step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.joint_torque import MotorCommand
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State, integrate, resting_state
 
 H = 1 / 240
 CONFIG = Path(__file__).parents[2] / "configs" / "fukui2003_model1.yaml"

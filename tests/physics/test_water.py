@@ -10,9 +10,9 @@ import pytest
 from creatures import STRUCTURES, in_water, quick_jit, random_creature
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
-from evo_cpg.physics.fluid import Drag, drag
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.physics.water.fluid import Drag, drag
 
 GRAVITY, WATER = 9.81, 1000.0
 FORM_DRAG, SKIN_DRAG = 1.0, 0.05

@@ -11,17 +11,17 @@ import scipy.stats
 
 from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, random_state
 from evo_cpg.analysis.rhythm import upward_crossings
+from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.buoyancy import displacement, make_cells
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.fluid import Drag, drag
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import step
-from evo_cpg.physics.terrain import Plane
-from evo_cpg.physics.world import World
-from evo_cpg.spatial.rotation import quaternion_to_matrix
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.contact.terrain import Plane
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.state import State, resting_state
+from evo_cpg.physics.water.buoyancy import displacement, make_cells
+from evo_cpg.physics.water.fluid import Drag, drag
 
 GRAVITY, WATER = 9.81, 1000.0
 H = 1 / 120

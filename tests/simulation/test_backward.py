@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.fusion import machine_constants
-from evo_cpg.physics.state import State
+from evo_cpg.native import machine_constants
+from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.judge import score
 from evo_cpg.simulation.rollout import rollout

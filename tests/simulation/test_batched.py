@@ -6,14 +6,14 @@ import jax
 import numpy as np
 import pytest
 
-from evo_cpg.config.batched import BodyPlan, build_batch
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.load import load_config
-from evo_cpg.config.numbers import number_at, with_numbers
+from evo_cpg.creature.algebra.numerics import is_number
+from evo_cpg.io.batched import BodyPlan, build_batch
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.errors import ConfigError
+from evo_cpg.io.load import load_config
+from evo_cpg.io.numbers import number_at, with_numbers
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.rollout import rollout
-from evo_cpg.spatial.numerics import is_number
 from tiny_run import REPOSITORY, TINY, VISCOUS
 
 SWIMMER = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
 from evo_cpg.control.postures import PostureController, PostureSettings, build_posture_controller
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
 from evo_cpg.simulation.judge import score
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rollout import rollout

@@ -22,8 +22,8 @@ from evo_cpg.control.matsuoka import MatsuokaState
 from evo_cpg.creature.creature import Actuator
 from evo_cpg.creature.shapes import Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
+from evo_cpg.physics.step.step import step
+from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.simulation.sensors import light_strength
 from on_ground import GRAVITY, H, alone, released
 

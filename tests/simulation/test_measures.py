@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
-from evo_cpg.config.load import load_config
 from evo_cpg.creature.creature import WORLD, Body, Creature, Joint, Material
 from evo_cpg.creature.limbs import limbs
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.world import World
+from evo_cpg.io.load import load_config
+from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.measures import (
     GROUND_MEASURES,
     MEASURES,

@@ -11,13 +11,13 @@ from creatures import quick_jit
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, lowest_height
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.fusion.engine import Engine
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.terrain import Plane
-from evo_cpg.physics.world import World
+from evo_cpg.native.engine import Engine
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.contact.terrain import Plane
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start, friction_scale_of
 from evo_cpg.simulation.recording import Recorder

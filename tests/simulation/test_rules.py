@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.load import load_config
 from evo_cpg.creature.creature import length_of
-from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.world import World
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.errors import ConfigError
+from evo_cpg.io.load import load_config
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.rules import Rules, keeps

@@ -10,14 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from creatures import quick_jit, random_creature, random_state
+from evo_cpg.creature.algebra.rotation import euler_to_matrix, integrate_quaternion
 from evo_cpg.creature.creature import DepthSensor
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.water import Water
-from evo_cpg.physics.world import World
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State, resting_state
+from evo_cpg.physics.water.water import Water
 from evo_cpg.simulation.sensors import (
     body_loads,
     depth_readings,
@@ -28,7 +29,6 @@ from evo_cpg.simulation.sensors import (
 )
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 from evo_cpg.simulation.velocity_sensor import VelocitySensor
-from evo_cpg.spatial.rotation import euler_to_matrix, integrate_quaternion
 from on_ground import alone, record, released
 from trials import EYES, swimmer
 

@@ -10,22 +10,22 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from creatures import AXES, coast, in_water
+from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.fusion.jax_internals import quick_jit
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import first_warmstart, step
-from evo_cpg.physics.terrain import Plane
-from evo_cpg.physics.world import World
+from evo_cpg.native.jax_internals import quick_jit
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.contact.terrain import Plane
+from evo_cpg.physics.step.step import first_warmstart, step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.simulation import settle
 from evo_cpg.simulation.plans import Programs
 from evo_cpg.simulation.settle import NoRestError, Settling
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.spatial.rotation import quaternion_to_matrix
 
 H = 1 / 240
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from evo_cpg.analysis.gait import dominant_frequency, ring_lags
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
-from evo_cpg.fusion.engine import using
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
+from evo_cpg.native.engine import using
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
 from tiny_run import REPOSITORY

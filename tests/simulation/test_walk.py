@@ -13,9 +13,9 @@ from evo_cpg.control.controller import Command, Observation
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact_model import Ground, make_contact_model
-from evo_cpg.physics.state import State
-from evo_cpg.physics.world import World
+from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors

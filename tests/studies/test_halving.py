@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
 from evo_cpg.studies.halving import Displacements, displacements, kept
 from tiny_run import CONFIG, PAIR
 

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
-from evo_cpg.config.shipped import shipped
 from evo_cpg.control.brain import think
 from evo_cpg.control.brain_cpg import BrainCpg, silent_genes
 from evo_cpg.control.postures import PostureController, one_posture
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
+from evo_cpg.io.shipped import shipped
 from evo_cpg.studies import fukui2003, search
 from evo_cpg.studies.audits import audit_table, kept_table
 from evo_cpg.studies.lights import evaluate

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg.config.load import dump_config
 from evo_cpg.installation import version_of
+from evo_cpg.io.load import dump_config
 from evo_cpg.studies import provenance
 from evo_cpg.studies.catalogue import NAMES, study
 from evo_cpg.studies.workshop import configuration

@@ -15,8 +15,8 @@ import pytest
 
 import xla_flags
 from evo_cpg.api.machine import machine_changes, machine_fingerprint
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import dump_config, load_config
 from evo_cpg.training.loop import TIMING_COLUMNS, train
 from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
@@ -108,7 +108,7 @@ def test_run_has_the_recorded_bits(kind, first):
 
 
 def test_machine_changes_that_affect_bits_are_named():
-    from evo_cpg.fusion.engine import Engine
+    from evo_cpg.native.engine import Engine
 
     here = machine_fingerprint(Engine(), 2)
     assert machine_changes(here, here) == []

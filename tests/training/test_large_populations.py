@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.machine_constants import LANES
+from evo_cpg.native import machine_constants
+from evo_cpg.native.machine_constants import LANES
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.training import experiment as training_experiment
 from evo_cpg.training import loop

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.experiment import first_population, placeholder_scales
 from evo_cpg.training.population_replay import compile_population_replay

@@ -3,8 +3,8 @@
 import numpy as np
 import yaml
 
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import check_config
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import check_config
 from evo_cpg.training.loop import train
 from evo_cpg.training.run_folder import RunFolder
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.tree.kinematics import kinematics
+from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout

@@ -7,11 +7,11 @@ import jax
 import numpy as np
 import pytest
 
-from evo_cpg.api.opened import Opened
 from evo_cpg.api.training import Recorder
 from evo_cpg.cli import interrupts, training
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
+from evo_cpg.io.opened import Opened
 from evo_cpg.training import loop, replay
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, TINY

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from evo_cpg.api.sweep import Member
-from evo_cpg.config.load import load_config
-from evo_cpg.config.settings import Setting
-from evo_cpg.live.standing import Standing
+from evo_cpg.io.load import load_config
+from evo_cpg.io.settings import Setting
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.training.checkpoint import (
     Champion,
@@ -23,6 +22,7 @@ from evo_cpg.training.loop import train
 from evo_cpg.training.reevaluation import EVALUATIONS, FIRST_ROUND, Choice, Contest
 from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.view.live_page.standing import Standing
 from tiny_run import REPOSITORY
 from trials import experiment
 

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from evo_cpg.physics.fluid import Drag
+from evo_cpg.physics.water.fluid import Drag
 from evo_cpg.training.ascent import Free
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.loop import train

@@ -9,10 +9,10 @@ import pytest
 import pyvista as pv
 import synthetic
 
-from evo_cpg.config.build import build_creature
-from evo_cpg.config.load import load_config
-from evo_cpg.config.shipped import shipped, shipped_names
 from evo_cpg.creature.creature import Creature, lowest_height, neutral_pose
+from evo_cpg.io.build import build_creature
+from evo_cpg.io.load import load_config
+from evo_cpg.io.shipped import shipped, shipped_names
 from evo_cpg.view.fins import Fin, fins
 from evo_cpg.view.meshes import drawn_eyes, pieces, surfaces
 from evo_cpg.view.skin import Draped, skins

@@ -16,8 +16,8 @@ import synthetic
 from PIL import Image
 
 from evo_cpg.files import OutputError
-from evo_cpg.physics.contact_model import Ground
-from evo_cpg.physics.terrain import Boulder, Plane
+from evo_cpg.physics.contact.contact_model import Ground
+from evo_cpg.physics.contact.terrain import Boulder, Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view import film as view_film
 from evo_cpg.view import output

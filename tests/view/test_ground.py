@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import synthetic
 
-from evo_cpg.physics.contact_model import Ground
-from evo_cpg.physics.terrain import Plane
+from evo_cpg.physics.contact.contact_model import Ground
+from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.view.camera import project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.look import STYLES

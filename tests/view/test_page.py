@@ -13,16 +13,16 @@ from scipy.spatial.transform import Rotation
 
 from evo_cpg.analysis.feet import Feet
 from evo_cpg.analysis.footfalls import Phases
-from evo_cpg.physics.contact_model import Ground
-from evo_cpg.physics.terrain import Boulder, Plane
+from evo_cpg.physics.contact.contact_model import Ground
+from evo_cpg.physics.contact.terrain import Boulder, Plane
 from evo_cpg.training.crowd_motion import CrowdMotion
 from evo_cpg.view.clip import sample
 from evo_cpg.view.figure import BLUES
-from evo_cpg.view.page.animal_data import thinned
-from evo_cpg.view.page.charts import chart, footfall_figure
-from evo_cpg.view.page.html import join, long_table, table, tag
-from evo_cpg.view.page.viewer_data import RATE, viewer_data
 from evo_cpg.view.plots import path_figure
+from evo_cpg.view.run_page.animal_data import thinned
+from evo_cpg.view.run_page.charts import chart, footfall_figure
+from evo_cpg.view.run_page.html import join, long_table, table, tag
+from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
 from evo_cpg.view.scene import Panel
 
 
@@ -154,7 +154,7 @@ def contrast(one: str, two: str) -> float:
 
 
 def test_lines_and_dots_of_charts_are_seen_on_white_and_dark_paper():
-    css = resources.files("evo_cpg.view.page").joinpath("page.css").read_text(encoding="utf-8")
+    css = resources.files("evo_cpg.view.run_page").joinpath("page.css").read_text(encoding="utf-8")
     papers = set(re.findall(r"--paper: (#\w+)", css))
     assert len(papers) == 2
     made = chart(path_figure(synthetic.swim(3.0), 0), "path")

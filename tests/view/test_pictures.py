@@ -9,8 +9,8 @@ import synthetic
 from evo_cpg.creature.creature import DepthSensor, LightSensor, neutral_pose
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.files import OutputError
-from evo_cpg.physics.contact_model import Ground
-from evo_cpg.physics.terrain import Block, Boulder, Plane
+from evo_cpg.physics.contact.contact_model import Ground
+from evo_cpg.physics.contact.terrain import Block, Boulder, Plane
 from evo_cpg.view.meshes import eye_meshes, head_index, shape_mesh
 from evo_cpg.view.output import SettingError, oversampling
 from evo_cpg.view.preview import obstacles_near, preview, water_note

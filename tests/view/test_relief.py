@@ -6,8 +6,8 @@ import pyvista as pv
 import synthetic
 
 from creatures import quick_jit
-from evo_cpg.physics.contact_model import Ground
-from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore
+from evo_cpg.physics.contact.contact_model import Ground
+from evo_cpg.physics.contact.terrain import Block, Boulder, Plane, Relief, Shore
 from evo_cpg.view.camera import hidden, project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.look import SHORE

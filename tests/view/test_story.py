@@ -7,8 +7,8 @@ import pytest
 import synthetic
 
 from evo_cpg.api.story import Material, apart, story_of
-from evo_cpg.physics.contact_model import Ground
-from evo_cpg.physics.terrain import Plane, Relief
+from evo_cpg.physics.contact.contact_model import Ground
+from evo_cpg.physics.contact.terrain import Plane, Relief
 from evo_cpg.training.crowd_motion import CrowdMotion
 from evo_cpg.view.camera import CameraPath, between, overview, project
 from evo_cpg.view.clip import Clip, sample

@@ -1,0 +1,266 @@
+"""Ask an animal a question: many settings, one program, one table."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.analysis.gait_numbers import gait_numbers
+from evo_cpg.analysis.laboratory.bodies import Bodies, build_bodies, joints_of
+from evo_cpg.analysis.laboratory.effects import require_cord, require_effects, require_felt
+from evo_cpg.analysis.laboratory.entrain import (
+    bend,
+    entrained_range,
+    locking,
+    rest_frequency,
+    steps_of,
+)
+from evo_cpg.analysis.laboratory.flume import flume_notes, ground_speed
+from evo_cpg.analysis.laboratory.settings import (
+    CORD,
+    NERVES,
+    NOTHING,
+    LabError,
+    Setting,
+    combinations,
+    require_values,
+    worded,
+)
+from evo_cpg.analysis.laboratory.surgery import genes_of, prepare, sides_of
+from evo_cpg.analysis.laboratory.tow import held, straight_drag, tow_numbers
+from evo_cpg.analysis.laboratory.transection import cut_numbers, cut_of
+from evo_cpg.analysis.laboratory.trials import record_all
+from evo_cpg.control.matsuoka import parts
+from evo_cpg.control.preparation import Preparation
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.recording import Recording, as_recording
+from evo_cpg.simulation.simulation import Simulation
+
+
+class Subject(NamedTuple):
+    """The animal of a question.
+
+    Attributes:
+        config: its configuration.
+        source: file of the configuration.
+        folders: further folders with a user's own classes.
+        genes: genes of its champion, or None for an animal without training.
+    """
+
+    config: ExperimentConfig
+    source: Path
+    folders: Sequence[Path] = ()
+    genes: Float[np.ndarray, " g"] | None = None
+
+
+class Meaning(NamedTuple):
+    """Meaning of a measure.
+
+    Attributes:
+        unit: unit, empty for a pure number.
+        definition: definition.
+    """
+
+    unit: str
+    definition: str
+
+
+class Answer(NamedTuple):
+    """An answer: a row of measures for each setting.
+
+    Attributes:
+        settings: the settings.
+        rows: values of the knobs and all measures of each setting, by name. Measures that do not
+            exist are NaN.
+        recordings: motion under each setting. Empty for an isolated cord.
+        notes: results that belong to several settings, one sentence each.
+        simulations: trial of each setting. Empty for an isolated cord.
+        meanings: unit and definition of each measure, by name.
+    """
+
+    settings: list[Setting]
+    rows: list[dict[str, Any]]
+    recordings: tuple[Recording, ...] = ()
+    notes: tuple[str, ...] = ()
+    simulations: tuple[Simulation, ...] = ()
+    meanings: Mapping[str, Meaning] = MappingProxyType({})
+
+    def __repr__(self) -> str:
+        return f"Answer({len(self.rows)} settings, {len(self.rows[0])} columns)"
+
+
+# Default values of the knobs of an isolated cord: amplitude, degrees, and f_b/f_0.
+_DEGREES, _RATIOS = 10.0, tuple(np.linspace(0.5, 1.5, 21).tolist())
+
+
+def ask(
+    subject: Subject, values: Mapping[str, Sequence[Any]], seconds: float | None = None
+) -> Answer:
+    """Simulate an animal under all combinations of values, in one program.
+
+    Args:
+        subject: the animal.
+        values: values of each knob (`evo_cpg.analysis.laboratory.settings.KNOBS`), or of each key
+        of the
+            configuration.
+        seconds: duration of a trial, s, or None for the duration in the configuration. The second
+            half is measured.
+
+    Raises:
+        LabError: a knob or a value does not fit the animal.
+        ConfigError: a number of the configuration is wrong.
+    """
+    require_values(values, seconds)
+    if "bend" in values:
+        require_cord(values, seconds)
+        return _ask_cord(subject, {"ratio": _RATIOS, **values})
+    if set(values) & set(CORD):
+        raise LabError(f"{', '.join(sorted(set(values) & set(CORD)))}: needs bend=BODY")
+    return _ask_animal(subject, values, seconds)
+
+
+def _ask_animal(
+    subject: Subject, values: Mapping[str, Sequence[Any]], seconds: float | None
+) -> Answer:
+    settings = combinations(values)
+    bodies = _prepared(subject, settings, seconds, "tow" in values)
+    require_effects(bodies.common.controller, values)
+    frames = record_all(bodies.simulation, _genes(subject, bodies, settings))
+    simulations = tuple(bodies.of(i) for i in range(len(settings)))
+    rows, recordings, cut = [], [], cut_of(settings)
+    meanings: dict[str, Meaning] = {}
+    drags: dict[tuple, float] = {}
+    for i, setting in enumerate(settings):
+        own = {name: values[..., i : i + 1] for name, values in frames.items()}
+        simulation, creature = simulations[i], bodies.creatures[i]
+        recording = as_recording(simulation, own, [body.name for body in creature.bodies])
+        recordings.append(recording)
+        if not np.isfinite(recording.position).all():
+            rows.append(dict(setting))
+            continue
+        found = gait_numbers(simulation, creature, own, recording)
+        quantities = list(found.quantities)
+        if "tow" in setting:
+            body = tuple(value for name, value in setting.items() if name not in NERVES)
+            if body not in drags:
+                drags[body] = straight_drag(simulation)
+            quantities += tow_numbers(simulation, own, found, setting["tow"], drags[body])
+        quantities.append(ground_speed(simulation, recording, found))
+        if "cut" in setting:
+            own_cut = setting["cut"] if setting["cut"] != NOTHING else cut
+            quantities += cut_numbers(simulation.world.tree, recording, own_cut, found.first)
+        rows.append(dict(setting) | {one.key: one.value for one in quantities})
+        meanings |= {one.key: Meaning(one.unit, one.definition) for one in quantities}
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    rows = [{name: row.get(name, np.nan) for name in names} for row in rows]
+    notes = flume_notes(settings, rows)
+    return Answer(settings, rows, tuple(recordings), notes, simulations, meanings)
+
+
+def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
+    """Bend an isolated spinal cord (`evo_cpg.analysis.laboratory.entrain`)."""
+    combinations(values)  # Ratios count among the settings.
+    settings = combinations({name: each for name, each in values.items() if name != "ratio"})
+    bodies = _prepared(subject, settings, None, False)
+    controller, tree = bodies.common.controller, bodies.common.world.tree
+    if not isinstance(controller, Preparation):
+        raise LabError(
+            f"bend: needs the controller brain_cpg, not {subject.config.controller.type}"
+        )
+    if controller.awake:
+        raise LabError("bend: an isolated cord has no brain. Give the drive, such as u=0.5 b=5")
+    require_effects(controller, values)
+    h, genes = controller.animal.control_step, _genes(subject, bodies, settings)
+    bent, among = [], []
+    for setting in settings:
+        moved = np.isin(tree.dof_bodies, list(joints_of(tree, "bend", setting["bend"])))
+        require_felt(controller, moved, setting["bend"], setting.get("feedback", 1.0))
+        bent.append(moved * np.deg2rad(setting.get("degrees", _DEGREES)))
+        first = int(np.flatnonzero(moved)[0])
+        sides = sides_of(tree, setting)
+        together = next(part for part in parts(controller.animal.network) if first in part)
+        among.append([first, *(i for i in together if i != first and sides[i] == sides[first])])
+    bent = np.stack(bent, axis=-1)
+    # Straight cords have the frequency f_0 that the ratios refer to.
+    straight = bend(bodies, genes, 0 * bent, np.ones(len(settings)), round(_STRAIGHT / h))
+    rest = [rest_frequency(straight[:, own[0], i], h) for i, own in enumerate(among)]
+    if not np.isfinite(rest).all():
+        lost = settings[int(np.flatnonzero(~np.isfinite(rest))[0])]
+        raise LabError(f"bend: the straight cord has no rhythm at {worded(lost)}")
+    ratios = list(values["ratio"])
+    columns = [(i, ratio) for i in range(len(settings)) for ratio in ratios]
+    which = [i for i, _ in columns]
+    frequency = np.array([ratio * rest[i] for i, ratio in columns])
+    steps = steps_of(frequency, h)
+    outputs = bend(bodies.at(which), genes[:, which], bent[:, which], frequency, steps)
+    rows, notes = [], []
+    for number, (i, ratio) in enumerate(columns):
+        found = locking(outputs[:, among[i], number], frequency[number], h)
+        row = {**settings[i], "ratio": ratio, "rest_frequency": rest[i]}
+        row |= {"bending_frequency": frequency[number], **found._asdict()}
+        rows.append(row | {"entrained": int(found.entrained)})
+    for i, setting in enumerate(settings):
+        own = rows[i * len(ratios) : (i + 1) * len(ratios)]
+        found = entrained_range(ratios, [row["entrained"] == 1 for row in own])
+        span = "at no ratio near 1"
+        if found:
+            span = f"at ratios from {found[0]:.3g} to {found[1]:.3g}"
+            if found[0] == found[1]:
+                span = f"at no other ratio than {found[0]:.3g}"
+        notes.append(f"{worded(setting)}: entrained 1:1 {span} (f0 = {rest[i]:.3g} Hz)")
+    questions: list[Setting] = [{name: row[name] for name in values} for row in rows]
+    return Answer(questions, rows, (), tuple(notes), (), _OF_CORDS)
+
+
+_OF_CORDS = {
+    "rest_frequency": Meaning("Hz", "frequency f0 of the cord without bending"),
+    "bending_frequency": Meaning("Hz", "frequency fb of the bending"),
+    "frequency": Meaning("Hz", "frequency of the first bent oscillator"),
+    "followed": Meaning("", "frequency of the oscillator that is farthest from fb, over fb"),
+    "phase": Meaning("cycles", "phase by which the first bent oscillator follows the bending"),
+    "scatter": Meaning("cycles", "circular standard deviation of this phase"),
+    "entrained": Meaning("", "1 if the cord is entrained 1:1, else 0"),
+}
+
+# Duration of the trial of a straight cord, s.
+_STRAIGHT = 16.0
+
+
+def _prepared(
+    subject: Subject, settings: list[Setting], seconds: float | None, is_towed: bool
+) -> Bodies:
+    """Return the animals of all settings, without noise, in their first situation."""
+
+    def prepared(simulation: Simulation) -> Simulation:
+        steps = simulation.steps
+        if seconds is not None:
+            steps = max(2, round(seconds * simulation.control_rate))
+        kind = subject.config.controller.type
+        controller = prepare(simulation.controller, settings, subject.genes is not None, kind)
+        return dataclasses.replace(
+            simulation,
+            world=held(simulation.world) if is_towed else simulation.world,
+            controller=controller,
+            steps=steps,
+            noise=Noise(),
+            situations=simulation.situations[:1],
+        )
+
+    return build_bodies(subject.config, subject.source, settings, subject.folders, prepared)
+
+
+def _genes(
+    subject: Subject, bodies: Bodies, settings: Sequence[Setting]
+) -> Float[np.ndarray, "g n"]:
+    """Return the genes of all settings."""
+    tree = bodies.common.world.tree
+    genes = [
+        genes_of(bodies.of(i).controller, tree, setting, subject.genes)
+        for i, setting in enumerate(settings)
+    ]
+    return np.stack(genes, axis=-1).astype(np.float32)

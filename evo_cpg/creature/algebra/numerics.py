@@ -1,0 +1,112 @@
+"""NumPy functions for building models, replaced by JAX functions for traced numbers.
+
+A model is built from the numbers of a configuration. NumPy turns known numbers into constants, in
+float64 and without compilation. With traced numbers the same lines make a JAX program. So the
+building can be differentiated, mapped and compiled. Builders call ``xp.sqrt`` and similar
+functions, and never write into arrays. Choices other than numbers go through
+`evo_cpg.creature.algebra.decisions`.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from evo_cpg.creature.algebra.mixed_array import MixedArray
+
+# A float, or a traced scalar while a model is built from traced numbers.
+Number = Any
+
+# Three coordinates.
+Triple = tuple[Number, Number, Number]
+
+# Names of model fields with tables, whose elements are read at computed indices. A simulation has
+# no derivative by these elements.
+TABLES = ("heights", "meshes", "triangles")
+
+
+def is_traced(*values: Any) -> bool:
+    """Return whether any number in the values, nested or not, is a JAX array or a mixed array."""
+    return any(isinstance(x, (jax.Array, MixedArray)) for x in jax.tree.leaves(values))
+
+
+def _whole(value: Any) -> Any:
+    """Return a `MixedArray` as a JAX array, because jitted JAX functions refuse it."""
+    return jnp.asarray(value) if isinstance(value, MixedArray) else value
+
+
+class _Namespace:
+    """NumPy module that calls the JAX functions of the same names for traced arguments."""
+
+    def __init__(self, known: Any, traced: Any):
+        self._known, self._traced = known, traced
+
+    def __getattr__(self, name: str) -> Any:
+        known = getattr(self._known, name)
+        if isinstance(known, type(np)):
+            found = _Namespace(known, getattr(self._traced, name))
+        elif callable(known):
+            found = self._either(name, known)
+        else:
+            found = known
+        setattr(self, name, found)
+        return found
+
+    def _either(self, name: str, known: Any) -> Any:
+        def call(*args: Any, **options: Any) -> Any:
+            if is_traced(args, options):
+                args, options = jax.tree.map(_whole, (args, options))
+                return getattr(self._traced, name)(*args, **options)
+            result = known(*args, **options)
+            # A Python scalar takes the precision of the array it is combined with.
+            return float(result) if isinstance(result, np.floating) else result
+
+        return call
+
+    def array(self, values: Any, dtype: Any = None) -> Any:
+        """Return an array. A nested sequence with few traced numbers gives a short program."""
+        leaves, structure = jax.tree.flatten(values)
+        traced = [x for x in leaves if is_traced(x)]
+        if not traced:
+            return np.array(values, dtype)
+        if any(np.ndim(x) for x in leaves):
+            return jnp.array(values, dtype)
+        known = [x for x in leaves if not is_traced(x)]
+        every = jnp.stack(traced)
+        if known:
+            every = jnp.concatenate([every, np.array(known, every.dtype)])
+        # Number the leaves as in ``every``: traced numbers first.
+        order = np.argsort([not is_traced(x) for x in leaves], kind="stable")
+        numbers = np.empty(len(leaves), int)
+        numbers[order] = np.arange(len(leaves))
+        return every[np.array(jax.tree.unflatten(structure, numbers.tolist()))]
+
+
+# Static types are NumPy types: traced arrays have the same methods.
+if TYPE_CHECKING:
+    import numpy as xp
+
+    Numbers = np.ndarray
+else:
+    xp = _Namespace(np, jnp)
+    # An array of known or traced numbers.
+    Numbers = np.ndarray | jax.Array
+
+
+def smooth_step(x: Number) -> Number:
+    """Return 0 for x up to 0, 1 for x from 1 on, and the cubic x^2 (3 - 2 x) in between."""
+    x = xp.clip(x, 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x)
+
+
+def is_number(leaf: Any) -> bool:
+    """Return whether a leaf of a model is a known real number or an array of real numbers."""
+    real = isinstance(leaf, np.ndarray) and np.issubdtype(leaf.dtype, np.floating)
+    return real or isinstance(leaf, float)
+
+
+def as_vector(values: Numbers) -> Triple:
+    """Return three numbers as a tuple. Known numbers become floats."""
+    x, y, z = values if is_traced(values) else values.tolist()
+    return x, y, z

@@ -1,4 +1,0 @@
-"""Compile JAX programs for one individual to native code for all individuals."""
-
-# This import registers with JAX how to run, differentiate and map (`jax.vmap`) fused programs.
-import evo_cpg.fusion.native  # noqa: F401

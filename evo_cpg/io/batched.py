@@ -1,0 +1,235 @@
+"""Batches of bodies from one configuration that differ in some numbers only.
+
+One program builds all bodies (`BodyPlan`). Its plan comes from a few bodies, which NumPy builds
+one by one (`build_batch`). NumPy also builds the bodies that do not fit the plan.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from evo_cpg.creature.algebra.decisions import Condition, Undecidable, all_hold
+from evo_cpg.creature.self_collision import PairNames, PlanPairs
+from evo_cpg.creature.surface import PointLayout
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.errors import ConfigError
+from evo_cpg.io.numbers import are_allowed, are_checked_alone, number_at, with_numbers
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.traced_build import Building, values_of
+from evo_cpg.physics.contact.pairs import Pairs
+from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.task import Task
+
+
+class BodyPlan:
+    """The common part of bodies that differ in some numbers, and the program that builds them.
+
+    Attributes:
+        batched: bodies that the plan was made from.
+        hindrance: reason why no program can build bodies, or empty if a program can.
+    """
+
+    def __init__(
+        self,
+        config: ExperimentConfig,
+        source: Path | str,
+        numbers: Mapping[str, Float[np.ndarray, " n"]],
+        task: Task | None = None,
+    ):
+        """Make a plan from some bodies. See `build_batch` for the arguments and errors."""
+        self._config, self._keys = config, tuple(numbers)
+        self.batched, layout = _build(config, source, numbers, None, task)
+        self._building = Building(config, layout, _pairs(self.batched.common), task)
+        self.hindrance = ""
+        if not are_checked_alone(config, self._keys):
+            self.hindrance = "numbers are checked together"
+        self._run = jax.jit(jax.vmap(self._one, in_axes=-1, out_axes=-1))
+
+    def build(
+        self, numbers: Mapping[str, Float[np.ndarray, " n"]]
+    ) -> tuple[list[Float[np.ndarray, "_ n"]], Bool[np.ndarray, " n"]]:
+        """Build bodies that follow the plan, in float64.
+
+        Args:
+            numbers: values of each key of the plan, equally many.
+
+        Returns:
+            The values of `BatchedSimulation`, and whether each body fits the plan. The values of
+            bodies that do not fit are undefined.
+        """
+        columns = np.stack([np.asarray(numbers[key], float) for key in self._keys])
+        none = np.zeros(columns.shape[1], bool)
+        shapes = [(len(elements), len(none)) for elements in self.batched.inputs.elements]
+        if self.hindrance or not are_allowed(self._config, numbers):
+            return [np.zeros(shape) for shape in shapes], none
+        try:
+            with jax.enable_x64(True):
+                values, fits = jax.device_get(self._run(columns))
+        except (Undecidable, jax.errors.JAXTypeError, TypeError, ValueError) as error:
+            self.hindrance = str(error).partition("\n")[0]
+            return [np.zeros(shape) for shape in shapes], none
+        return list(map(np.array, values)), fits
+
+    def _one(self, numbers: Float[Array, " k"]) -> tuple[list[Array], Condition]:
+        """Build one body, and return its values and whether it fits the plan."""
+        conditions: list[Condition] = []
+        given = dict(zip(self._keys, numbers, strict=True))
+        inputs = self.batched.inputs
+        leaves = self._building.traced(self._config, given, conditions)
+        conditions += self._building.own.agrees(leaves, inputs)
+        return values_of(leaves, inputs, numbers.dtype), jnp.asarray(all_hold(conditions))
+
+
+def build_batch(
+    config: ExperimentConfig,
+    source: Path | str,
+    numbers: Mapping[str, Float[np.ndarray, " n"]],
+    like: BatchedSimulation | None = None,
+    task: Task | None = None,
+) -> BatchedSimulation:
+    """Build simulations from a configuration, with some numbers different for each individual.
+
+    Each simulation is built separately, in NumPy. The common part is the simulation of the
+    unchanged configuration.
+
+    Args:
+        config: the configuration.
+        source: file of the configuration.
+        numbers: values by key, such as ``creature.bodies.1.shape.size.0``.
+        like: see `evo_cpg.simulation.batched.batch`.
+        task: task that replaces the configuration's task.
+
+    Raises:
+        ConfigError: a key does not exist or is not a real number, a value is not allowed, or the
+            numbers change the layout of the simulation, or nothing.
+        ValueError: a key does not have one value for each individual.
+    """
+    return _build(config, source, numbers, like, task)[0]
+
+
+def _build(
+    config: ExperimentConfig,
+    source: Path | str,
+    numbers: Mapping[str, Float[np.ndarray, " n"]],
+    like: BatchedSimulation | None,
+    task: Task | None,
+) -> tuple[BatchedSimulation, PointLayout]:
+    """Return the result of `build_batch`, and the layout of the surface points."""
+    for key in numbers:
+        number_at(config, key, source)
+    sizes = {np.shape(values) for values in numbers.values()}
+    if len(sizes) != 1 or len(next(iter(sizes))) != 1:
+        raise ValueError(f"each key needs one value for each individual, got shapes {sizes}")
+    columns = [np.asarray(values, float).tolist() for values in numbers.values()]
+    configs = [
+        with_numbers(config, dict(zip(numbers, row, strict=True)), source)
+        for row in zip(*columns, strict=True)
+    ]
+    return _combine(config, configs, source, ", ".join(numbers), like, task)
+
+
+def batch_of_configs(
+    config: ExperimentConfig,
+    configs: Sequence[ExperimentConfig],
+    source: Path | str,
+    edit: Callable[[Simulation, int], Simulation],
+) -> BatchedSimulation:
+    """Build simulations from configurations that differ in numbers only, and change each.
+
+    Args:
+        config: configuration whose numbers the simulations have in common.
+        configs: configurations of the individuals.
+        source: file of the configuration.
+        edit: function that returns a changed simulation, given the number of its individual, from
+            -1 for the common part.
+
+    Raises:
+        ConfigError: the simulations differ in more than numbers, or in nothing.
+    """
+    return _combine(config, configs, source, "the settings", edit=edit)[0]
+
+
+def _combine(
+    config: ExperimentConfig,
+    configs: Sequence[ExperimentConfig],
+    source: Path | str,
+    named: str,
+    like: BatchedSimulation | None = None,
+    task: Task | None = None,
+    edit: Callable[[Simulation, int], Simulation] = lambda simulation, individual: simulation,
+) -> tuple[BatchedSimulation, PointLayout]:
+    """Return a batch of the simulations of some configurations, and its layout of points."""
+    problem, pairs = "", None
+    # With other numbers, equal surfaces may become different, and bodies may cover other points. So
+    # try more and more general layouts.
+    layouts: tuple[PointLayout, ...] = "merged", "separate", "complete"
+    for layout in layouts:
+
+        def build(pairs: PlanPairs | None, layout: PointLayout = layout) -> list[Simulation]:
+            found = []
+            for individual, each in enumerate((config, *configs), -1):
+                built = build_experiment(each, source, layout=layout, pairs=pairs)
+                found.append(edit(_with_task(built.simulation, task), individual))
+            return found
+
+        common, *simulations = build(pairs)
+        sets = [_pairs(each) for each in (like.common if like else common, *simulations)]
+        every = PlanPairs(*(tuple(sorted({*itertools.chain(*x)})) for x in zip(*sets, strict=True)))
+        if like and every != sets[0]:
+            problem = "limbs can touch that cannot touch in the other bodies"
+            break
+        if len(set(sets)) > 1:
+            # Longer limbs may touch more bodies. Let all simulations check the union of all pairs.
+            pairs = every
+            common, *simulations = build(pairs)
+        try:
+            return _with_whole_floor(batch(common, simulations, like)), layout
+        except LayoutError as error:
+            problem = str(error)
+        except ValueError as error:
+            problem = str(error)
+            break
+    raise ConfigError(source, (), f"{named}: {problem}")
+
+
+def _with_whole_floor(batched: BatchedSimulation) -> BatchedSimulation:
+    """Make all heights of a floor inputs if some are.
+
+    JAX refuses arrays of known and traced numbers where contact looks for the first touch.
+    """
+    leaves = jax.tree_util.tree_leaves_with_path(batched.common)
+    inputs = batched.inputs
+    floors = [".ground.floor." in jax.tree_util.keystr(leaves[i][0]) for i in inputs.places]
+    if not any(floors):
+        return batched
+    elements = tuple(
+        np.arange(np.size(leaves[place][1])) if floor else own
+        for place, own, floor in zip(inputs.places, inputs.elements, floors, strict=True)
+    )
+    inputs = inputs._replace(elements=elements)
+    each = (inputs.of(batched[individual]) for individual in range(batched.size))
+    return batched._replace(
+        inputs=inputs, values=tuple(np.stack(x, axis=-1) for x in zip(*each, strict=True))
+    )
+
+
+def _pairs(simulation: Simulation) -> PlanPairs:
+    """Return the pairs of bodies that a simulation checks."""
+    rules, names = simulation.rules, simulation.world.tree.names
+
+    def named(pairs: Pairs | None) -> PairNames:
+        both = zip(pairs.first, pairs.second, strict=True) if pairs else ()
+        return tuple(sorted((names[min(pair)], names[max(pair)]) for pair in both))
+
+    return PlanPairs(named(simulation.world.pairs), named(rules.pairs if rules else None))
+
+
+def _with_task(simulation: Simulation, task: Task | None) -> Simulation:
+    return dataclasses.replace(simulation, task=task) if task else simulation

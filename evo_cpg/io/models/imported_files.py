@@ -1,0 +1,82 @@
+"""Files of an imported experiment: a YAML file, and its meshes in a folder beside it."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.files import write_text, write_whole
+from evo_cpg.io.models.compiled import printed
+from evo_cpg.io.models.mjcf_import import Imported
+from evo_cpg.io.yaml_text import to_yaml
+
+# Triangles of a binary STL file.
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("count", "<u2")])
+
+
+def write_imported(imported: Imported, source: Path, output: Path, alone: bool) -> list[Path]:
+    """Write an experiment, or its creature alone, and return the files.
+
+    Args:
+        imported: result of the import.
+        source: file that was read, for the head.
+        output: YAML file to write.
+        alone: whether to write the creature alone.
+    """
+    data = imported.experiment["creature"] if alone else imported.experiment
+    folder = output.with_name(f"{output.stem}_meshes")
+    written: dict[str, bytes] = {}
+    for name, holder in _meshes(imported.experiment["creature"]):
+        content = _stl(holder["shape"])
+        file = next((f for f, known in written.items() if known == content), None)
+        if file is None:
+            file = f"{_file_name(name)}.stl"
+            while file in written:
+                file = file.removesuffix(".stl") + "_.stl"
+            written[file] = content
+        holder["shape"] = {"type": "mesh", "file": f"{folder.name}/{file}"}
+    if written:
+        folder.mkdir(parents=True, exist_ok=True)
+    for file, content in written.items():
+        write_whole(folder / file, lambda handle, content=content: handle.write(content))
+    write_text(output, _head(imported, source) + to_yaml(data, flow=None))
+    return [output, *(folder / file for file in written)]
+
+
+def _head(imported: Imported, source: Path) -> str:
+    """Return comments that name the source and everything that is lost or changed."""
+    lines = [f"Imported from {source.name}."]
+    if imported.left_out:
+        lines += ["Left out, without harm:", *(f"  {phrase}" for phrase in imported.left_out)]
+    if imported.dropped:
+        lines += ["Dropped, although it changes the motion:"]
+        lines += [f"  {sentence}" for sentence in imported.dropped]
+    if imported.changed:
+        lines += ["Changed:", *(f"  {sentence}" for sentence in imported.changed)]
+    return "".join(f"# {printed(line)}\n" for line in lines) + "\n"
+
+
+def _meshes(creature: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the names and the keys of the shapes that are meshes."""
+    for body in creature["bodies"]:
+        for i, holder in enumerate((body, *body.get("parts", ()))):
+            if holder.get("shape") and holder["shape"]["type"] == "mesh":
+                yield body["name"] + (f"_{i + 1}" if i else ""), holder
+
+
+def _stl(shape: dict[str, Any]) -> bytes:
+    """Return a mesh as a binary STL file."""
+    corners = np.array(shape["vertices"])[np.array(shape["faces"], int)]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    rows = np.zeros(len(corners), _TRIANGLE)
+    rows["corners"] = corners
+    rows["normal"] = normal / np.maximum(length, np.finfo(float).tiny)
+    return bytes(80) + np.array(len(rows), "<u4").tobytes() + rows.tobytes()
+
+
+def _file_name(name: str) -> str:
+    """Return a name that every file system takes."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", name).lstrip(".") or "mesh"

@@ -1,0 +1,322 @@
+"""Shapes and densities of bodies as geoms of MJCF, and back.
+
+| here | in MJCF |
+|---|---|
+| box, sphere, ellipsoid | ``geom`` of the same ``type``, with half sizes |
+| capsule, cylinder, along x | ``geom`` of the same ``type``, along z |
+| mesh | ``mesh`` asset, which holds its vertices and faces |
+| shape of a body | its largest ``geom``. Our frame is at its centre, along its axes |
+| parts | the other ``geom``s |
+
+A body has the shapes of its colliding geoms, or of all its geoms if none collides. Drawings beside
+colliding geoms are left out: every shape costs time, and would touch the ground. A root keeps
+the axes of the world, because its x axis is the animal's forward direction. A mesh becomes the hull
+of its corners, as in MuJoCo's collisions.
+"""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from evo_cpg.creature.algebra.rotation import matrix_to_euler
+from evo_cpg.creature.creature import Body, Creature
+from evo_cpg.creature.cylinder import Cylinder
+from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh, few_corners_hull
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.io.models.compiled import Compiled, tidy, tidy_vector
+from evo_cpg.io.models.mjcf_ground import number_text
+from evo_cpg.io.models.refusals import ExchangeError
+from evo_cpg.io.models.rigid import Rigid, is_flat
+
+# Most corners of a mesh, and of further attempts: fewer corners are farther apart, so the hull has
+# no needles. Contact and buoyancy use at most 64 (`evo_cpg.creature.mesh`).
+_MOST_CORNERS = 100, 50, 25
+
+# Digits of the coordinates of corners after the decimal point, m. Files have single precision.
+_DIGITS = 9
+
+# Largest difference from the world's axes of a root's shape.
+_ALIGNED = 1e-12
+
+# Proper rotations that map the axes of a box onto each other. Columns are the new axes in the old
+# ones.
+_TURNS = [
+    turn
+    for order in itertools.permutations(np.eye(3))
+    for signs in itertools.product((1.0, -1.0), repeat=3)
+    if np.linalg.det(turn := np.array(order) * np.array(signs)) > 0
+]
+
+
+class Solid(NamedTuple):
+    """A shape of the file.
+
+    Attributes:
+        geom: MuJoCo's number of the geom.
+        shape: its keys in a configuration.
+        centre: origin of its frame in the neutral pose, in the world, m.
+        turn: rotation from its frame to the world ``(3, 3)``.
+        size: volume of the box around it, m^3, without the ends of a capsule.
+    """
+
+    geom: int
+    shape: dict[str, Any]
+    centre: np.ndarray
+    turn: np.ndarray
+    size: float
+
+
+class Placed(NamedTuple):
+    """A rigid body with our frame.
+
+    Attributes:
+        rigid: its parts in the file.
+        name: its name.
+        centre: origin of our frame in the neutral pose, in the world, m.
+        turn: rotation from our frame to the world ``(3, 3)``.
+        solids: its shapes. The first one is in our frame, if ``own_shape``.
+        own_shape: whether the first shape is the body's own, and not a part.
+    """
+
+    rigid: Rigid
+    name: str
+    centre: np.ndarray
+    turn: np.ndarray
+    solids: tuple[Solid, ...]
+    own_shape: bool
+
+    def place(self, point: np.ndarray) -> list[float]:
+        """Return coordinates in our frame of a point in the world."""
+        return tidy_vector(self.turn.T @ (point - self.centre))
+
+    def direction(self, vector: np.ndarray) -> list[float]:
+        """Return components in our axes of a vector in the world's."""
+        return tidy_vector(self.turn.T @ vector)
+
+    @property
+    def shape_names(self) -> list[str]:
+        """Names that the shapes have as bodies of the tree."""
+        first = 1 if self.own_shape else 2
+        numbers = range(first, first + len(self.solids))
+        return [self.name if i == 1 else f"{self.name}/{i}" for i in numbers]
+
+
+def add_meshes(root: Element, creature: Creature) -> None:
+    """Add the assets of bodies that are meshes."""
+    shapes = {body.name: body.shape for body in creature.bodies}
+    meshes = {name: shape for name, shape in shapes.items() if isinstance(shape, ConvexMesh)}
+    asset = SubElement(root, "asset") if meshes else root
+    for name, shape in meshes.items():
+        vertices = number_text(*shape.points.ravel())
+        faces = " ".join(str(corner) for face in shape.faces for corner in face)
+        SubElement(asset, "mesh", name=name, vertex=vertices, face=faces)
+
+
+def shape_attributes(body: Body) -> dict[str, str]:
+    """Return attributes of a body's geom.
+
+    Raises:
+        ExchangeError: MJCF cannot hold the shape.
+    """
+    shape = body.shape
+    if isinstance(shape, Box):
+        return {"type": "box", "size": number_text(*shape.half_extents)}
+    if isinstance(shape, Sphere):
+        return {"type": "sphere", "size": number_text(shape.radius)}
+    if isinstance(shape, Ellipsoid):
+        return {"type": "ellipsoid", "size": number_text(*shape.half_extents)}
+    if isinstance(shape, Capsule | Cylinder):
+        kind = "capsule" if isinstance(shape, Capsule) else "cylinder"
+        size = number_text(shape.radius, shape.length / 2)
+        return {"type": kind, "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
+    if isinstance(shape, ConvexMesh):
+        return {"type": "mesh", "mesh": body.name}
+    raise ExchangeError(
+        f"a {type(shape).__name__} cannot be written as MJCF. "
+        "Allowed: Box, Sphere, Ellipsoid, Capsule, Cylinder, ConvexMesh"
+    )
+
+
+def place_body(compiled: Compiled, rigid: Rigid, name: str) -> Placed:
+    """Return the shapes of a rigid body, and its frame.
+
+    The frame is at the centre of the largest shape, turned as little from MuJoCo's as the shape
+    allows. A root without a shape along its axes has all its shapes as parts.
+    """
+    is_root, world = rigid.parent is None, np.eye(3)
+    solids = []
+    for geom in _chosen_geoms(compiled, rigid):
+        with compiled.refusals.collecting():
+            outer = world if is_root else np.array(compiled.data.xmat[rigid.lead]).reshape(3, 3)
+            solids.append(read_solid(compiled, geom, outer, is_root))
+    solids.sort(key=lambda solid: -solid.size)
+    fit = solids
+    if is_root:
+        fit = [solid for solid in solids if np.abs(solid.turn - world).max() < _ALIGNED]
+    if fit:
+        first = fit[0]
+        ordered = (first, *(solid for solid in solids if solid is not first))
+        return Placed(rigid, name, first.centre, first.turn, ordered, True)
+    centre, turn = np.zeros(3), world
+    if rigid.lead:
+        centre = np.array(compiled.data.xpos[rigid.lead])
+        if not is_root:
+            turn = np.array(compiled.data.xmat[rigid.lead]).reshape(3, 3)
+    return Placed(rigid, name, centre, turn, tuple(solids), False)
+
+
+def body_keys(
+    placed: Placed, materials: Sequence[str], colors: Sequence[str | None]
+) -> dict[str, Any]:
+    """Return the keys of a body that describe its shapes.
+
+    Args:
+        placed: the body.
+        materials: name of the material of each shape, or of the body alone without shapes.
+        colors: colour of each shape, or None.
+    """
+    keys: dict[str, Any] = {"shape": None, "material": materials[0]}
+    color = colors[0] if colors else None
+    if color:
+        keys["color"] = color
+    if placed.own_shape:
+        keys["shape"] = placed.solids[0].shape
+    parts = []
+    first = int(placed.own_shape)
+    for solid, material, own_color in zip(
+        placed.solids[first:], materials[first:], colors[first:], strict=False
+    ):
+        part: dict[str, Any] = {"shape": solid.shape, "at": placed.place(solid.centre)}
+        angles = tidy_vector(np.rad2deg(matrix_to_euler(placed.turn.T @ solid.turn)))
+        if np.any(angles):
+            part["rotation_deg"] = angles
+        if material != materials[0]:
+            part["material"] = material
+        if own_color and own_color != color:
+            part["color"] = own_color
+        parts.append(part)
+    return keys | ({"parts": parts} if parts else {})
+
+
+def read_solid(compiled: Compiled, geom: int, outer: np.ndarray, keeps_axes: bool) -> Solid:
+    """Return the shape of a geom. Its frame is turned as little as possible from its body's.
+
+    Args:
+        compiled: the model.
+        geom: MuJoCo's number of the geom.
+        outer: axes of its body in the world ``(3, 3)``.
+        keeps_axes: whether the corners of a mesh are turned instead of its frame.
+
+    Raises:
+        RefusedError: no shape of ours is like it.
+    """
+    model, data, kinds = compiled.model, compiled.data, compiled.mujoco.mjtGeom
+    size = np.array(model.geom_size[geom])
+    centre = np.array(data.geom_xpos[geom])
+    turn = np.array(data.geom_xmat[geom]).reshape(3, 3)
+    inner = outer.T @ turn
+    kind, item = int(model.geom_type[geom]), compiled.item("geom", geom)
+    if kind == kinds.mjGEOM_SPHERE:
+        shape = {"type": "sphere", "radius": tidy(size[0])}
+        return Solid(geom, shape, centre, outer, float((2 * size[0]) ** 3))
+    if kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
+        # MuJoCo's capsules lie along z, ours along x. Either end may be the front.
+        own = _shortest_turn(inner[:, 2] if inner[0, 2] >= 0 else -inner[:, 2])
+        word = "capsule" if kind == kinds.mjGEOM_CAPSULE else "cylinder"
+        shape = {"type": word, "radius": tidy(size[0]), "length": tidy(2 * size[1])}
+        return Solid(geom, shape, centre, outer @ own, float(8 * size[0] ** 2 * size[1]))
+    if kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
+        best = max(_TURNS, key=lambda own: np.trace(inner @ own))
+        sides = np.abs(best.T @ size)
+        if kind == kinds.mjGEOM_BOX:
+            shape = {"type": "box", "size": [tidy(2 * side) for side in sides]}
+        else:
+            shape = {"type": "ellipsoid", "radii": [tidy(side) for side in sides]}
+        return Solid(geom, shape, centre, turn @ best, float(8 * np.prod(size)))
+    if kind == kinds.mjGEOM_MESH:
+        return _read_mesh(compiled, geom, outer if keeps_axes else None)
+    word = str(kinds(kind).name).removeprefix("mjGEOM_").lower()
+    raise item.refusal(
+        f"it is a {word} on the animal", "box, sphere, ellipsoid, capsule, cylinder, mesh"
+    )
+
+
+def _chosen_geoms(compiled: Compiled, rigid: Rigid) -> list[int]:
+    """Return the colliding geoms of a body, or all if none collides."""
+    model = compiled.model
+    every = [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] in rigid.members and not is_flat(compiled, geom)
+    ]
+    paired = {*map(int, model.pair_geom1), *map(int, model.pair_geom2)}
+    solid = [
+        geom
+        for geom in every
+        if model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
+    ]
+    return solid or every
+
+
+def _read_mesh(compiled: Compiled, geom: int, axes: np.ndarray | None) -> Solid:
+    """Return the hull of a mesh, in the frame of its file, or with the origin there and own axes.
+
+    MuJoCo has moved the mesh to its centre and turned it to its principal axes.
+    """
+    model, data = compiled.model, compiled.data
+    mesh = int(model.geom_dataid[geom])
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    vertices = np.array(model.mesh_vert[first : first + count], float)
+    moved = np.zeros(9)
+    compiled.mujoco.mju_quat2Mat(moved, model.mesh_quat[mesh])
+    back = moved.reshape(3, 3)
+    turn = np.array(data.geom_xmat[geom]).reshape(3, 3) @ back.T
+    centre = np.array(data.geom_xpos[geom]) - turn @ np.array(model.mesh_pos[mesh])
+    vertices = vertices @ back.T + np.array(model.mesh_pos[mesh])
+    if axes is not None:
+        vertices, turn = vertices @ (axes.T @ turn).T, axes
+    try:
+        shape, corners = _body_of(vertices)
+    except MeshError as error:
+        raise compiled.item("geom", geom).refusal(
+            f"its mesh cannot be a body: {error}", "a solid mesh of 1 mm to 100 m"
+        ) from None
+    kept = len(shape["vertices"])
+    if kept < corners:
+        compiled.refusals.change(
+            str(compiled.item("geom", geom)),
+            f"the hull of its mesh, with {corners} corners, becomes one with {kept}",
+        )
+    return Solid(geom, shape, centre, turn, float(np.prod(np.ptp(vertices, axis=0))))
+
+
+def _body_of(vertices: np.ndarray) -> tuple[dict[str, Any], int]:
+    """Return the hull with the most corners that can be a body, and the whole hull's corner count.
+
+    Raises:
+        MeshError: no hull of the points can be a body.
+    """
+    fault: MeshError | None = None
+    whole, _ = few_corners_hull(vertices, len(vertices))
+    for most in _MOST_CORNERS:
+        try:
+            corners, faces = few_corners_hull(whole, most)
+            corners = np.round(corners, _DIGITS)
+            convex_mesh(corners, faces)
+        except MeshError as error:
+            fault = fault or error
+        else:
+            shape = {"type": "mesh", "vertices": corners.tolist(), "faces": faces.tolist()}
+            return shape, len(whole)
+    assert fault is not None
+    raise fault
+
+
+def _shortest_turn(direction: np.ndarray) -> np.ndarray:
+    """Return the shortest rotation from x to a unit vector that does not point backwards."""
+    x, y, z = direction
+    cross = np.array([[0, -y, -z], [y, 0, 0], [z, 0, 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + x)

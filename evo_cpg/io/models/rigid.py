@@ -1,0 +1,193 @@
+"""Rigid bodies of a compiled model: MuJoCo's bodies that are welded together are one.
+
+| in MJCF | becomes |
+|---|---|
+| a body with joints, and everything welded to it | a body |
+| the only moving body on the world | the root: free, or with a joint on the world |
+| several moving bodies on the world or on fixed bodies | bodies on a fixed root |
+| fixed bodies that carry moving ones | the fixed root |
+| all other fixed bodies | scenery, which is left out |
+
+A free body beside other moving bodies is refused. The tree with the most motors stays, if the user
+accepts the loss of the others.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evo_cpg.io.models.compiled import WORLD, Compiled
+from evo_cpg.io.models.refusals import RefusedError
+
+
+class Rigid(NamedTuple):
+    """Bodies of the file that form one body of the creature.
+
+    Attributes:
+        lead: MuJoCo's number of the body with the joints, or of the fixed root's first body.
+            `WORLD` stands for a fixed root without a body of its own.
+        members: MuJoCo's numbers of all its bodies.
+        parent: lead of the body that carries it, or None for the root.
+        joints: MuJoCo's numbers of its joints, without a free one.
+        free: whether it is a root that moves freely.
+    """
+
+    lead: int
+    members: tuple[int, ...]
+    parent: int | None
+    joints: tuple[int, ...]
+    free: bool = False
+
+
+def rigid_bodies(compiled: Compiled) -> list[Rigid]:
+    """Return the rigid bodies of the animal, parents first.
+
+    Raises:
+        RefusedError: nothing moves.
+    """
+    model, welds = compiled.model, _welds(compiled.model)
+    above = welds[model.body_parentid]
+    welded: dict[int, list[int]] = {}
+    for body in range(1, model.nbody):
+        welded.setdefault(int(welds[body]), []).append(body)
+    leads = [lead for lead in welded if lead != WORLD and _dof_count(model, welded[lead])]
+    if not leads:
+        raise _none_moves(compiled)
+    tops = [lead for lead in leads if above[lead] == WORLD]
+    kept = _kept_trees(compiled, tops, leads)
+    leads = [lead for lead in leads if _top(above, lead) in kept]
+    carriers = {_trunk(model, int(model.body_parentid[top])) for top in kept}
+    fixed = () if carriers == {WORLD} else _fixed_bodies(model, carriers - {WORLD})
+    bodies = []
+    root: int | None = None
+    if len(kept) > 1 or fixed:
+        root = min(fixed) if fixed and len(carriers) == 1 else WORLD
+        bodies.append(Rigid(root, fixed, None, ()))
+    for lead in leads:
+        parent = int(above[lead])
+        free = is_free(compiled, lead)
+        joints = () if free else _joints(compiled, lead)
+        carrier = root if parent == WORLD else parent
+        bodies.append(Rigid(lead, tuple(welded[lead]), carrier, joints, free))
+    return bodies
+
+
+def is_free(compiled: Compiled, body: int) -> bool:
+    """Return whether a body moves freely."""
+    model = compiled.model
+    first = int(model.body_jntadr[body])
+    return first >= 0 and int(model.jnt_type[first]) == compiled.mujoco.mjtJoint.mjJNT_FREE
+
+
+def _joints(compiled: Compiled, body: int) -> tuple[int, ...]:
+    """Return the joints of a body. Refuse a ball beside other joints."""
+    model = compiled.model
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    joints = range(first, first + count)
+    balls = [j for j in joints if int(model.jnt_type[j]) == compiled.mujoco.mjtJoint.mjJNT_BALL]
+    if count == 1 or not balls:
+        return tuple(joints)
+    for ball in balls:
+        compiled.item("joint", ball).refuse(
+            "it shares its body with other joints", "a ball joint alone in its body"
+        )
+    return tuple(joint for joint in joints if joint not in balls)
+
+
+def scenery(compiled: Compiled, bodies: list[Rigid]) -> list[int]:
+    """Return the numbers of the fixed geoms that are not part of the animal."""
+    model = compiled.model
+    own = {member for body in bodies for member in body.members}
+    owners, welds = np.asarray(model.geom_bodyid), _welds(model)
+    return [
+        geom
+        for geom in range(model.ngeom)
+        if is_flat(compiled, geom) or (owners[geom] not in own and welds[owners[geom]] == WORLD)
+    ]
+
+
+def is_flat(compiled: Compiled, geom: int) -> bool:
+    """Return whether a geom is a plane or a height field, which only fixed bodies have."""
+    kinds = compiled.mujoco.mjtGeom
+    return int(compiled.model.geom_type[geom]) in (kinds.mjGEOM_PLANE, kinds.mjGEOM_HFIELD)
+
+
+def _welds(model: Any) -> np.ndarray:
+    """Return the body that each body is welded to. A mocap body, refused elsewhere, is fixed."""
+    welds = np.array(model.body_weldid)
+    return np.where(np.asarray(model.body_mocapid)[welds] >= 0, WORLD, welds)
+
+
+def _none_moves(compiled: Compiled) -> RefusedError:
+    if compiled.model.nbody == 1:
+        return compiled.item("body", WORLD).refusal(
+            "the worldbody holds no body", "at least one", vital=True
+        )
+    fixed = "; ".join(words for words in compiled.refusals.changed if "-> fixed" in words)
+    problem = "no body of the file moves" + (f" ({fixed})" if fixed else "")
+    return compiled.item("body", 1).refusal(problem, "joints, or the option --free", vital=True)
+
+
+def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[int]:
+    """Return the tops of the trees that become the animal. Refuse trees beside a free one."""
+    model, welds = compiled.model, _welds(compiled.model)
+    free = [top for top in tops if is_free(compiled, top)]
+    if len(tops) == 1 or not free:
+        return tops
+    above = welds[model.body_parentid]
+    motors = dict.fromkeys(tops, 0)
+    for number in range(len(model.actuator_trnid)):
+        joint = _driven_joint(compiled, number)
+        if joint is not None:
+            motors[_top(above, int(welds[model.jnt_bodyid[joint]]))] += 1
+    sizes = {top: sum(_top(above, lead) == top for lead in leads) for top in tops}
+    best = max(tops, key=lambda top: (motors[top], sizes[top]))
+    kept = [best] if best in free else [top for top in tops if top not in free]
+    for top in tops:
+        if top not in kept:
+            problem = f"it moves beside {compiled.item('body', best)}"
+            allowed = "one tree of bodies, or several that all hang on the world by joints"
+            compiled.item("body", top).refuse(problem, allowed)
+    return kept
+
+
+def _driven_joint(compiled: Compiled, number: int) -> int | None:
+    """Return the joint, or the first joint of the tendon, that an actuator drives, or None."""
+    mujoco, model = compiled.mujoco, compiled.model
+    transmission, target = int(model.actuator_trntype[number]), int(model.actuator_trnid[number, 0])
+    if transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+        return target
+    if transmission == mujoco.mjtTrn.mjTRN_TENDON:
+        first = int(model.tendon_adr[target])
+        if int(model.wrap_type[first]) == mujoco.mjtWrap.mjWRAP_JOINT:
+            return int(model.wrap_objid[first])
+    return None
+
+
+def _top(above: np.ndarray, lead: int) -> int:
+    """Return the lead of the tree of a moving body.
+
+    Args:
+        above: lead of the body that carries each body.
+        lead: lead of the moving body.
+    """
+    while above[lead] != WORLD:
+        lead = int(above[lead])
+    return lead
+
+
+def _trunk(model: Any, body: int) -> int:
+    """Return the ancestor of a fixed body that is in the worldbody."""
+    while body != WORLD and model.body_parentid[body] != WORLD:
+        body = int(model.body_parentid[body])
+    return body
+
+
+def _fixed_bodies(model: Any, trunks: set[int]) -> tuple[int, ...]:
+    """Return the fixed bodies below some bodies of the worldbody."""
+    fixed = np.flatnonzero(_welds(model) == WORLD)[1:].tolist()
+    return tuple(body for body in fixed if _trunk(model, body) in trunks)
+
+
+def _dof_count(model: Any, members: list[int]) -> int:
+    return int(sum(model.body_dofnum[member] for member in members))

@@ -1,0 +1,157 @@
+"""Files that replace numbers in a configuration: meshes of bodies, heights of ground."""
+
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.creature.mesh import MeshError, convex_mesh, few_corners_hull
+from evo_cpg.io.errors import KeyProblem, under
+from evo_cpg.io.glb import read_glb
+from evo_cpg.io.schema.ground import MOST_HEIGHTS, ReliefFileConfig
+from evo_cpg.io.schema.shape import MeshFileConfig
+from evo_cpg.io.trust import named_file
+from evo_cpg.io.wording import checked
+from evo_cpg.system import lend_matplotlib_a_folder
+
+MESH_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
+# Values that mark missing heights in maps, m.
+_MISSING = (-9999.0, -32767.0, -32768.0, float(np.finfo(np.float32).min))
+# A number with a comma next to another delimiter, so that the comma must be a decimal comma.
+_DECIMAL_COMMA = re.compile(r'\d,\d+[";\t]|[";\t] *-?\d+,\d|\d,\d+ +-?\d')
+_ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+
+
+def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
+    """Return a shape with the vertices (m) and faces of its file.
+
+    Args:
+        source: configuration file, whose folder the file's path is relative to.
+        given: keys and values of the shape.
+
+    Raises:
+        KeyProblem: a key is wrong, the file does not exist or contains no mesh, or the mesh
+            cannot be a body.
+    """
+    shape = checked(MeshFileConfig, given)
+    with under("file"):
+        path = named_file(source, shape.file, MESH_SUFFIXES)
+        try:
+            vertices, faces = _triangles(path)
+        except Exception as error:
+            # Any error of the reader concerns the file.
+            problem = " ".join(str(error).split()) or type(error).__name__
+            problem = f"{shape.file}: cannot be read as a mesh ({problem})"
+            raise KeyProblem((), problem) from None
+        with np.errstate(over="ignore"):
+            vertices = vertices * np.array(shape.scale)
+        try:
+            if shape.hull:
+                vertices, faces = few_corners_hull(vertices)
+            convex_mesh(vertices, faces)
+        except MeshError as error:
+            raise KeyProblem((), f"{shape.file}: {error}") from None
+    return {"type": "mesh", "vertices": vertices.tolist(), "faces": faces.tolist()}
+
+
+def _triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices without duplicates, and the triangles."""
+    import trimesh
+
+    if path.suffix.lower() == ".glb":
+        mesh = read_glb(path)
+    else:
+        mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+    if not np.isfinite(mesh.vertices).all():
+        raise ValueError("a coordinate of a vertex is not a finite number")
+    # Merging rounds positions to integers. Positions that overflow are refused later.
+    with np.errstate(all="ignore"):
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    if not len(mesh.faces):
+        raise ValueError("it has no faces")
+    return np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, int).reshape(-1, 3)
+
+
+def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
+    """Return heights from an array (.npy), a table (.csv, .txt) or an image, m.
+
+    Args:
+        source: configuration file, whose folder the file's path is relative to.
+        given: keys of `ReliefFileConfig`. The first axis of an array, and a line of a table, is x.
+            An image is seen from above, with its right edge straight ahead.
+
+    Raises:
+        KeyProblem: a key is wrong, or the file does not exist or contains no grid of numbers.
+    """
+    relief = checked(ReliefFileConfig, given)
+    with under("file"):
+        path = named_file(source, relief.file, (*_ARRAYS, *_TABLES, *_IMAGES))
+        suffix = path.suffix.lower()
+        try:
+            if suffix in _ARRAYS:
+                # Memory mapping detects a header that promises more than the file contains.
+                heights, scaled = np.load(path, mmap_mode="r", allow_pickle=False), False
+                if heights.dtype.kind not in "iuf":
+                    raise ValueError(f"its values are {heights.dtype}, and not real numbers")
+            elif suffix in _TABLES:
+                heights, scaled = _table(path), False
+            else:
+                heights, scaled = _image(path, relief.lowest, relief.highest)
+            if heights.ndim == 2 and max(heights.shape) <= MOST_HEIGHTS:
+                heights = np.asarray(heights, float)
+        except Exception as error:
+            # Any error of the readers concerns the file.
+            raise KeyProblem((), f"{relief.file}: cannot be read ({error})") from None
+        problem = None
+        if heights.ndim != 2 or not np.isfinite(heights[:MOST_HEIGHTS, :MOST_HEIGHTS]).all():
+            problem = f"must contain a 2D grid of finite numbers, got shape {heights.shape}"
+        elif not all(2 <= count <= MOST_HEIGHTS for count in heights.shape):
+            size = " x ".join(map(str, heights.shape))
+            problem = f"{size} heights. Allowed: 2 to {MOST_HEIGHTS} along each axis"
+        elif np.isin(heights, _MISSING).any():
+            missing = heights[np.isin(heights, _MISSING)][0]
+            problem = f"{missing:g} marks missing heights in maps. Fill them in"
+        elif not scaled and {"lowest", "highest"} & given.keys():
+            problem = "its heights are in metres already. Leave out lowest and highest"
+        if problem is not None:
+            raise KeyProblem((), f"{relief.file}: {problem}")
+    return heights.tolist()
+
+
+def _table(path: Path) -> np.ndarray:
+    """Return the numbers of a table whose delimiters are commas, semicolons or spaces."""
+    # Skip the byte order mark with which spreadsheets begin a file.
+    text = re.sub("#.*", "", path.read_text(encoding="utf-8-sig"))
+    if _DECIMAL_COMMA.search(text):
+        raise ValueError("it has decimal commas. Write decimal points")
+    delimiter = ";" if ";" in text else "," if "," in text else None
+    return np.loadtxt(io.StringIO(text), delimiter=delimiter, quotechar='"')
+
+
+def _image(path: Path, lowest: float, highest: float) -> tuple[np.ndarray, bool]:
+    """Return the heights of an image, and whether they were scaled."""
+    lend_matplotlib_a_folder()
+    from matplotlib.image import imread
+    from PIL import Image
+
+    with Image.open(path) as image:
+        if max(image.size) > MOST_HEIGHTS:
+            raise ValueError(f"{image.width} x {image.height} pixels, more than {MOST_HEIGHTS}")
+        if image.mode in ("F", "I") and image.format != "PNG":
+            # Pixels of 32 bits are heights and not shades of grey. Matplotlib would clip them at
+            # 255.
+            return np.asarray(image, float)[::-1].T, False
+        if not image.mode.startswith("I"):
+            colours = np.asarray(image.convert("RGBA"))
+            if (colours[..., 3] < 255).any():
+                raise ValueError("it has transparent pixels, whose height is unknown. Fill them in")
+            if np.ptp(colours[..., :3], axis=-1).any():
+                raise ValueError("it is coloured, but only shades of grey mean a height")
+    pixels = np.asarray(imread(path))
+    full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
+    grey = pixels if pixels.ndim == 2 else pixels[..., :3].mean(-1)
+    # Rows run downwards in the image, which is towards -y on the ground. The second axis of the
+    # heights runs towards +y.
+    return lowest + (highest - lowest) / full * grey[::-1].T, True

@@ -1,0 +1,442 @@
+"""The search: a genetic algorithm, or another strategy."""
+
+import abc
+import functools
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, Tag, model_validator
+from typing_extensions import override
+
+from evo_cpg.evolution.archive import Axis
+from evo_cpg.evolution.bits import BitGenetics
+from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
+from evo_cpg.evolution.random_search import RandomSearch
+from evo_cpg.evolution.strategy import Strategy
+from evo_cpg.installation import command_for
+from evo_cpg.io.errors import KeyProblem, nearest
+from evo_cpg.io.schema.choice import CustomConfig, Options, by_type
+from evo_cpg.io.schema.section import Count, Finite, Fraction, NotNegative, Positive, Section
+from evo_cpg.simulation.genome import Genome
+from evo_cpg.training.experiment import Learning
+
+# Number of individuals of a generation.
+Population = Annotated[int, Field(ge=2, le=1_000_000)]
+
+# Default number of elites that learn: a full vector on one core.
+_LEARNERS = 16
+
+# Largest number of cells of a map. Each cell holds a genome.
+_MOST_CELLS = 100_000
+
+
+class IslandsConfig(Section):
+    """Sub-populations that evolve apart, with migration of the best individuals.
+
+    Attributes:
+        count: number of islands, among which the population is divided equally.
+        every: generations between migrations, in which copies of the best of each island replace
+            the worst of the next.
+        migrants: number of individuals that each island copies to the next.
+    """
+
+    count: Annotated[int, Field(ge=2, le=1000)]
+    every: Count = 10
+    migrants: Count = 1
+
+    def require_room(self, population: int, elites: int = 0) -> None:
+        """Check that a population can be divided among the islands.
+
+        Raises:
+            ValueError: it cannot be divided equally, or the islands are too small.
+        """
+        if population % self.count:
+            raise ValueError(
+                f"islands.count: a population of {population} cannot be divided equally among "
+                f"{self.count} islands"
+            )
+        size = population // self.count
+        if size < 2 or elites >= size:
+            raise ValueError(
+                f"islands.count: each of {self.count} islands gets {size} of the {population} "
+                f"individuals, but needs at least {max(2, elites + 1)}"
+            )
+        if self.migrants >= size:
+            raise ValueError(
+                f"islands.migrants: must be fewer than the {size} individuals of an island, got "
+                f"{self.migrants}"
+            )
+
+
+class AxisConfig(Section):
+    """An axis of a map of behaviour.
+
+    Attributes:
+        name: name of a descriptor: a measure of gait, or a term of the task.
+        range: lower end of the first cell and upper end of the last cell.
+        cells: number of cells.
+    """
+
+    name: str
+    range: tuple[Finite, Finite]
+    cells: Annotated[int, Field(ge=1, le=1000)] = 10
+
+    @model_validator(mode="after")
+    def _check(self) -> "AxisConfig":
+        if not self.range[0] < self.range[1]:
+            raise ValueError(f"range: must rise, got {self.range[0]:g} to {self.range[1]:g}")
+        return self
+
+
+class MapSection(Section):
+    """A search that keeps a map of behaviour.
+
+    Attributes:
+        axes: axes of the map, which keeps the fittest individual of every cell; no map if left
+            out, except in a search that requires a map.
+    """
+
+    axes: Annotated[tuple[AxisConfig, ...], Field(max_length=6)] = ()
+
+    @model_validator(mode="after")
+    def _check_map(self) -> "MapSection":
+        names = [axis.name for axis in self.axes]
+        if len(set(names)) < len(names):
+            raise ValueError(f"axes: names must be unique, got {', '.join(names)}")
+        cells = math.prod(axis.cells for axis in self.axes)
+        if cells > _MOST_CELLS:
+            raise ValueError(f"axes: a map has at most {_MOST_CELLS} cells, got {cells}")
+        return self
+
+    @model_validator(mode="after")
+    def _check_islands(self) -> "MapSection":
+        """Check that the population can be divided among the islands, if there are any."""
+        islands: IslandsConfig | None = getattr(self, "islands", None)
+        if islands:
+            islands.require_room(getattr(self, "population", 0), getattr(self, "elites", 0))
+        return self
+
+    def require_axes(self) -> None:
+        """Check that the map has axes.
+
+        Raises:
+            ValueError: the map has no axes.
+        """
+        if not self.axes:
+            raise ValueError(
+                "axes: at least one is needed, such as {name: speed, range: [0, 1], cells: 10}"
+            )
+
+    @abc.abstractmethod
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search on one island.
+
+        Args:
+            genome: layout of the genome.
+            population: number of individuals of one island.
+
+        Raises:
+            KeyProblem: the search is not installed, or does not fit the genome.
+        """
+
+    def build_learning(self) -> Learning | None:
+        """Return the settings of the elites that learn, or None if no elites learn."""
+        return None
+
+    def build_axes(self) -> tuple[Axis, ...]:
+        """Return the axes in the form that the search uses."""
+        return tuple(Axis(axis.name, *axis.range, axis.cells) for axis in self.axes)
+
+
+class LearningConfig(Section):
+    """Gradient ascent of elites, whose offspring inherit the result.
+
+    Attributes:
+        every: generations between two rounds of learning.
+        elites: number of elites that learn, the best first (default: 16, or all if fewer).
+        steps: gradient steps of each elite.
+    """
+
+    every: Count = 5
+    elites: Count | None = None
+    steps: Count = 5
+
+
+class RealEvolutionConfig(MapSection):
+    """The genetic algorithm on real-valued genomes.
+
+    Attributes:
+        type: ``real``.
+        generations: number of generations.
+        population: number of individuals.
+        elites: number of best individuals that pass on unchanged.
+        selection: selection of parents: by the rank of the mean over all trials, or by lexicase
+            selection, which compares one trial after the other.
+        parent_fraction: best fraction of the population that may become parents, with a
+            probability that falls linearly with the rank (unused by lexicase selection).
+        crossover_probability: probability that the genomes of two parents are crossed at one
+            point.
+        mutation_rate: probability that a gene changes.
+        mutation_sigma: standard deviation of a change.
+        gene_bound: largest magnitude of a gene.
+        learning: gradient ascent of some elites (default: none).
+        islands: sub-populations, to each of which all keys but ``population`` apply
+            (default: none).
+    """
+
+    type: Literal["real"] = "real"
+    generations: Count = 50
+    population: Population = 200
+    elites: Annotated[int, Field(ge=0)] = 20
+    selection: Literal["rank", "lexicase"] = "rank"
+    parent_fraction: Annotated[float, Field(gt=0, le=1)] = 0.5
+    crossover_probability: Fraction = 0.2
+    mutation_rate: Fraction = 0.05
+    mutation_sigma: NotNegative = 0.5
+    gene_bound: Positive = 8.0
+    learning: LearningConfig | None = None
+    islands: IslandsConfig | None = None
+
+    def build(self, genome: Genome, population: int) -> RealGenetics:
+        """Build the search (see `MapSection.build`)."""
+        del genome
+        return self.into(RealGenetics, population=population)
+
+    @override
+    def build_learning(self) -> Learning | None:
+        given = self.learning
+        return given and given.into(Learning, elites=given.elites or min(_LEARNERS, self.elites))
+
+    @model_validator(mode="after")
+    def _check(self) -> "RealEvolutionConfig":
+        if self.elites >= self.population:
+            given = "got" if "elites" in self.model_fields_set else "but the default is"
+            raise ValueError(
+                f"elites: must be fewer than the population of {self.population}, "
+                f"{given} {self.elites}. Set evolution.elites={self.population // 10 or 1}, or a "
+                "larger population"
+            )
+        if self.learning and not 1 <= (self.learning.elites or 1) <= self.elites:
+            raise ValueError(
+                f"learning.elites: at least one and at most all {self.elites} elites can learn, "
+                f"got {self.learning.elites or 1}"
+            )
+        if self.islands and self.learning:
+            raise ValueError("learning: cannot be combined with islands. Leave out one of the two")
+        return self
+
+
+class BitEvolutionConfig(MapSection):
+    """The genetic algorithm on bits of Fukui 2003, chapter 3, whose numbers are the defaults.
+
+    Attributes:
+        type: ``bits``.
+        generations: number of generations.
+        population: number of individuals.
+        elites: number of best individuals that pass on unchanged (children fill the other places).
+        best_copies: number of the elite places that hold the best individual.
+        rank_probabilities: probability of each rank to be chosen as a parent, best first.
+        mutation_probability: probability that a child mutates.
+        mutated_genes: fewest and most genes that a mutation changes.
+        mutation: whether a changed gene is redrawn or flipped.
+        islands: sub-populations, to each of which all keys but ``population`` apply
+            (default: none).
+    """
+
+    type: Literal["bits"] = "bits"
+    generations: Count = 500
+    population: Population = 15
+    elites: Annotated[int, Field(ge=0)] = 7
+    best_copies: Count = 1
+    rank_probabilities: tuple[Fraction, ...] = BitGenetics().rank_probabilities
+    mutation_probability: Fraction = 0.5
+    mutated_genes: tuple[Count, Count] = (2, 30)
+    mutation: Literal["redraw", "flip"] = "redraw"
+    islands: IslandsConfig | None = None
+
+    def build(self, genome: Genome, population: int) -> BitGenetics:
+        """Build the search (see `MapSection.build`)."""
+        _require_enough(genome, self.mutated_genes)
+        return self.into(BitGenetics, population=population)
+
+    @model_validator(mode="after")
+    def _check(self) -> "BitEvolutionConfig":
+        each = self.population // (self.islands.count if self.islands else 1)
+        self.into(BitGenetics, population=each)
+        return self
+
+
+class MapElitesConfig(MapSection):
+    """MAP-Elites: the fittest individual of every kind of behaviour.
+
+    Attributes:
+        type: ``map_elites``.
+        generations: number of generations.
+        population: number of children in each generation.
+        axes: axes of the map.
+        iso_sigma: standard deviation of the noise on each gene (real-valued genes).
+        line_sigma: standard deviation of a child's step along the line between its parents
+            (real-valued genes).
+        gene_bound: largest magnitude of a gene (real-valued genes).
+        crossover: probability that two parents are crossed (bits).
+        mutation_probability: probability that a child mutates (bits).
+        mutated_genes: fewest and most genes that a mutation changes (bits).
+        mutation: whether a changed gene is redrawn or flipped (bits).
+    """
+
+    type: Literal["map_elites"] = "map_elites"
+    generations: Count = 100
+    population: Population = 200
+    iso_sigma: NotNegative = 0.05
+    line_sigma: NotNegative = 0.2
+    gene_bound: Positive = 8.0
+    crossover: Fraction = 1.0
+    mutation_probability: Fraction = 0.5
+    mutated_genes: tuple[Count, Count] = (2, 30)
+    mutation: Literal["redraw", "flip"] = "redraw"
+
+    def build(self, genome: Genome, population: int) -> MapElites:
+        """Build the search (see `MapSection.build`)."""
+        if genome.binary:
+            _require_enough(genome, self.mutated_genes)
+        vary = self.into(OfBits if genome.binary else AlongTheLine)
+        return MapElites(population, self.build_axes(), vary)
+
+    @model_validator(mode="after")
+    def _check(self) -> "MapElitesConfig":
+        self.require_axes()
+        fewest, most = self.mutated_genes
+        if fewest > most:
+            raise ValueError(f"mutated_genes must be fewest and most, got {fewest} and {most}")
+        return self
+
+
+class EvosaxConfig(MapSection):
+    """An algorithm of evosax (Lange 2022), which has to be installed.
+
+    Attributes:
+        type: ``evosax``.
+        algorithm: name of its class, such as ``Sep_CMA_ES``.
+        generations: number of generations.
+        population: number of individuals.
+        sigma: standard deviation of the first sample, if the algorithm has one (``std_init``).
+        gene_bound: largest magnitude of a gene.
+        learning_rate: learning rate of Adam, if the algorithm follows a gradient (``Open_ES``).
+        params: parameters that differ from the defaults, by their names in evosax.
+        options: arguments of its constructor.
+        islands: sub-populations, to each of which all keys but ``population`` apply
+            (default: none).
+    """
+
+    type: Literal["evosax"] = "evosax"
+    algorithm: str
+    generations: Count = 50
+    population: Population = 200
+    sigma: Positive = 0.5
+    gene_bound: Positive = 8.0
+    learning_rate: Positive = 0.02
+    params: dict[str, Finite | bool] = Field(default_factory=dict)
+    options: Options = Field(default_factory=dict)
+    islands: IslandsConfig | None = None
+
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search (see `MapSection.build`)."""
+        from evo_cpg.evolution import from_evosax
+
+        try:
+            known = from_evosax.algorithms()
+        except ImportError as error:
+            raise _missing("evosax", error) from None
+        if self.algorithm not in known:
+            problem = f"evosax has no {self.algorithm!r}: {nearest(self.algorithm, known)}"
+            raise KeyProblem(("algorithm",), problem)
+        try:
+            return self.into(
+                from_evosax.Evosax,
+                **_of_genome(genome, self.gene_bound),
+                population=population,
+                params=tuple(sorted(self.params.items())),
+                options=tuple(sorted(self.options.items())),
+            )
+        except (AssertionError, TypeError, ValueError) as error:
+            whose = f"{population} individuals" + (" on each island" if self.islands else "")
+            problem = f"{self.algorithm} of {whose} cannot be built ({error})"
+            raise KeyProblem((), problem) from None
+
+
+class RandomSearchConfig(MapSection):
+    """Random search, the baseline for every other search.
+
+    Attributes:
+        type: ``random``.
+        generations: number of generations.
+        population: number of individuals in each generation.
+    """
+
+    type: Literal["random"] = "random"
+    generations: Count = 50
+    population: Population = 200
+
+    def build(self, genome: Genome, population: int) -> RandomSearch:
+        """Build the search (see `MapSection.build`)."""
+        return RandomSearch(population, functools.partial(genome.random, batch=(population,)))
+
+
+class CustomEvolutionConfig(CustomConfig, MapSection):
+    """A `Strategy` of your own.
+
+    Attributes:
+        type: ``my_module:MyStrategy``.
+        generations: number of generations.
+        population: number of individuals.
+        options: keyword arguments of its constructor.
+        islands: sub-populations, to each of which all keys but ``population`` apply
+            (default: none).
+    """
+
+    generations: Count = 50
+    population: Population = 200
+    islands: IslandsConfig | None = None
+
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search (see `MapSection.build`)."""
+        about = {"population": population, "gene_count": genome.count, "binary": genome.binary}
+        return self.instance(Strategy, **about)
+
+
+def _of_genome(genome: Genome, bound: float) -> dict[str, Any]:
+    """Return the properties of the genome that real-valued strategies require."""
+    return {
+        "gene_count": genome.count,
+        "binary": genome.binary,
+        "gene_bound": genome.bound(bound),
+    }
+
+
+def _require_enough(genome: Genome, mutated: tuple[int, int]) -> None:
+    """Check that the genome has as many genes as a mutation may change.
+
+    Raises:
+        KeyProblem: the genome has fewer genes.
+    """
+    if mutated[1] > genome.count:
+        problem = f"at most {genome.count}, the bits in a genome of this creature, can change"
+        raise KeyProblem(("mutated_genes",), f"{problem}, got {mutated[1]}")
+
+
+def _missing(extra: str, error: ImportError) -> KeyProblem:
+    """Return the error for an extra whose package cannot be imported."""
+    problem = f"'{extra}' is not installed here ({error}). Install it with `{command_for(extra)}`"
+    return KeyProblem(("type",), problem)
+
+
+EvolutionConfig = Annotated[
+    Annotated[RealEvolutionConfig, Tag("real")]
+    | Annotated[BitEvolutionConfig, Tag("bits")]
+    | Annotated[MapElitesConfig, Tag("map_elites")]
+    | Annotated[EvosaxConfig, Tag("evosax")]
+    | Annotated[RandomSearchConfig, Tag("random")]
+    | Annotated[CustomEvolutionConfig, Tag("custom")],
+    by_type("real"),
+]

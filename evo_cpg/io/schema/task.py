@@ -1,0 +1,230 @@
+"""Sections of the task that determines fitness."""
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, Tag, field_validator, model_validator
+
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.numerics import Number, Triple, xp
+from evo_cpg.creature.creature import Creature, length_of
+from evo_cpg.io.schema.choice import CustomConfig, by_type
+from evo_cpg.io.schema.section import (
+    Finite,
+    NotNegative,
+    OpenSection,
+    Positive,
+    Section,
+    Vector,
+)
+from evo_cpg.io.schema.typical import Direction
+from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.task import Task
+from evo_cpg.simulation.walk import Distance, Heading, Walk
+
+
+class LightConfig(OpenSection):
+    """Position of the light, relative to the root at the start or in the world.
+
+    Attributes:
+        distance: distance from the root at the start, m; the default of `reach_light` is 8.
+        bearing_deg: angle to the left of straight ahead, degrees; the default of `reach_light`
+            is 30.
+        elevation_deg: angle above the horizon, degrees; the default of `reach_light` is 0.
+        at: position in the world, m, instead of the other three keys.
+    """
+
+    distance: Positive | None = None
+    bearing_deg: Annotated[Finite | None, Direction()] = None
+    elevation_deg: Annotated[Annotated[float, Field(ge=-90, le=90)] | None, Direction()] = None
+    at: Vector | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "LightConfig":
+        given = self.model_dump()
+        if self.at is not None and len(given) > 1:
+            others = ", ".join(name for name in given if name != "at")
+            raise ValueError(f"at is a position in the world. Leave out {others}, or at")
+        return self
+
+    def over(self, other: "LightConfig") -> "LightConfig":
+        """Return this light with its open keys filled from another light.
+
+        If the other light has `at`, the open keys are filled from the default light.
+        """
+        given = {name: value for name, value in self if value is not None}
+        if self.at is not None or not given:
+            return self if given else other
+        seen = DEFAULT_LIGHT if other.at is not None else other
+        return seen.model_copy(update=given)
+
+    def position(self, start: Triple, heading: Number) -> Triple:
+        """Return the position of the light, m, or NaN if a key is open.
+
+        Args:
+            start: position of the root at the start, m.
+            heading: rotation of the root to the left at the start, rad.
+        """
+        if self.at is not None:
+            return self.at
+        distance, bearing_deg, elevation_deg = (
+            np.nan if value is None else value
+            for value in (self.distance, self.bearing_deg, self.elevation_deg)
+        )
+        bearing, elevation = xp.deg2rad(bearing_deg), xp.deg2rad(elevation_deg)
+        level = distance * xp.cos(elevation)
+        ahead, left = level * xp.cos(bearing), level * xp.sin(bearing)
+        return (
+            start[0] + xp.cos(heading) * ahead - xp.sin(heading) * left,
+            start[1] + xp.sin(heading) * ahead + xp.cos(heading) * left,
+            start[2] + distance * xp.sin(elevation),
+        )
+
+
+DEFAULT_LIGHT = LightConfig(distance=8.0, bearing_deg=30.0, elevation_deg=0.0)
+
+
+class _TaskSection(Section):
+    # Whether the task requires ground.
+    needs_ground: ClassVar[bool] = False
+
+    @property
+    def goal(self) -> LightConfig | None:
+        """Light that is the goal, for trials without their own light, or None without a goal."""
+        return None
+
+
+class ReachLightConfig(_TaskSection):
+    """Fitness of Iwadate 2010, eqs. 9 and 10, of normalised terms, with weights a > c > b.
+
+    Attributes:
+        type: ``reach_light``.
+        light: position of the goal.
+        distance_weight: a, weight of the remaining distance.
+        light_weight: c, weight of the light in sight, less than ``distance_weight``.
+        energy_weight: b, weight of the energy spent, less than ``light_weight``.
+        energy_max: E_max, J, above which energy costs nothing more; the 95th percentile of the
+            first generation if left out.
+        final_seconds: final time over which the distance is averaged, s.
+    """
+
+    type: Literal["reach_light"] = "reach_light"
+    light: LightConfig = DEFAULT_LIGHT
+    distance_weight: NotNegative = 1.0
+    light_weight: NotNegative = 0.5
+    energy_weight: NotNegative = 0.2
+    energy_max: Positive | None = None
+    final_seconds: Positive = 1.0
+
+    @field_validator("light")
+    @classmethod
+    def _fill(cls, light: LightConfig) -> LightConfig:
+        return light.over(DEFAULT_LIGHT)
+
+    @model_validator(mode="after")
+    def _check(self) -> "ReachLightConfig":
+        if not self.distance_weight > self.light_weight > self.energy_weight:
+            raise ValueError(
+                "eq. 10 requires distance_weight > light_weight > energy_weight, got "
+                f"{self.distance_weight:g}, {self.light_weight:g}, {self.energy_weight:g}"
+            )
+        return self
+
+    @property
+    def goal(self) -> LightConfig:
+        """Light that is the goal."""
+        return self.light
+
+    def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
+        """Build the task.
+
+        Args:
+            creature: creature to evaluate.
+            light: position of the light, m.
+            control_rate: control steps per second, 1/s.
+        """
+        del creature
+        assert light is not None
+        final_steps = chosen(lambda: max(1, round(self.final_seconds * control_rate)))
+        return self.into(ReachLight, light=light, final_steps=final_steps)
+
+
+class DistanceConfig(_TaskSection):
+    """Fukui 2003: displacement from start to end, in any posture.
+
+    Attributes:
+        type: ``distance``.
+        heading: ``any`` direction, or ``forward``.
+    """
+
+    type: Literal["distance"] = "distance"
+    heading: Heading = "any"
+
+    def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
+        """Build the task (see `ReachLightConfig.build`)."""
+        del creature, light, control_rate
+        return self.into(Distance)
+
+
+class WalkConfig(_TaskSection):
+    """Displacement minus penalties for tilting, bouncing and flight. Lengths are in torso lengths.
+
+    Attributes:
+        type: ``walk``.
+        heading: ``any`` direction, or ``forward``.
+        distance_weight: weight of the displacement (in torso lengths).
+        tilt_weight: weight of the torso's tilt: 0 upright, 1 on the side, 2 on the back.
+        bounce_weight: weight of the standard deviation of the torso's height (in torso lengths).
+        airborne_weight: weight of the fraction of time without ground contact.
+        slip_weight: weight of the path that everything on the ground slides, weighted by load (in
+            torso lengths).
+        cost_weight: weight of the energy of the motors divided by the animal's weight (in torso
+            lengths).
+    """
+
+    type: Literal["walk"] = "walk"
+    heading: Heading = "any"
+    distance_weight: NotNegative = 1.0
+    tilt_weight: NotNegative = 20.0
+    bounce_weight: NotNegative = 20.0
+    airborne_weight: NotNegative = 10.0
+    slip_weight: NotNegative = 0.0
+    cost_weight: NotNegative = 0.0
+
+    needs_ground: ClassVar[bool] = True
+
+    def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
+        """Build the task (see `ReachLightConfig.build`)."""
+        del light, control_rate
+        return self.into(
+            Walk,
+            torso_length=_torso_length(creature),
+            slip_weight=_priced(self.slip_weight),
+            cost_weight=_priced(self.cost_weight),
+        )
+
+
+def _torso_length(creature: Creature) -> Number:
+    """Return the length of the root along x, m. Without a shape, its longest part counts."""
+    torso = creature.bodies[creature.root_index]
+    if torso.shape.exists:
+        return 2 * torso.shape.half_extents[0]
+    parts = [body.shape for body in creature.bodies if body.whole == torso.name]
+    if not parts:
+        return length_of(creature)
+    return 2 * xp.max(xp.array([part.half_extents for part in parts]))
+
+
+def _priced(weight: Number) -> Number | None:
+    """Return a weight, or None for 0, so that a term without a price is not computed."""
+    priced = chosen(lambda: bool(weight > 0), lambda made: (weight > 0) == made)
+    return weight if priced else None
+
+
+TaskConfig = Annotated[
+    Annotated[ReachLightConfig, Tag("reach_light")]
+    | Annotated[DistanceConfig, Tag("distance")]
+    | Annotated[WalkConfig, Tag("walk")]
+    | Annotated[CustomConfig, Tag("custom")],
+    by_type("reach_light"),
+]

@@ -1,0 +1,116 @@
+"""Section of a fixed tendon."""
+
+from collections.abc import Iterator, Sequence
+from typing import Annotated
+
+from pydantic import Field, Tag, model_validator
+
+from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.creature.creature import NO_LIMIT, Tendon
+from evo_cpg.creature.tree import body_and_axis
+from evo_cpg.io.schema.choice import by_type
+from evo_cpg.io.schema.copies import Copy, copies_named, fill, placeholders
+from evo_cpg.io.schema.joint import ActuatorConfig, TorqueMotorConfig
+from evo_cpg.io.schema.names import PrintedName
+from evo_cpg.io.schema.section import Finite, NotNegative, Section
+
+_MotorConfig = Annotated[
+    Annotated[ActuatorConfig, Tag("servo")] | Annotated[TorqueMotorConfig, Tag("torque")],
+    by_type("servo"),
+]
+
+
+class TendonConfig(Section):
+    """A fixed tendon: springs, limits and a motor on a weighted sum of joint angles, its length.
+
+    The length is 0 in the neutral pose. It is in rad with pure numbers as coefficients, and in m
+    with lever arms (m).
+
+    A placeholder in the tendon's name makes one tendon for each of its values. A placeholder that
+    only a joint's name contains stands for all of these joints.
+
+    Attributes:
+        name: unique name, which may contain ``{i}``, ``{j}`` or ``{side}``.
+        joints: coefficient of each joint axis that it spans, by the axis's name, ``body.axis``.
+        stiffness: stiffness of the spring, force per length.
+        rest: length at which that spring is relaxed, or the shortest and the longest one.
+        damping: damping, force per rate of length.
+        armature: inertia of a rotor that turns with the length, kg m^2 (kg with lever arms).
+        friction_loss: force of dry friction.
+        limits: lower and upper limit of the length.
+        actuator: motor that pulls, a servo or a torque motor. It follows the command of the first
+            joint here that has no motor of its own and serves no other tendon.
+    """
+
+    name: PrintedName
+    joints: Annotated[dict[str, Finite], Field(min_length=1)]
+    stiffness: NotNegative = 0.0
+    rest: Finite | tuple[Finite, Finite] = 0.0
+    damping: NotNegative = 0.0
+    armature: NotNegative = 0.0
+    friction_loss: NotNegative = 0.0
+    limits: tuple[Finite, Finite] | None = None
+    actuator: _MotorConfig | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "TendonConfig":
+        for name, coefficient in self.joints.items():
+            if coefficient == 0:
+                raise ValueError(f"joints: the coefficient of {name!r} must not be 0")
+            if not body_and_axis(name)[0]:
+                raise ValueError(f"joints: {name!r} must be a body and an axis, such as tail1.z")
+        shortest, longest = self.resting
+        if shortest > longest:
+            raise ValueError(f"rest: {shortest:g} is above {longest:g}")
+        if self.limits is not None and not self.limits[0] < self.limits[1]:
+            raise ValueError(f"limits: {self.limits[0]:g} is not below {self.limits[1]:g}")
+        return self
+
+    @property
+    def resting(self) -> tuple[float, float]:
+        """Shortest and longest length at which the spring is relaxed."""
+        return self.rest if isinstance(self.rest, tuple) else (self.rest, self.rest)
+
+    def build(self, bodies: Sequence[Copy]) -> list[Tendon]:
+        """Build the tendon, or one for each value of the placeholders in its name.
+
+        Args:
+            bodies: all bodies of the creature.
+        """
+        lower, upper = self.limits or (-NO_LIMIT, NO_LIMIT)
+        return [
+            self.into(
+                Tendon,
+                name=fill(self.name, marks),
+                joints=tuple(self._joints(marks, bodies)),
+                rest=self.resting,
+                lower=lower,
+                upper=upper,
+                actuator=self.actuator and self.actuator.build(),
+            )
+            for marks in self._values(bodies)
+        ]
+
+    def _values(self, bodies: Sequence[Copy]) -> list[dict[str, str]]:
+        """Return the values of the placeholders in the name, one mapping for each tendon."""
+        placeholder_names = placeholders(self.name)
+        if not placeholder_names:
+            return [{}]
+        found: list[dict[str, str]] = []
+        for joint in self.joints:
+            for copy in copies_named(body_and_axis(joint)[0], bodies):
+                marks = {mark: copy.marks[mark] for mark in placeholder_names if mark in copy.marks}
+                if placeholders(joint) >= placeholder_names and marks not in found:
+                    found.append(marks)
+        return found
+
+    def _joints(
+        self, marks: dict[str, str], bodies: Sequence[Copy]
+    ) -> Iterator[tuple[str, Number]]:
+        """Yield name and coefficient of every spanned axis, with the placeholders filled."""
+        for joint, coefficient in self.joints.items():
+            given, axis = body_and_axis(joint)
+            body = fill(given, marks)
+            names = [copy.name for copy in copies_named(body, bodies)]
+            for name in names or [body]:
+                yield f"{name}.{axis}", coefficient

@@ -1,0 +1,142 @@
+"""Sections of gravity, water and ground."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from evo_cpg.io.schema.choice import CustomConfig
+from evo_cpg.io.schema.ground import GroundConfig
+from evo_cpg.io.schema.section import Finite, NotNegative, Positive, Section, Vector
+from evo_cpg.io.schema.typical import GRAVITY, LIQUID, VISCOSITY
+from evo_cpg.physics.water.fluid import DragLaw
+from evo_cpg.physics.water.water import Current, Vortex, Water
+
+# Rounding error of decimals, relative to the largest element of a gradient.
+_TRACE_TOLERANCE = 1e-6
+
+
+class VortexConfig(Section):
+    """A vortex about a vertical axis.
+
+    Attributes:
+        centre: x and y of the axis, m.
+        circulation: circulation far from the axis, counterclockwise seen from above, m^2/s.
+        core: distance from the axis at which the water is fastest, m.
+    """
+
+    centre: tuple[Finite, Finite] = (0.0, 0.0)
+    circulation: Finite
+    core: Positive
+
+
+class WaterConfig(Section):
+    """Water around the whole creature, or up to a surface.
+
+    Attributes:
+        density: mass per volume, kg/m^3.
+        viscosity: dynamic viscosity, Pa s, or ``null`` for drag with constant coefficients. With a
+            viscosity, drag follows the Reynolds number and the shape of the bodies.
+        form_drag: coefficient C_d for the normal velocity at every surface point. With a viscosity
+            it is a factor of the measured coefficients.
+        skin_drag: coefficient C_f for the tangential velocity at every surface point. It must be
+            absent or ``null`` with a viscosity.
+        surface: height of the water's surface, m, or ``null`` for water everywhere.
+        added_mass: whether bodies accelerate the water around them, as in ideal fluid.
+        reactive_thrust: whether slender chains of at least three bodies push off from the water
+            that leaves their tails, as in Lighthill's theory; it includes their added mass.
+        lift: whether thin bodies, such as fins, have lift. Needs ``viscosity``.
+        current: velocity of the water, m/s; with a gradient, at the origin.
+        current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
+        vortices: vortices that are added to the current.
+        law: drag law: ``normal`` splits the drag into form and skin drag, ``isotropic`` is exactly
+            eq. 8 of Iwadate 2010. It must be absent or ``null`` with a viscosity.
+        sheltered: whether surfaces that other bodies cover at rest have no drag.
+        points: ``quadrature`` distributes the points evenly, ``random`` draws them once, as in the
+            paper, from ``points_seed``.
+        form_resolution: resolution of points for form drag: its square on each face of a box.
+        skin_resolution: resolution of points for skin friction: its square on each face of a box.
+        random_points: number of random points on each body.
+        points_seed: seed of random points.
+    """
+
+    density: Annotated[Positive, LIQUID] = 1000.0
+    viscosity: Annotated[Positive | None, VISCOSITY] = None
+    form_drag: NotNegative = 1.0
+    skin_drag: NotNegative | None = 0.02
+    surface: Finite | None = None
+    added_mass: bool = False
+    reactive_thrust: bool = False
+    lift: bool = False
+    current: Vector = (0.0, 0.0, 0.0)
+    current_gradient: tuple[Vector, Vector, Vector] | None = None
+    vortices: tuple[VortexConfig, ...] = ()
+    law: DragLaw | None = "normal"
+    sheltered: bool = True
+    points: Literal["quadrature", "random"] = "quadrature"
+    form_resolution: Annotated[int, Field(ge=1, le=32)] = 2
+    skin_resolution: Annotated[int, Field(ge=1, le=32)] = 1
+    random_points: Annotated[int, Field(ge=1, le=10_000)] = 32
+    points_seed: Annotated[int, Field(ge=0)] = 0
+
+    def build(self) -> Water:
+        """Build the water, without its forces."""
+        vortices = (vortex.into(Vortex) for vortex in self.vortices)
+        current = Current(self.current, self.current_gradient)
+        return Water(self.density, self.surface, (current, *vortices))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_defaults_of_its_drag_law(cls, data: Any) -> Any:
+        """Replace ``null`` by the default. Skin drag and law have none with a viscosity."""
+        if not isinstance(data, Mapping):
+            return data
+        unset = [key for key in ("skin_drag", "law") if data.get(key) is None]
+        given = {key: value for key, value in data.items() if key not in unset}
+        return given if data.get("viscosity") is None else given | dict.fromkeys(unset)
+
+    @model_validator(mode="after")
+    def _has_one_drag_law(self) -> "WaterConfig":
+        if self.viscosity is None:
+            if self.lift:
+                raise ValueError("lift completes the drag of water with a viscosity; set viscosity")
+            return self
+        if self.law is not None:
+            raise ValueError(
+                f"viscosity has a drag law of its own; leave out law ({self.law!r}) or "
+                "set it to null"
+            )
+        if self.skin_drag is not None:
+            raise ValueError(
+                f"viscosity determines skin friction; leave out skin_drag ({self.skin_drag:g}) or "
+                "set it to null"
+            )
+        return self
+
+    @field_validator("current_gradient")
+    @classmethod
+    def _keeps_its_volume(cls, gradient: tuple[Vector, Vector, Vector] | None):
+        if gradient is not None:
+            total = sum(gradient[i][i] for i in range(3))
+            if abs(total) > _TRACE_TOLERANCE * max(abs(x) for row in gradient for x in row):
+                raise ValueError(
+                    f"water keeps its volume, so the diagonal must add up to 0, got {total:g}. A "
+                    "shear has a zero diagonal: [[0, 0, 0.5], [0, 0, 0], [0, 0, 0]]"
+                )
+        return gradient
+
+
+class WorldConfig(Section):
+    """Gravity, water, ground, and further forces.
+
+    Attributes:
+        gravity: downward acceleration, m/s^2.
+        water: water around the creature, or ``null`` for none.
+        ground: ground below the creature (default: none).
+        forces: force laws of your own, in addition to the forces of the water.
+    """
+
+    gravity: Annotated[NotNegative, GRAVITY] = 9.81
+    water: WaterConfig | None = WaterConfig()
+    ground: GroundConfig | None = None
+    forces: tuple[CustomConfig, ...] = ()

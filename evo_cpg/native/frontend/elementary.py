@@ -1,0 +1,467 @@
+"""Elementary functions of float32 as basic arithmetic without branches.
+
+Each is a pure elementwise function of one or two arrays of float32. It traces to operations that a
+vector unit performs for all lanes at once. These are arithmetic, roots, roundings, comparisons,
+selections, conversions and integer operations on the bits.
+
+The argument is first reduced to a short interval, where a polynomial approximates the result. The
+table writes k for an integer. The constants that k multiplies are sums of parts. All parts but the
+last are so short that the products are exact (Cody and Waite).
+
+| function | reduced argument | result |
+|---|---|---|
+| exp, exp2 | r = x - k ln 2 in [-ln 2 / 2, ln 2 / 2] | 2^k P(r) |
+| expm1 | r as for exp | 2^k (r + r^2 P(r)) + (2^k - 1) |
+| log, log1p | x = 2^k (1 + f), abs(f) <= 1/3 | k ln 2 + (f - f^2 / 2 + f^3 P(f)) |
+| sin, cos | r = x - k pi in [-pi/2, pi/2] | (-1)^k (r + r^3 P(r^2)), (-1)^k (1 + r^2 Q(r^2)) |
+| tan | r = x - k pi/2 in [-pi/4, pi/4] | t = r + r^3 P(r^2); -1 / t if k is odd |
+| asin, acos | s = abs(x) or sqrt((1 - abs(x)) / 2) <= 1/2 | s + s^3 P(s^2) |
+| atan, atan2 | z = the lesser side over the greater | z + z^3 P(z^2) |
+| erf | a = min(abs(x), 4) | 1 - exp(-(a + a P(a))) |
+| erf_inv | w = -log(1 - x^2) | x P(w) / Q(w) |
+| cbrt | h = 1 - x y^3, y near x^(-1/3) by its bits | y (1 - h)^(-1/3), and a Newton step |
+
+The other functions follow from these. The coefficients minimise the maximum relative error of the
+result (Remez exchange on a grid of Chebyshev points, values by mpmath). Each coefficient was
+rounded to float32, the constant term first, and the remaining coefficients were fitted again.
+
+`tests/native/test_elementary.py` lists the maximum errors, most of them below two units in the last
+place. Products may or may not be fused with sums. Subnormal numbers may or may not count as zero.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jax import Array, lax
+
+# Smallest normal number, and the limit below which some functions equal their tangent.
+_SMALLEST = 2.0**-126
+_TINY = 2.0**-30
+
+# Bits of a float32: sign, exponent plus 127, mantissa.
+_SIGN, _MANTISSA = -(2**31), 0x007FFFFF
+_MANTISSA_BITS = 23
+_TWO_THIRDS, _FOUR = 0x3F2AAAAB, 0x40800000
+# The bits of this constant plus an integer k end in the bits of k + 127.
+_INTEGER_IN_BITS = 1.5 * 2**23 + 127
+
+_LOG2_E = math.log2(math.e)
+_LOG2_E_PARTS = (1.4423828125, 3.1222838838e-4)
+# One part is enough for a small k: the error of ln 2 in float32 is 2e-9.
+_LN_2 = math.log(2.0)
+_LN_2_PARTS = (0.693145751953125, 1.428606765330187e-6)
+_PI_PARTS = (3.140625, 9.67502593994140625e-04, 1.509957990978376432e-07)
+_HALF_PI_PARTS = (1.5703125, 4.837512969970703e-4, 7.549533620476723e-8, 2.5633440682570896e-12)
+# Error of pi / 2 in float32, which is too large.
+_HALF_PI_EXCESS = 4.371139e-8
+
+# fmt: off
+# e^r on [-ln 2 / 2, ln 2] and 2^r on [-1/2, 1]. Errors in the last third have half the weight: only
+# the largest results need it, because k is at most 127.
+_EXP = (1.0, 1.0, 0.50000197, 0.16666782, 0.04162442, 0.008341856, 0.0016019798)
+_EXP2 = (1.0, 0.6931472, 0.24022745, 0.05550448, 0.0096084075, 0.0013347428, 0.00017762973)
+# (e^r - 1 - r) / r^2 on [-ln 2 / 2, ln 2 / 2].
+_EXPM1 = (0.49999997, 0.16666546, 0.041667435, 0.008366272, 0.0013870688)
+# (ln(1 + f) - f + f^2 / 2) / f^3 on [-1/3, 1/3].
+_LOG1P = (
+    0.33333215, -0.24999796, 0.20010479, -0.16680591,
+    0.14004397, -0.12182546, 0.13992809, -0.12900318,
+)
+# (sin r - r) / r^3 and (cos r - 1) / r^2 on [0, pi / 2], in r^2, fitted to the absolute error.
+_SIN = (-1.66666571e-01, 8.33301729e-03, -1.98066152e-04, 2.60005477e-06)
+_COS = (-4.99999995e-01, 4.16666407e-02, -1.38884035e-03, 2.47618862e-05, -2.60771053e-07)
+# (tan r - r) / r^3 on [0, pi / 4], (asin s - s) / s^3 on [0, 1/2], (atan z - z) / z^3 on [0, 1], in
+# the square of the argument.
+_TAN = (0.33333156, 0.13338846, 0.053406864, 0.024447259, 0.0030908117, 0.009403415)
+_ASIN = (0.16666752, 0.074953094, 0.04546915, 0.02418478, 0.0421583)
+_ATAN = (
+    -0.33333153, 0.19993767, -0.14211002, 0.106657684,
+    -0.07551656, 0.043204635, -0.016363103, 0.0029193931,
+)
+# -ln(1 - erf a) / a - 1 on [0, 4].
+_ERF = (
+    0.12837917, 0.63661957, 0.1027763, -0.019147826, -0.00016948466,
+    0.0016756394, -0.0006373315, 0.000118848555, -9.386046e-6,
+)
+# erf_inv(x) / x up to w = 15.95, for the largest x below 1. The coefficients were not fitted again.
+_ERF_INV = (0.88622695, 0.3064674, 0.059570104, 0.0077630226, 0.00064372784, 2.434903e-5)
+_ERF_INV_BELOW = (1.0, 0.084012434, 0.03218962, 0.0018750958, 0.0001796728, 1.2935906e-6)
+# ((1 - h)^(-1/3) - 1) / h on [-0.1027, 0.1027], the range of h for the first y from these bits.
+_CBRT = (0.3333275, 0.22348884, 0.17471948)
+_CBRT_BITS = 1419900800.0
+# fmt: on
+
+
+def exp(x: Array) -> Array:
+    """Return ``e^x``."""
+    k, p = _exp_parts(x, 127)
+    return p * _power_of_two(k)
+
+
+def exp2(x: Array) -> Array:
+    """Return ``2^x``."""
+    x = _at_least(x, -127.0)
+    k = _at_most(_nearest(x), 127.0)
+    return _polynomial(_EXP2, x - k) * _power_of_two(k)
+
+
+def expm1(x: Array) -> Array:
+    """Return ``e^x - 1``."""
+    half = _expm1_over(2, _clip(x, -18.0, 89.0))
+    return _where(abs(x) < _TINY, x, half + half)
+
+
+def log(x: Array) -> Array:
+    """Return ``ln x``."""
+    inside = _where(x < _SMALLEST, _where(x < 0.0, math.nan, -math.inf), _log_of_positive(x))
+    return _where(x < math.inf, inside, x)
+
+
+def log1p(x: Array) -> Array:
+    """Return ``ln(1 + x)``."""
+    above = _bits(1.0 + x) - _TWO_THIRDS
+    # f = 2^-k (1 + x) - 1. k may be 128, so the scale is 2^(2 - k), which is not subnormal.
+    scale = _float(_FOUR - (above & ~_MANTISSA))
+    f = 0.25 * x * scale + (0.25 * scale - 1.0)
+    inside = _where(x > -1.0, _log_of_parts(_exponent(above), f), -math.inf)
+    inside = _where(x < -1.0, math.nan, inside)
+    return _where((abs(x) > _TINY) & (x < math.inf), inside, x)
+
+
+def tanh(x: Array) -> Array:
+    """Return ``tanh x`` as ``t / (1 + t)`` with ``t = (e^(2 x) - 1) / 2``."""
+    a = _at_most(abs(x), 10.0)
+    t = _expm1_over(2, a + a, (_LN_2,))
+    return _with_sign(t / (1.0 + t), x)
+
+
+def logistic(x: Array) -> Array:
+    """Return ``1 / (1 + e^-x)``."""
+    return 1.0 / (1.0 + exp(-x))
+
+
+def sin(x: Array) -> Array:
+    """Return ``sin x``, within 1.5e-7 for ``abs(x)`` up to 1e4. Larger arguments lose digits.
+
+    Up to 1e4, k times each of the first two parts of pi is exact.
+    """
+    r, square, sign = _half_turns(x)
+    cubic = _polynomial(_SIN, square) * square * r
+    return sign * (cubic + r)
+
+
+def cos(x: Array) -> Array:
+    """Return ``cos x``, with the accuracy of `sin`."""
+    _, square, sign = _half_turns(x)
+    even = _polynomial(_COS, square) * square
+    return sign * (even + 1.0)
+
+
+def tan(x: Array) -> Array:
+    """Return ``tan x``, which loses digits for ``abs(x)`` beyond 1e4."""
+    k = _nearest(x * (2 / math.pi))
+    r = _less_multiple(x, k, _HALF_PI_PARTS)
+    square = r * r
+    t = r + r * square * _polynomial(_TAN, square)
+    half = 0.5 * k
+    odd = half != lax.floor(half)
+    return _where(odd, -1.0, t) / _where(odd, t, 1.0)
+
+
+def asin(x: Array) -> Array:
+    """Return the angle in [-pi/2, pi/2] with sine x."""
+    far, s, rest = _asin_parts(x)
+    # pi / 2 - 2 asin s
+    beyond = (math.pi / 2 - 2.0 * s) - (2.0 * rest + _HALF_PI_EXCESS)
+    return _with_sign(_where(far, beyond, s + rest), x)
+
+
+def acos(x: Array) -> Array:
+    """Return the angle in [0, pi] with cosine x."""
+    far, s, rest = _asin_parts(x)
+    signed = _with_sign(s + rest, x)
+    beyond = _where(x < 0.0, math.pi, 0.0) + 2.0 * signed
+    return _where(far, beyond, math.pi / 2 - (signed + _HALF_PI_EXCESS))
+
+
+def atan(x: Array) -> Array:
+    """Return the angle in [-pi/2, pi/2] with tangent x."""
+    a = abs(x)
+    far = a > 1.0
+    return _with_sign(_atan_of_ratio(_where(far, 1.0, a) / _where(far, a, 1.0), far), x)
+
+
+def atan2(y: Array, x: Array) -> Array:
+    """Return the angle in [-pi, pi] from the x-axis to ``(x, y)``."""
+    a, b = abs(y), abs(x)
+    steep = a > b
+    lesser, greater = _where(steep, b, a), _where(steep, a, b)
+    # 0 / 0 must be 0, and infinity / infinity must be 1.
+    greater = _where(greater < _SMALLEST, _SMALLEST, greater)
+    ratio = _where(lesser == greater, 1.0, lesser / greater)
+    angle = _atan_of_ratio(ratio, steep)
+    angle = _where(_bits(x) < 0, math.pi - (angle + 2 * _HALF_PI_EXCESS), angle)
+    return _with_sign(angle, y)
+
+
+def pow_(x: Array, y: Array) -> Array:
+    """Return ``x^y`` as ``2^(y log2 x)``. Logarithm and product are sums of two numbers.
+
+    The main part of each product has factors of 12 binary digits, so it is exact.
+    """
+    k, f = _parts_of_log(abs(x))
+    # ln(1 + f) = high + low
+    head = _head(f)
+    half_square = 0.5 * head * head
+    high = f - half_square
+    low = (f - high) - half_square - 0.5 * (f - head) * (f + head)
+    low = low + f * f * f * _polynomial(_LOG1P, f)
+    # log2 x = high_2 + low_2
+    head = _head(high)
+    exact = head * _LOG2_E_PARTS[0]
+    high_2 = k + exact
+    low_2 = (exact - (high_2 - k)) + (high - head) * _LOG2_E_PARTS[0]
+    low_2 = low_2 + high * _LOG2_E_PARTS[1] + low * _LOG2_E
+    # y log2 x = exact + rest. The value of y beyond 2^40 has no effect, unless x = 1.
+    factor = _clip(y, -(2.0**40), 2.0**40)
+    head, head_2 = _head(factor), _head(high_2)
+    exact = head * head_2
+    rest = (factor - head) * head_2 + factor * (low_2 + (high_2 - head_2))
+    n = _nearest(_clip(exact + rest, -127.0, 127.0))
+    size = _polynomial(_EXP2, _clip((exact - n) + rest, -1.0, 2.0)) * _power_of_two(n)
+    return _pow_special(x, y, size)
+
+
+def _pow_special(x: Array, y: Array, size: Array) -> Array:
+    """Return the power from its absolute value. Set sign, zeros, infinities and NaN."""
+    a = abs(x)
+    zero = a < _SMALLEST
+    grows = _where(zero, -y, y) > 0.0
+    size = _where(zero | (a == math.inf), _where(grows, math.inf, 0.0), size)
+    half = 0.5 * y
+    whole = lax.floor(y) == y
+    odd = whole & (lax.floor(half) != half)
+    power = _where(odd & (_bits(x) < 0), -size, size)
+    undefined = ~whole & (x < 0.0) & (x > -math.inf) | (x != x) | (y != y)
+    power = _where(undefined, math.nan, power)
+    return _where((x == 1.0) | (y == 0.0), 1.0, power)
+
+
+def erf(x: Array) -> Array:
+    """Return ``2 / sqrt(pi)`` times the integral of ``e^(-t^2)`` from 0 to x."""
+    a = _at_most(abs(x), 4.0)
+    r, scale = _expm1_parts(-(a + a * _polynomial(_ERF, a)), 1, (_LN_2,))
+    size = (1.0 - scale) - scale * r
+    return _with_sign(_where(a < _TINY, (2 / math.sqrt(math.pi)) * a, size), x)
+
+
+def erf_inv(x: Array) -> Array:
+    """Return the number whose error function is x."""
+    a = abs(x)
+    w = -_log_of_positive((1.0 - a) * (1.0 + a))
+    inside = x * _polynomial(_ERF_INV, w) / _polynomial(_ERF_INV_BELOW, w)
+    end = _where(a == 1.0, math.inf, math.nan)
+    return _where(a < 1.0, inside, _with_sign(end, x))
+
+
+def cbrt(x: Array) -> Array:
+    """Return the real cube root."""
+    a = abs(x)
+    bits = lax.convert_element_type(_bits(a), np.float32)
+    y = _float(lax.convert_element_type(_CBRT_BITS - bits * (1 / 3), np.int32))
+    h = 1.0 - a * y * y * y
+    y = y + y * h * _polynomial(_CBRT, h)
+    root = a * y * y
+    root = root + root * (1.0 - root * y) * (2 / 3)
+    return _with_sign(_where(a < math.inf, root, a), x)
+
+
+def sinh(x: Array) -> Array:
+    """Return ``sinh x`` as ``(t + t / (t + 1)) / 2``, with ``t = e^x - 1``.
+
+    The code computes t / 4, because t may overflow.
+    """
+    a = abs(x)
+    quarter = _expm1_over(4, _at_most(a, 89.5))
+    half = quarter + quarter / (4.0 * quarter + 1.0)
+    return _with_sign(_where(a < _TINY, a, half + half), x)
+
+
+def cosh(x: Array) -> Array:
+    """Return ``cosh x`` as ``h + 1 / (4 h)`` with ``h = e^abs(x) / 2``."""
+    k, p = _exp_parts(abs(x), 128)
+    half = p * _power_of_two(k, -1)
+    return half + 0.25 / half
+
+
+def asinh(x: Array) -> Array:
+    """Return ``ln(x + sqrt(x^2 + 1))``. The sum minus 1 is computed without cancellation."""
+    a = abs(x)
+    square = a * a
+    more = a + square / (1.0 + lax.sqrt(1.0 + square))
+    return _with_sign(_log1p_or_log_of_double(more, a), x)
+
+
+def acosh(x: Array) -> Array:
+    """Return ``ln(x + sqrt(x^2 - 1))``. The sum minus 1 is computed without cancellation."""
+    t = x - 1.0
+    more = t + lax.sqrt(t * (t + 2.0))
+    return _where(x < 1.0, math.nan, _log1p_or_log_of_double(more, x))
+
+
+def atanh(x: Array) -> Array:
+    """Return ``ln((1 + x) / (1 - x)) / 2``."""
+    a = abs(x)
+    return _with_sign(0.5 * log1p((a + a) / (1.0 - a)), x)
+
+
+FLOAT32: dict[str, Callable[..., Array]] = {
+    function.__name__.rstrip("_"): function
+    for function in (
+        exp, exp2, expm1, log, log1p, tanh, logistic, sin, cos, tan, asin, acos, atan, atan2, pow_,
+        erf, erf_inv, cbrt, sinh, cosh, asinh, acosh, atanh,
+    )
+}  # fmt: skip
+"""Elementary functions by the names of JAX's primitives."""
+
+
+def _exp_parts(x: Array, greatest: int) -> tuple[Array, Array]:
+    """Return an integer ``k <= greatest`` and p with ``e^x = 2^k p``, k = -127 for ``e^x = 0``."""
+    x = _at_least(x, -88.0)
+    k = _at_most(_nearest(x * _LOG2_E), greatest)
+    r = _less_multiple(x, k, _LN_2_PARTS)
+    return k, _polynomial(_EXP, r)
+
+
+def _expm1_parts(
+    x: Array, divisor: int, ln_2: Sequence[float] = _LN_2_PARTS
+) -> tuple[Array, Array]:
+    """Return r and ``2^k / divisor``, with ``e^x - 1 = 2^k r + (2^k - 1)``."""
+    k = _nearest(x * _LOG2_E)
+    r = _less_multiple(x, k, ln_2)
+    r = r + r * r * _polynomial(_EXPM1, r)
+    return r, _power_of_two(k, -math.log2(divisor))
+
+
+def _expm1_over(divisor: int, x: Array, ln_2: Sequence[float] = _LN_2_PARTS) -> Array:
+    """Return ``(e^x - 1) / divisor``. The divisor is a power of two."""
+    r, scale = _expm1_parts(x, divisor, ln_2)
+    return scale * r + (scale - 1 / divisor)
+
+
+def _power_of_two(k: Array, more: float = 0.0) -> Array:
+    """Return ``2^(k + more)`` for an integer exponent: 0 for -127 and infinity for 128."""
+    return _float(lax.shift_left(_bits(k + (_INTEGER_IN_BITS + more)), np.int32(_MANTISSA_BITS)))
+
+
+def _parts_of_log(x: Array) -> tuple[Array, Array]:
+    """Return an integer k and f in [-1/3, 1/3] with ``x = 2^k (1 + f)``."""
+    above = _bits(x) - _TWO_THIRDS
+    return _exponent(above), _float((above & _MANTISSA) + _TWO_THIRDS) - 1.0
+
+
+def _exponent(above: Array) -> Array:
+    """Return the exponent of a number from its bits minus the bits of 2/3."""
+    k = lax.shift_right_arithmetic(above, np.int32(_MANTISSA_BITS))
+    return lax.convert_element_type(k, np.float32)
+
+
+def _log_of_positive(x: Array) -> Array:
+    return _log_of_parts(*_parts_of_log(x))
+
+
+def _log_of_parts(k: Array, f: Array) -> Array:
+    square = f * f
+    rest = f * square * _polynomial(_LOG1P, f) + k * _LN_2_PARTS[1]
+    return (f + (rest - 0.5 * square)) + k * _LN_2_PARTS[0]
+
+
+def _log1p_or_log_of_double(more: Array, x: Array) -> Array:
+    """Return ``log(1 + more)``, or ``log(2 x)`` for large x."""
+    great = x > 2.0**25
+    return log1p(_where(great, x, more)) + _where(great, _LN_2, 0.0)
+
+
+def _half_turns(x: Array) -> tuple[Array, Array, Array]:
+    """Return the remainder ``r = x - k pi``, its square, and the sign ``(-1)^k``."""
+    k = _nearest(x * (1 / math.pi))
+    r = _less_multiple(x, k, _PI_PARTS)
+    half = k * 0.5
+    fraction = half - lax.floor(half)
+    return r, r * r, 1.0 - 4.0 * fraction
+
+
+def _asin_parts(x: Array) -> tuple[Array, Array, Array]:
+    """Return whether ``abs(x) > 1/2``, s, and ``asin(s) - s``."""
+    a = abs(x)
+    far = a > 0.5
+    square = _where(far, 0.5 - 0.5 * a, a * a)
+    s = _where(far, lax.sqrt(square), a)
+    return far, s, s * square * _polynomial(_ASIN, square)
+
+
+def _atan_of_ratio(z: Array, inverted: Array) -> Array:
+    """Return ``atan z`` for z in [0, 1], or ``pi / 2 - atan z`` if inverted."""
+    square = z * z
+    angle = z + z * square * _polynomial(_ATAN, square)
+    return _where(inverted, math.pi / 2 - (angle + _HALF_PI_EXCESS), angle)
+
+
+def _polynomial(coefficients: Sequence[float], x: Array) -> Array:
+    """Evaluate a polynomial by Horner's rule. Coefficients begin with the constant term."""
+    value = x * coefficients[-1] + coefficients[-2]
+    for coefficient in coefficients[-3::-1]:
+        value = value * x + coefficient
+    return value
+
+
+def _less_multiple(x: Array, k: Array, parts: Sequence[float]) -> Array:
+    """Return x minus k times the sum of the parts."""
+    for part in parts:
+        x = x - k * part
+    return x
+
+
+def _nearest(x: Array) -> Array:
+    return lax.round(x, lax.RoundingMethod.TO_NEAREST_EVEN)
+
+
+def _at_most(x: Array, greatest: float) -> Array:
+    # NaN stays NaN. This is one instruction. `lax.min` checks both operands for NaN and takes more.
+    return _where(x > greatest, greatest, x)
+
+
+def _at_least(x: Array, least: float) -> Array:
+    return _where(x < least, least, x)
+
+
+def _clip(x: Array, least: float, greatest: float) -> Array:
+    return _at_least(_at_most(x, greatest), least)
+
+
+def _with_sign(size: Array, of: Array) -> Array:
+    """Return a nonnegative number with the sign of ``of``."""
+    return _float(_bits(size) | (_bits(of) & _SIGN))
+
+
+def _head(x: Array) -> Array:
+    """Return a number rounded towards zero to its first 12 binary digits."""
+    return _float(_bits(x) & ~0xFFF)
+
+
+def _bits(x: Array) -> Array:
+    return lax.bitcast_convert_type(x, np.int32)
+
+
+def _float(bits: Array) -> Array:
+    return lax.bitcast_convert_type(bits, np.float32)
+
+
+def _where(condition: Array, x: Array | float, y: Array | float) -> Array:
+    """Select as `jax.numpy.where` for float32, in a single operation."""
+    full = [
+        each if isinstance(each, Array) else lax.full_like(condition, each, np.float32)
+        for each in (x, y)
+    ]
+    return lax.select(condition, *full)

@@ -1,0 +1,279 @@
+"""Operations that only move numbers: NumPy performs them on arrays of nodes while tracing."""
+
+import functools
+import itertools
+from collections.abc import Callable
+
+import jax
+import numpy as np
+
+from evo_cpg.native.frontend.builder import Builder, elementwise
+from evo_cpg.native.unsupported import Unsupported
+
+
+def _broadcast_in_dim(builder, operands, params):
+    (x, *_), shape = operands, params["shape"]
+    placed = np.ones(len(shape), int)
+    placed[list(params["broadcast_dimensions"])] = x.shape
+    return [np.broadcast_to(x.reshape(placed), shape)]
+
+
+def _slice(builder, operands, params):
+    strides = params["strides"] or (1,) * operands[0].ndim
+    window = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
+    return [operands[0][tuple(slice(*each) for each in window)]]
+
+
+def _dynamic_slice(builder, operands, params):
+    x, *starts = operands
+    sizes = params["slice_sizes"]
+    first = [
+        _clamped(builder, start.item(), whole - size)
+        for start, whole, size in zip(starts, x.shape, sizes, strict=True)
+    ]
+    return [_taken(builder, x, first, np.indices(sizes))]
+
+
+def _dynamic_update_slice(builder, operands, params):
+    """Replace the elements under the window by new elements."""
+    x, update, *starts = operands
+    first = [
+        _clamped(builder, start.item(), whole - size)
+        for start, whole, size in zip(starts, x.shape, update.shape, strict=True)
+    ]
+    result = x.copy()
+    reach = [
+        range(whole - size + 1) if node.value is None else [int(node.value)]
+        for node, whole, size in zip(first, x.shape, update.shape, strict=True)
+    ]
+    for begin in itertools.product(*reach):
+        here = [
+            builder.apply("eq", node, builder.constant(b, node.dtype))
+            for node, b in zip(first, begin, strict=True)
+        ]
+        condition = (
+            functools.reduce(functools.partial(builder.apply, "and"), here) if here else None
+        )
+        for index in np.ndindex(update.shape):
+            place = tuple(b + i for b, i in zip(begin, index, strict=True))
+            new = update[index]
+            result[place] = (
+                new if condition is None else builder.select(condition, new, result[place])
+            )
+    return [result]
+
+
+def _gather(builder, operands, params):
+    """Gather elements at constant indices, with their places from JAX, or at computed indices."""
+    x, indices = operands
+    if all(node.value is not None for node in indices.flat):
+        gather = functools.partial(jax.lax.gather_p.bind, **{**params, "fill_value": _OUTSIDE})
+        places, fill = _places(gather, x, indices), params["fill_value"]
+        if (places == _OUTSIDE).any():
+            fill = _filler(x.flat[0].dtype) if fill is None else fill
+            x = np.append(x.reshape(-1), builder.constant(fill, x.flat[0].dtype))
+        return [x.reshape(-1)[places]]
+    return [_gather_at_computed_places(builder, x, indices, params)]
+
+
+# Place of an element outside the array.
+_OUTSIDE = -1
+
+
+def _places(gather, x, indices):
+    """Return the place of each element that JAX gathers at constant indices."""
+    places = np.arange(x.size, dtype=np.int32).reshape(x.shape)
+    where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
+    with jax.ensure_compile_time_eval():
+        return np.asarray(gather(places, where))
+
+
+def _gather_at_computed_places(builder, x, indices, params):
+    """Gather one window for each row of indices. Offsets within the window are fixed."""
+    numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
+    if numbers.operand_batching_dims:
+        raise Unsupported("no rule for a gather with batch dimensions at computed places")
+    rows = indices.reshape(-1, indices.shape[-1]) if indices.ndim else indices.reshape(1, 1)
+    filled = "FILL" in str(params["mode"])
+    fill = params["fill_value"]
+    kept = [i for i in range(x.ndim) if i not in numbers.collapsed_slice_dims]
+    window = np.indices(sizes)[
+        (slice(None), *(slice(None) if i in kept else 0 for i in range(x.ndim)))
+    ]
+    results = []
+    for row in rows:
+        first = [builder.constant(0, np.int32)] * x.ndim
+        valid = builder.constant(True, bool)
+        for axis, node in zip(numbers.start_index_map, row, strict=True):
+            most = x.shape[axis] - sizes[axis]
+            first[axis] = _clamped(builder, node, most)
+            if filled:
+                inside = builder.apply("eq", builder.convert(first[axis], node.dtype), node)
+                valid = builder.apply("and", valid, inside)
+        taken = _taken(builder, x, first, window)
+        if valid.value is None or not valid.value:
+            dtype = x.flat[0].dtype
+            other = builder.constant(_filler(dtype) if fill is None else fill, dtype)
+            taken = elementwise(lambda t, v=valid, o=other: builder.select(v, t, o), taken)
+        results.append(taken)
+    batch = indices.shape[:-1]
+    stacked = np.array([t.reshape(-1) for t in results], object)
+    stacked = stacked.reshape((*batch, *results[0].shape))
+    # ``offset_dims`` places the axes of the windows. The axes of the indices go in between.
+    order = iter(range(len(batch)))
+    inner = {axis: len(batch) + k for k, axis in enumerate(numbers.offset_dims)}
+    axes = [inner[i] if i in inner else next(order) for i in range(stacked.ndim)]
+    return stacked.transpose(axes)
+
+
+def _taken(builder, x, first, window):
+    """Return elements of an array in a window whose first element is at a computed place.
+
+    Args:
+        builder: maker of the nodes.
+        x: the array.
+        first: index of the window's first element along each axis, within the array.
+        window: ``(axes, ...)``, indices within the window.
+    """
+    if not window[0].size:
+        return np.empty(window[0].shape, object)
+    if all(node.value is not None for node in first):
+        begin = [int(node.value) for node in first]
+        return np.asarray(x[tuple(b + w for b, w in zip(begin, window, strict=True))], object)
+    strides = [int(np.prod(x.shape[i + 1 :], dtype=int)) for i in range(x.ndim)]
+    start = builder.constant(0, np.int32)
+    for node, stride in zip(first, strides, strict=True):
+        step = builder.multiply(builder.convert(node, np.int32), builder.constant(stride, np.int32))
+        start = builder.add(start, step)
+    offsets = sum(w * stride for w, stride in zip(window, strides, strict=True))
+    table = builder.table(list(x.flat))
+
+    def take(offset: int):
+        return builder.lookup(table, builder.add(start, builder.constant(offset, np.int32)))
+
+    return elementwise(take, offsets)
+
+
+def _clamped(builder, place, most):
+    """Return an index clamped to ``[0, most]``, int32."""
+    if place.dtype.kind == "u":
+        place = builder.apply("min", place, builder.constant(most, place.dtype))
+        return builder.convert(place, np.int32)
+    low, high = (builder.constant(value, place.dtype) for value in (0, most))
+    return builder.convert(builder.apply("min", builder.apply("max", place, low), high), np.int32)
+
+
+def _filler(dtype):
+    """Return the value that JAX gathers from outside the array."""
+    if dtype.kind == "f":
+        return np.nan
+    if dtype.kind == "b":
+        return True
+    return np.iinfo(dtype).min if dtype.kind == "i" else np.iinfo(dtype).max
+
+
+def _split(builder, operands, params):
+    cuts = np.cumsum(params["sizes"])[:-1]
+    return np.split(operands[0], cuts, params["axis"])
+
+
+def _unstack(builder, operands, params):
+    (x,), axis = operands, params["axis"]
+    return [part.squeeze(axis) for part in np.split(x, x.shape[axis], axis)]
+
+
+def _pad(builder, operands, params):
+    """Pad between and around the elements. Negative padding removes elements at the ends."""
+    x, value = operands
+    shape, inside, kept = [], [], []
+    for count, (low, high, inner) in zip(x.shape, params["padding_config"], strict=True):
+        start, width = max(low, 0), (count - 1) * (inner + 1) + 1 if count else 0
+        shape.append(start + width + max(high, 0))
+        inside.append(slice(start, start + width, inner + 1))
+        kept.append(slice(max(-low, 0), shape[-1] - max(-high, 0)))
+    result = np.full(shape, value.item())
+    result[tuple(inside)] = x
+    return [result[tuple(kept)]]
+
+
+def _scatter(builder, operands, params, combine=lambda old, new: new):
+    """Put elements at constant places. A gather by JAX finds the places."""
+    x, indices, updates = operands
+    if any(node.value is None for node in indices.flat):
+        raise Unsupported("no rule for a scatter to computed places")
+    numbers = params["dimension_numbers"]
+    alone = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
+    window = iter([updates.shape[i] for i in numbers.update_window_dims])
+    gather = functools.partial(
+        jax.lax.gather,
+        dimension_numbers=jax.lax.GatherDimensionNumbers(
+            offset_dims=numbers.update_window_dims,
+            collapsed_slice_dims=numbers.inserted_window_dims,
+            start_index_map=numbers.scatter_dims_to_operand_dims,
+            operand_batching_dims=numbers.operand_batching_dims,
+            start_indices_batching_dims=numbers.scatter_indices_batching_dims,
+        ),
+        slice_sizes=tuple(1 if i in alone else next(window) for i in range(x.ndim)),
+        mode=params["mode"],
+        fill_value=_OUTSIDE,
+    )
+    result = x.copy().reshape(-1)
+    for node, place in zip(updates.flat, _places(gather, x, indices).flat, strict=True):
+        if place != _OUTSIDE:
+            result[place] = combine(result[place], node)
+    return [result.reshape(x.shape)]
+
+
+def _same(builder, operands, params):
+    return operands
+
+
+# JAX's names of the primitive that adds to some places of an array.
+SCATTER_ADD = ("scatter-add", "scatter_add")
+
+
+def add_to_sums(builder: Builder, operands: list, params: dict) -> list:
+    """Add to numbers in memory, at places that are equal for all individuals.
+
+    Raises:
+        Unsupported: the places differ between individuals.
+    """
+    sums, indices, updates = operands
+    places = indices.reshape(-1)
+    if not all(node.uniform for node in places):
+        raise Unsupported("no rule for adding to places that differ between individuals")
+    for place, value in zip(places, updates.reshape(-1), strict=True):
+        builder.accumulate(sums, builder.convert(place, np.int32), value)
+    return [sums]
+
+
+def _scatter_add(builder, operands, params):
+    return _scatter(builder, operands, params, builder.add)
+
+
+# Rules by the name of JAX's primitive, from its operands and parameters to its results.
+MOVES: dict[str, Callable[[Builder, list[np.ndarray], dict], list[np.ndarray]]] = {
+    "broadcast_in_dim": _broadcast_in_dim,
+    "concatenate": lambda builder, xs, params: [np.concatenate(xs, params["dimension"])],
+    "copy": _same,
+    "copy_p": _same,
+    "dynamic_slice": _dynamic_slice,
+    "dynamic_update_slice": _dynamic_update_slice,
+    "expand_dims": lambda builder, xs, params: [np.expand_dims(xs[0], params["dimensions"])],
+    "gather": _gather,
+    "optimization_barrier": _same,
+    "pad": _pad,
+    "reshard": _same,
+    "reshape": lambda builder, xs, params: [xs[0].reshape(params["new_sizes"])],
+    "rev": lambda builder, xs, params: [np.flip(xs[0], params["dimensions"])],
+    "scatter": _scatter,
+    "scatter-add": _scatter_add,
+    "scatter_add": _scatter_add,
+    "slice": _slice,
+    "split": _split,
+    "squeeze": lambda builder, xs, params: [xs[0].squeeze(params["dimensions"])],
+    "stack": lambda builder, xs, params: [np.stack(xs, params["axis"])],
+    "stop_gradient": _same,
+    "transpose": lambda builder, xs, params: [xs[0].transpose(params["permutation"])],
+    "unstack": _unstack,
+}

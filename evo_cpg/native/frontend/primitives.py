@@ -1,0 +1,221 @@
+"""JAX primitives for programs for one individual.
+
+| primitive | meaning |
+|---|---|
+| ``fused`` | a program that runs as native code for all individuals |
+| ``linear_map`` | a function that is linear in some arguments, and its transpose |
+
+The function `evo_cpg.native.fuse.fuse` binds ``fused``.
+"""
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+
+from evo_cpg.native import jax_internals as internals
+
+Arrays = Sequence[jax.Array]
+
+# Primitives of functions with derivative rules of their own. Loops within them need no derivative.
+_OWN_RULES = {"custom_jvp_call", "custom_vjp_call"}
+_LOOPS = {"scan", "while"}
+
+fused_p = internals.primitive("fused")  # `evo_cpg.native.native` implements it.
+linear_map_p = internals.primitive("linear_map")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Program:
+    """A fused function as a program for one individual.
+
+    Attributes:
+        name: name of the function, for messages.
+        jaxpr: JAX program of the function. Its constants are its first arguments.
+        constants: values of the constants, or None for a traced constant, which is an argument.
+        shared: number of traced constants, the first arguments, which all individuals share.
+    """
+
+    name: str
+    jaxpr: Jaxpr
+    constants: tuple[np.ndarray | None, ...]
+    shared: int
+
+    @property
+    def inputs(self) -> list[Any]:
+        """Shapes and types of the arguments, shared arguments first."""
+        count = len(self.constants)
+        constants = zip(self.jaxpr.invars[:count], self.constants, strict=True)
+        shared = [variable.aval for variable, own in constants if own is None]
+        return [*shared, *(variable.aval for variable in self.jaxpr.invars[count:])]
+
+    @property
+    def outputs(self) -> list[Any]:
+        """Shapes and types of the results for one individual."""
+        return [atom.aval for atom in self.jaxpr.outvars]
+
+    def __call__(self, *arrays: jax.Array) -> list[Any]:
+        """Return the results for one individual. Constant results are NumPy arrays."""
+        given = iter(arrays[: self.shared])
+        consts = [next(given) if own is None else own for own in self.constants]
+        return internals.run(ClosedJaxpr(self.jaxpr, []), [*consts, *arrays[self.shared :]])
+
+    @functools.cached_property
+    def primitives(self) -> frozenset[str]:
+        """Names of the primitives with non-literal operands, those of inner programs included."""
+        names: set[str] = set()
+        for equation in equations(self.jaxpr, ()):
+            if equation.primitive is fused_p:
+                names |= equation.params["program"].primitives
+            elif not all(isinstance(atom, Literal) for atom in equation.invars):
+                names.add(equation.primitive.name)
+        return frozenset(names)
+
+    @functools.cached_property
+    def loops(self) -> bool:
+        """Return whether the program has loops without their own derivative rule."""
+        return any(
+            equation.params["program"].loops
+            if equation.primitive is fused_p
+            else equation.primitive.name in _LOOPS
+            for equation in equations(self.jaxpr, _OWN_RULES)
+        )
+
+
+def equations(jaxpr: Jaxpr, closed: Iterable[str] = ()) -> Iterator[Any]:
+    """Iterate over the equations of a program and of the programs within it.
+
+    Args:
+        jaxpr: the program.
+        closed: names of primitives whose inner programs are skipped.
+    """
+    for equation in jaxpr.eqns:
+        yield equation
+        if equation.primitive.name not in closed:
+            for inner in programs_in(equation):
+                yield from equations(inner, closed)
+
+
+def programs_in(equation: Any) -> Iterator[Jaxpr]:
+    """Iterate over the programs among the parameters of an equation."""
+    for value in equation.params.values():
+        for inner in value if isinstance(value, (tuple, list)) else (value,):
+            inner = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
+            if isinstance(inner, Jaxpr):
+                yield inner
+
+
+def plain(program: Program, batch: tuple[int, ...]) -> Callable[..., list[jax.Array]]:
+    """Return a function that computes the program for all individuals by plain JAX.
+
+    Args:
+        program: program for one individual.
+        batch: lengths of the trailing batch axes of its own arguments and of its results.
+    """
+
+    def one(*arrays: jax.Array) -> tuple[jax.Array, ...]:
+        return tuple(map(jnp.asarray, program(*arrays)))
+
+    def run(*arrays: jax.Array) -> list[jax.Array]:
+        if not batch:
+            return list(one(*arrays))
+        shared, count = program.shared, int(np.prod(batch, dtype=int))
+        axes = [None] * shared + [-1] * (len(arrays) - shared)
+        own = [x.reshape(*x.shape[: x.ndim - len(batch)], count) for x in arrays[shared:]]
+        every = jax.vmap(one, in_axes=axes, out_axes=-1, axis_size=count)
+        results = every(*arrays[:shared], *own)
+        return [x.reshape(*x.shape[:-1], *batch) for x in results]
+
+    return run
+
+
+def linear_map(
+    forward: Callable[[Arrays, Arrays], Arrays],
+    backward: Callable[[Arrays, Arrays], Arrays],
+    fixed: Arrays,
+    x: Arrays,
+    like: Sequence[Any],
+) -> list[jax.Array]:
+    """Return ``forward(fixed, x)``, with ``backward`` as its transpose.
+
+    JAX transposes a linear program operation by operation, which a fused program does not allow.
+    Only the requested direction is traced: a gradient does not trace ``forward``.
+
+    Args:
+        forward: function that is linear in its second argument.
+        backward: transpose, from cotangents of the results to cotangents of ``x``.
+        fixed: arrays that the map depends on.
+        x: arrays that the map is applied to.
+        like: arrays with the shapes and types of the results.
+    """
+    shapes = tuple((array.shape, array.dtype) for array in like)
+    return linear_map_p.bind(
+        *fixed, *x, forward=forward, backward=backward, shapes=shapes, count=len(fixed)
+    )
+
+
+def _apply_map(*values, forward, backward, shapes, count):
+    del backward, shapes
+    return list(forward(values[:count], values[count:]))
+
+
+def _differentiate_map(primals, tangents, **params):
+    results = linear_map_p.bind(*primals, **params)
+    count = params["count"]
+    if all(isinstance(tangent, internals.Zero) for tangent in tangents[:count]):
+        x = [internals.instantiate_zeros(tangent) for tangent in tangents[count:]]
+        return results, linear_map_p.bind(*primals[:count], *x, **params)
+    # The fixed arrays change as well: a second derivative.
+    tangents = [internals.instantiate_zeros(tangent) for tangent in tangents]
+    return jax.jvp(lambda *values: _apply_map(*values, **params), list(primals), tangents)
+
+
+def _transpose_map(cotangents, *values, forward, backward, shapes, count):
+    del shapes
+    cotangents = [internals.instantiate_zeros(cotangent) for cotangent in cotangents]
+    like = [value.aval for value in values[count:]]
+    found = linear_map(backward, forward, values[:count], cotangents, like)
+    return [None] * count + found
+
+
+def _batch_map(values, axes, *, forward, backward, shapes, count):
+    size = next(
+        value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None
+    )
+    stacked = [
+        jnp.broadcast_to(value, (size, *value.shape))
+        if axis is None
+        else jnp.moveaxis(value, axis, 0)
+        for value, axis in zip(values, axes, strict=True)
+    ]
+    results = linear_map_p.bind(
+        *stacked,
+        forward=jax.vmap(forward),
+        backward=jax.vmap(backward),
+        shapes=tuple(((size, *shape), dtype) for shape, dtype in shapes),
+        count=count,
+    )
+    return results, itertools.repeat(0, len(results))
+
+
+internals.implement(
+    linear_map_p,
+    lambda *_, forward, backward, shapes, count: [
+        jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in shapes
+    ],
+    _apply_map,
+    _differentiate_map,
+    _batch_map,
+    _transpose_map,
+)
+
+
+def trace_of(params: dict[str, Any], inputs: Sequence[Any]) -> ClosedJaxpr:
+    """Return the program of a ``linear_map`` with the given parameters."""
+    return jax.make_jaxpr(lambda *values: _apply_map(*values, **params))(*inputs)

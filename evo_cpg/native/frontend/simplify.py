@@ -1,0 +1,201 @@
+"""Rewrite rules that the builder applies to every operation as it makes it.
+
+`RULES` is the table of all rules. Each rule returns an equal node that costs less, or None. The
+rules are exact, with two exceptions: the sign of a zero, and 0 x = 0 even if x is not finite.
+
+Simplification is not a pass from graph to graph. NumPy folds operations on constants (`FOLDED`),
+and lowering needs the result: the places of slices and the lengths of loops must be known numbers.
+"""
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from evo_cpg.native.ir.graph import Node
+
+if TYPE_CHECKING:
+    from evo_cpg.native.frontend.builder import Builder
+
+
+class Rule(NamedTuple):
+    """A rewrite rule.
+
+    Attributes:
+        name: the rewrite as text, with c for a constant.
+        apply: function from a builder and the operands to an equal node, or None.
+    """
+
+    name: str
+    apply: "Callable[..., Node | None]"
+
+
+def _is(node: Node, value: float) -> bool:
+    return node.value is not None and node.value == value
+
+
+def _is_float(node: Node) -> bool:
+    return node.dtype.kind == "f"
+
+
+def _add_zero(b: "Builder", x: Node, y: Node) -> Node | None:
+    return y if _is(x, 0) else x if _is(y, 0) else None
+
+
+def _add_negative(b: "Builder", x: Node, y: Node) -> Node | None:
+    if not _is_float(x):
+        return None
+    if x.op == "neg":
+        return b.subtract(y, x.operands[0])
+    return b.subtract(x, y.operands[0]) if y.op == "neg" else None
+
+
+def _subtract_zero(b: "Builder", x: Node, y: Node) -> Node | None:
+    return x if _is(y, 0) else None
+
+
+def _subtract_from_zero(b: "Builder", x: Node, y: Node) -> Node | None:
+    return b.negate(y) if _is(x, 0) and _is_float(x) else None
+
+
+def _subtract_negative(b: "Builder", x: Node, y: Node) -> Node | None:
+    return b.add(x, y.operands[0]) if y.op == "neg" and _is_float(x) else None
+
+
+def _multiply_zero(b: "Builder", x: Node, y: Node) -> Node | None:
+    return x if _is(x, 0) else y if _is(y, 0) else None
+
+
+def _multiply_one(b: "Builder", x: Node, y: Node) -> Node | None:
+    return y if _is(x, 1) else x if _is(y, 1) else None
+
+
+def _multiply_negative(b: "Builder", x: Node, y: Node) -> Node | None:
+    """Move minus signs outward, where sums absorb them and equal products meet."""
+    factor, other = (x, y) if x.value is not None else (y, x)
+    if factor.value is None or not _is_float(factor) or not factor.value < 0:
+        return None
+    return b.negate(b.multiply(b.constant(-factor.value, factor.dtype), other))
+
+
+def _divide_by_power(b: "Builder", x: Node, y: Node) -> Node | None:
+    """Multiply by the reciprocal of a power of two, which is exact if it is not subnormal."""
+    if y.value is None or not _is_float(y):
+        return None
+    mantissa, exponent = math.frexp(float(y.value))
+    if abs(mantissa) != 0.5 or abs(exponent) >= 100:
+        return None
+    return b.multiply(x, b.constant(1.0 / float(y.value), y.dtype))
+
+
+def _undo(op: str) -> "Callable[[Builder, Node], Node | None]":
+    return lambda b, x: x.operands[0] if x.op == op else None
+
+
+def _settled(decisive: bool) -> "Callable[[Builder, Node, Node], Node | None]":
+    """Return the rule of "and" or "or": an operand with the decisive truth value is the result.
+
+    An operand with the other truth value has no effect.
+    """
+
+    def settle(b: "Builder", x: Node, y: Node) -> Node | None:
+        if x.dtype.kind != "b":
+            return None
+        for one, other in ((x, y), (y, x)):
+            if one.value is not None:
+                return one if one.value == decisive else other
+        return x if x is y else None
+
+    return settle
+
+
+def _select_known(b: "Builder", condition: Node, yes: Node, no: Node) -> Node | None:
+    return None if condition.value is None else yes if condition.value else no
+
+
+def _select_same(b: "Builder", condition: Node, yes: Node, no: Node) -> Node | None:
+    return yes if yes is no else None
+
+
+def _select_truth(b: "Builder", condition: Node, yes: Node, no: Node) -> Node | None:
+    if yes.dtype.kind != "b" or yes.value is None or no.value is None:
+        return None
+    return condition if yes.value else b.apply("not", condition)
+
+
+RULES: dict[str, tuple[Rule, ...]] = {
+    "add": (
+        Rule("x + 0 -> x", _add_zero),
+        Rule("x + (-y) -> x - y", _add_negative),
+    ),
+    "sub": (
+        Rule("x - 0 -> x", _subtract_zero),
+        Rule("0 - x -> -x", _subtract_from_zero),
+        Rule("x - (-y) -> x + y", _subtract_negative),
+    ),
+    "mul": (
+        Rule("0 x -> 0", _multiply_zero),
+        Rule("1 x -> x", _multiply_one),
+        Rule("(-c) x -> -(c x)", _multiply_negative),
+    ),
+    "div": (Rule("x / 2^k -> x 2^-k", _divide_by_power),),
+    "neg": (Rule("-(-x) -> x", _undo("neg")),),
+    "not": (Rule("not not x -> x", _undo("not")),),
+    "and": (Rule("x and true -> x; x and false -> false; x and x -> x", _settled(False)),),
+    "or": (Rule("x or false -> x; x or true -> true; x or x -> x", _settled(True)),),
+    "select": (
+        Rule("select c, x, y -> x or y", _select_known),
+        Rule("select a, x, x -> x", _select_same),
+        Rule("select a, true, false -> a; select a, false, true -> not a", _select_truth),
+    ),
+}
+"""Rewrite rules by operation, tried in order."""
+
+
+def saturates(operand: Node, dtype: np.dtype) -> bool:
+    """Return whether a constant is outside the range of an integer type.
+
+    The conversion of such a constant is left to the processor, because NumPy does not saturate.
+    """
+    if not _is_float(operand) or dtype.kind not in "iu":
+        return False
+    ends = np.iinfo(dtype)
+    return not ends.min <= float(operand.value) <= ends.max
+
+
+def _whole_quotient(a: np.integer, b: np.integer) -> Any:
+    """Divide and round towards zero. A zero divisor gives -1 (all bits), as in XLA."""
+    size = abs(int(a)) // abs(int(b)) if b else -1
+    bits = (-size if b and (a < 0) != (b < 0) else size) % (1 << 8 * a.dtype.itemsize)
+    return np.asarray(bits, f"u{a.dtype.itemsize}").view(a.dtype)[()]
+
+
+FOLDED: dict[str, Callable] = {
+    "abs": np.abs,
+    "add": np.add,
+    "and": np.bitwise_and,
+    "ceil": np.ceil,
+    "div": lambda a, b: np.divide(a, b) if a.dtype.kind == "f" else _whole_quotient(a, b),
+    "eq": np.equal,
+    "floor": np.floor,
+    "ge": np.greater_equal,
+    "gt": np.greater,
+    "is_finite": np.isfinite,
+    "le": np.less_equal,
+    "lt": np.less,
+    "max": np.maximum,
+    "min": np.minimum,
+    "mul": np.multiply,
+    "ne": np.not_equal,
+    "neg": np.negative,
+    "not": np.invert,
+    "or": np.bitwise_or,
+    "round": np.rint,
+    "shift_left": np.left_shift,
+    "sign": np.sign,
+    "sqrt": np.sqrt,
+    "sub": np.subtract,
+    "xor": np.bitwise_xor,
+}
+"""NumPy's functions for operations on constants."""

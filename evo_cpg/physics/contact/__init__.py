@@ -1,0 +1,1 @@
+"""Contact: gaps, points and forces, with the ground and between limbs."""

@@ -1,0 +1,233 @@
+"""Separation of two boxes with sharp edges: gap, normal and nearest points.
+
+The gap is the largest gap along the separating directions (Gottschalk et al. 1996). These are the
+face normals of both boxes and the cross products of their edges. The gap is exact if the boxes
+overlap, or if a face or an edge is nearest. Between two corners the gap is less than the distance.
+
+If a face is nearest, the boxes touch at the lowest corner of the other box. They also touch at the
+far ends of the two edges from this corner that lie on the face. If a box overhangs, each point is
+moved to a near place that both boxes share.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from evo_cpg.creature.algebra.linear import cross, dot, matvec, matvec_t, t_matmul, where_each
+from evo_cpg.physics.contact.separation import (
+    PARALLEL,
+    RoundedBoxes,
+    Separation,
+    same,
+    smaller,
+    unless,
+)
+
+# Least excess of the gap of edges over the gap of faces (m, and as a fraction of the smaller box),
+# so that rounding does not decide.
+_CLEARLY, _CLEAR_FRACTION = 1e-5, 1e-3
+
+# Alternating projections onto both faces that bring an overhanging corner into their overlap.
+_PROJECTIONS = 2
+
+# Small number added to the square of a length without unit, so that no divisor is zero.
+_FLOOR = 1e-12
+
+
+def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> list[Separation]:
+    """Return the separations of boxes without radius.
+
+    Args:
+        a: first boxes.
+        b: second boxes.
+        corners: number of contact points of a face on a face, 3 or 4.
+    """
+    gap, normal, of_b = _best_face(a, b)
+    clearly = jnp.minimum(_CLEARLY, _CLEAR_FRACTION * smaller(a, b))
+    edge, crossing = _best_edges(a, b, gap + clearly)
+    face = _on_face(a, b, normal, of_b)
+    first = where_each(edge, crossing, _at_corner(face, gap))
+    combinations = (0,), (1,), (0, 1)
+    least = same(a, b)
+    crossed = edge & (crossing.gap > gap + least)
+    return [
+        first,
+        *(unless(crossed, _along_edges(face, gap, least, k)) for k in combinations[: corners - 1]),
+    ]
+
+
+def _best_face(a: RoundedBoxes, b: RoundedBoxes) -> tuple[Array, Array, Array]:
+    """Return the largest gap along a face normal, the normal from a to b, and whether b owns it."""
+    away, ours, theirs = b.centre - a.centre, a.axes, b.axes
+    size, e, f = jnp.abs(t_matmul(ours, theirs)), a.half_extents, b.half_extents
+    along, across = matvec_t(ours, away), matvec_t(theirs, away)
+    gap, normal = _largest(jnp.abs(along) - e - matvec(size, f), _pointing(ours, along))
+    other, its_normal = _largest(jnp.abs(across) - f - matvec_t(size, e), _pointing(theirs, across))
+    of_b = other > gap
+    return jnp.where(of_b, other, gap), jnp.where(of_b[None], its_normal, normal), of_b
+
+
+def _best_edges(a: RoundedBoxes, b: RoundedBoxes, least: Array) -> tuple[Array, Separation]:
+    """Return whether a pair of edges is farther apart than ``least``, and the farthest pair.
+
+    The pair is edge i of a and edge j of b, and a_i x b_j is normal to both. If no pair is farther
+    apart than ``least``, the returned pair is meaningless.
+    """
+    away = b.centre - a.centre
+    turn, along = t_matmul(a.axes, b.axes), matvec_t(a.axes, away)
+    size, e, f = jnp.abs(turn), a.half_extents, b.half_extents
+    best, found = least, jnp.zeros(least.shape, bool)
+    edges = a.axes[:, 0], b.axes[:, 0], e[0] + 0 * least, f[0] + 0 * least
+    for i in range(3):
+        k, m = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            square = 1.0 - turn[i, j] * turn[i, j]
+            parallel = square < PARALLEL
+            scale = 1.0 / jnp.sqrt(jnp.where(parallel, 1.0, square))
+            edge_distance = along[m] * turn[k, j] - along[k] * turn[m, j]
+            covered = e[k] * size[m, j] + e[m] * size[k, j] + f[p] * size[i, q] + f[q] * size[i, p]
+            gap = scale * (jnp.abs(edge_distance) - covered)
+            better = ~parallel & (gap > best)
+            best, found = jnp.where(better, gap, best), better | found
+            edges = where_each(better, (a.axes[:, i], b.axes[:, j], e[i], f[j]), edges)
+    normal = cross(*edges[:2])
+    normal = normal / jnp.sqrt(dot(normal, normal) + _FLOOR)[None]
+    normal = jnp.where((dot(normal, away) < 0)[None], -normal, normal)
+    corners = _corner(a, normal), _corner(b, -normal)
+    points = _nearest_on_edges(*corners, *edges)
+    return found, Separation(best, normal, *points, jnp.zeros((2, *best.shape), best.dtype))
+
+
+class _Face(NamedTuple):
+    """A face of one box, and the other box, whose corner is nearest.
+
+    Attributes:
+        normal: outward normal of the face.
+        of_b: whether the face belongs to the second box.
+        under: the box with the face.
+        over: the other box.
+        lowest: the lowest corner of the other box, m.
+        corner: the lowest corner, or a place near it over the face, which may be higher, m.
+    """
+
+    normal: Array
+    of_b: Array
+    under: RoundedBoxes
+    over: RoundedBoxes
+    lowest: Array
+    corner: Array
+
+
+def _on_face(a: RoundedBoxes, b: RoundedBoxes, normal: Array, of_b: Array) -> _Face:
+    over, under = where_each(of_b, a, b), where_each(of_b, b, a)
+    normal = jnp.where(of_b[None], -normal, normal)
+    lowest = _corner(over, -normal)
+    return _Face(normal, of_b, under, over, lowest, _over_both(normal, under, over, lowest))
+
+
+def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: Array) -> Array:
+    """Return the place on a box's lowest face, near its corner, that is over the other's face.
+
+    Overlapping boxes that are not parallel have such a corner. Rounding picks the corner of
+    parallel boxes.
+    """
+    upright = jnp.abs(matvec_t(under.axes, normal)) > 0.5
+    rise = jnp.abs(matvec_t(over.axes, normal))
+    lowest = rise >= rise.max(0)[None]
+    start = matvec_t(over.axes, corner - over.centre)
+    for _ in range(_PROJECTIONS):
+        for box, kept, height in ((under, upright, None), (over, lowest, start)):
+            own = matvec_t(box.axes, corner - box.centre)
+            extent = box.half_extents
+            moved = jnp.where(
+                kept, own if height is None else height, jnp.clip(own, -extent, extent)
+            )
+            corner = corner + matvec(box.axes, moved - own)
+    return corner
+
+
+def _at_corner(face: _Face, gap: Array) -> Separation:
+    return _on_plane(face, face.corner, gap)
+
+
+def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) -> Separation:
+    """Return the contact at the far end of edges from the corner, moved over the face.
+
+    Args:
+        face: the face and the box over it.
+        gap: gap of the corner, m.
+        least: least distance of a contact point from the corner, m.
+        which: indices of the edges, counted without the steepest edge.
+    """
+    axes = face.over.axes
+    rise = matvec_t(axes, face.normal)
+    steep = jnp.argmax(jnp.abs(rise), 0)
+    own = matvec_t(axes, face.corner - face.over.centre)
+    side = jnp.where(rise <= 0, -1.0, 1.0)
+    inward = side[None] * axes
+    left = face.over.half_extents - side * own
+    point = face.corner
+    for one in which:
+        # Select the axis ``one + 1`` places after the steepest axis, modulo 3.
+        after = [jnp.where(steep == (k - 1 - one) % 3, left[k], 0.0) for k in range(3)]
+        point = point + matvec(inward, jnp.stack(after))
+    point = _over_both(face.normal, face.under, face.over, point)
+    displacement, climb = point - face.corner, dot(face.normal, point - face.lowest)
+    return unless(
+        dot(displacement, displacement) < least * least, _on_plane(face, point, gap + climb)
+    )
+
+
+def _on_plane(face: _Face, point: Array, gap: Array) -> Separation:
+    """Return the separation of a point over a face and its projection on the face's plane."""
+    below, of_b = point - gap[None] * face.normal, face.of_b[None]
+    return Separation(
+        gap,
+        jnp.where(of_b, -face.normal, face.normal),
+        jnp.where(of_b, point, below),
+        jnp.where(of_b, below, point),
+        jnp.stack([jnp.where(face.of_b, own, 1.0 - own) for own in (0.0, 1.0)]),
+    )
+
+
+def _largest(gaps: Array, normals: Array) -> tuple[Array, Array]:
+    """Return the largest of three gaps, and the normal that belongs to it."""
+    best, normal = gaps[0], normals[:, 0]
+    for k in range(1, len(gaps)):
+        more = gaps[k] > best
+        best, normal = jnp.where(more, gaps[k], best), jnp.where(more[None], normals[:, k], normal)
+    return best, normal
+
+
+def _pointing(axes: Array, along: Array) -> Array:
+    """Return axes as columns, each with the sign of the coordinate ``along``."""
+    return jnp.where(along < 0, -1.0, 1.0)[None] * axes
+
+
+def _corner(box: RoundedBoxes, direction: Array) -> Array:
+    """Return the corner that lies farthest along a direction."""
+    own = matvec_t(box.axes, direction)
+    return box.centre + matvec(box.axes, jnp.where(own < 0, -1.0, 1.0) * box.half_extents)
+
+
+def _nearest_on_edges(
+    first: Array, second: Array, d: Array, e: Array, most: Array, farthest: Array
+) -> tuple[Array, Array]:
+    """Return the nearest points of two edges, at most an edge's length from its corner.
+
+    Args:
+        first: a corner on the first edge, m.
+        second: a corner on the second edge, m.
+        d: direction of the first edge.
+        e: direction of the second edge.
+        most: half the length of the first edge, m.
+        farthest: half the length of the second edge, m.
+    """
+    away = first - second
+    both, own, other = dot(d, e), dot(d, away), dot(e, away)
+    sine = jnp.maximum(1.0 - both * both, PARALLEL)
+    s = jnp.clip((both * other - own) / sine, -2 * most, 2 * most)
+    t = jnp.clip((other - both * own) / sine, -2 * farthest, 2 * farthest)
+    return first + s[None] * d, second + t[None] * e

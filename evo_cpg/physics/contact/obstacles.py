@@ -1,0 +1,317 @@
+"""Contact points of a creature with blocks and boulders: on edges, sides, corners and ends.
+
+Blocks are boxes and boulders are balls. Their nearest points are therefore computed like those of
+two bodies of a creature (`evo_cpg.physics.contact.separation`). Each part has contact with the two
+nearest obstacles of each kind, at the few deepest points.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.algebra.linear import (
+    array_of,
+    cosine_sine,
+    cross,
+    dot,
+    expand_dims_like,
+    matmul,
+    matvec,
+    matvec_t,
+    where_each,
+)
+from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.physics.contact.box_separation import separation_of_boxes
+from evo_cpg.physics.contact.contact_model import NEAREST, ContactPoints, Ground, Parts, Solids
+from evo_cpg.physics.contact.ellipsoids import nearest_to_ball, nearest_to_box
+from evo_cpg.physics.contact.separation import (
+    RoundedBoxes,
+    Separation,
+    separation_of_line_and_box,
+    separation_of_lines,
+)
+from evo_cpg.physics.contact.sweep import Moving, Outline, moved, times_of_contact
+from evo_cpg.physics.contact.terrain import Block, Boulder, Obstacle
+from evo_cpg.physics.tree.kinematics import Kinematics
+from evo_cpg.physics.tree.per_body import take
+
+# A part keeps its points with the smallest gaps. Each further point on one obstacle counts as this
+# much farther away (m), so that a part that lies on two obstacles has points on both. The same
+# number is a weight in the choice of a part's nearest obstacles. It multiplies the distance from
+# the part's centre to the obstacle, which decides between obstacles that overlap.
+_BEHIND = 1e-3
+
+# Squared length (m^2) added under a root, so that the root has a gradient at zero.
+_FLOOR = 1e-20
+
+
+def obstacle_points(
+    solids: Solids, ground: Ground, kin: Kinematics, h: float
+) -> list[ContactPoints]:
+    """Return the points at which parts may touch obstacles, in the order of `Solids.bodies`.
+
+    Args:
+        solids: the parts.
+        ground: ground with one obstacle at least.
+        kin: kinematics of the creature.
+        h: step, s. Fast parts meet the obstacles in their way instead of passing through them.
+    """
+    found = []
+    for parts, most, ellipsoids, *touches in (
+        (solids.boxes, solids.points[0], False, _box_on_block, _box_on_boulder),
+        (solids.lines, solids.points[1], False, _line_on_block, _line_on_boulder),
+        (solids.balls, solids.points[2], False, _ball_on_block, _line_on_boulder),
+        (solids.ellipsoids, solids.points[3], True, _ellipsoid_on_block, _ellipsoid_on_boulder),
+    ):
+        if parts.bodies:
+            placed = _place(parts, kin)
+            candidates = []
+            for obstacles, touch in zip(_by_kind(ground.obstacles), touches, strict=True):
+                outline = Outline(ellipsoids, _corners(parts, placed.origin))
+                for near in _nearest(obstacles, placed, outline, ground.margin, h):
+                    points = touch(near.parts, near.obstacle)
+                    candidates += [
+                        (point.gap + rank * _BEHIND, point._replace(ahead=near.time))
+                        for rank, point in enumerate(points)
+                    ]
+            found += _first(candidates, most)
+    return found
+
+
+def meeting_time(solids: Solids, ground: Ground, kin: Kinematics, h: float) -> Float[Array, "p *n"]:
+    """Return when each ellipsoid, or the mesh around it, meets its nearest obstacle in a step, s.
+
+    Args:
+        solids: parts with one ellipsoid at least.
+        ground: ground with one obstacle at least.
+        kin: kinematics of the creature.
+        h: step, s.
+    """
+    placed = _place(solids.ellipsoids, kin)
+    outline = Outline(True, _corners(solids.ellipsoids, placed.origin))
+    best = None
+    for obstacles in _by_kind(ground.obstacles):
+        for near in _nearest(obstacles, placed, outline, ground.margin, h):
+            new = near.distance, near.time
+            best = new if best is None else where_each(near.distance < best[0], new, best)
+    assert best is not None
+    return best[1]
+
+
+def _by_kind(obstacles: tuple[Obstacle, ...]) -> tuple[tuple[Obstacle, ...], ...]:
+    """Return the blocks, and the boulders."""
+    return tuple(tuple(x for x in obstacles if isinstance(x, kind)) for kind in (Block, Boulder))
+
+
+def _corners(parts: Parts, like: Array) -> Array | None:
+    return None if parts.corners is None else expand_dims_like(parts.corners, like, like.ndim + 1)
+
+
+def _place(parts: Parts, kin: Kinematics) -> Moving:
+    bodies = np.array(parts.bodies)
+    rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
+    centre = origin + matvec(rotation, expand_dims_like(parts.centre, origin))
+    axes = rotation
+    if parts.axes is not None:
+        axes = matmul(rotation, expand_dims_like(parts.axes, rotation))
+    half = expand_dims_like(parts.half_extents, origin) + 0 * centre
+    radius = expand_dims_like(parts.radius, origin[0]) + 0 * centre[0]
+    speeds = take(kin.linear, bodies), take(kin.angular, bodies)
+    return Moving(RoundedBoxes(centre, axes, half, radius), origin, *speeds)
+
+
+class _Near(NamedTuple):
+    """One obstacle for each part, and the parts at the time of contact.
+
+    Attributes:
+        distance: approximate distance that each part moves until contact, m.
+        obstacle: obstacles as rounded boxes.
+        time: time within the step at which the contact plane is taken, s.
+        parts: parts at that time.
+    """
+
+    distance: Float[Array, "p *n"]
+    obstacle: RoundedBoxes
+    time: Float[Array, "p *n"]
+    parts: Moving
+
+
+def _nearest(
+    obstacles: tuple[Obstacle, ...],
+    parts: Moving,
+    outline: Outline,
+    margin: Number,
+    h: float,
+) -> list[_Near]:
+    """Return the obstacles of one kind that are nearest to each part or overlap with it.
+
+    Args:
+        obstacles: obstacles of one kind.
+        parts: parts of the creature.
+        outline: shapes of the parts.
+        margin: margin of the ground, m.
+        h: step, s.
+    """
+    if not obstacles:
+        return []
+    boxes = [_as_box(obstacle, parts.at.centre) for obstacle in obstacles]
+    distances = [_apart(parts.at, box) for box in boxes]
+    times = [jnp.zeros_like(distance) for distance in distances]
+    if h > 0:
+        # Each obstacle is one box for all parts and individuals: constants cost no operation.
+        point = jnp.zeros((3, *(1 for _ in parts.origin.shape[1:])), parts.origin.dtype)
+        single = [_as_box(obstacle, point) for obstacle in obstacles]
+        stacked = jax.tree.map(lambda *each: jnp.stack(each), *single)
+        times, swept = times_of_contact(parts, outline, stacked, margin, h)
+        distances = [
+            jnp.where(t > 0, new, distance)
+            for t, new, distance in zip(times, swept, distances, strict=True)
+        ]
+    found = list(zip(distances, boxes, times, strict=True))
+    best = found[: 0 if len(found) > NEAREST else NEAREST]
+    for new in found if not best else ():
+        for k, old in enumerate(best):
+            closer = new[0] < old[0]
+            best[k], new = where_each(closer, new, old), where_each(closer, old, new)
+        if len(best) < NEAREST:
+            best.append(new)
+    return [_Near(*each, moved(parts, each[-1])) for each in best]
+
+
+def _apart(parts: RoundedBoxes, box: RoundedBoxes) -> Float[Array, "p *n"]:
+    """Return approximate distances of parts from an obstacle, m, by alternating projections."""
+
+    def nearest(to: RoundedBoxes, point: Array) -> Array:
+        within = jnp.clip(matvec_t(to.axes, point - to.centre), -to.half_extents, to.half_extents)
+        return to.centre + matvec(to.axes, within)
+
+    first = nearest(box, parts.centre)
+    own = nearest(parts, first)
+    separation = nearest(box, own) - own
+    sunk = first - parts.centre
+    # The second term ranks overlapping obstacles: nearer to the part's centre comes first.
+    gap = jnp.sqrt(dot(separation, separation) + _FLOOR) - parts.radius - box.radius
+    return gap + _BEHIND * jnp.sqrt(dot(sunk, sunk) + _FLOOR)
+
+
+def _as_box(obstacle: Obstacle, like: Float[Array, "3 p *n"]) -> RoundedBoxes:
+    """Return a block without radius, or a boulder without extent."""
+    none = jnp.zeros_like(like[0])
+
+    def spread(values: object) -> Array:
+        return expand_dims_like(array_of(values), like) + 0 * like
+
+    one = none + 1.0
+    if isinstance(obstacle, Block):
+        c, s = (expand_dims_like(array_of(x), none) + none for x in cosine_sine(obstacle.heading))
+        half, radius = spread(obstacle.half_extents), none
+    else:
+        c, s, half = one, none, jnp.zeros_like(like)
+        radius = expand_dims_like(array_of(obstacle.radius), none) + none
+    rows = [[c, -s, none], [s, c, none], [none, none, one]]
+    axes = jnp.stack([jnp.stack(row) for row in rows])
+    return RoundedBoxes(spread(obstacle.centre), axes, half, radius)
+
+
+def _first(candidates: list[tuple[Array, ContactPoints]], count: int) -> list[ContactPoints]:
+    """Return the points with the smallest keys, for each part."""
+    best: list[tuple[Array, ContactPoints]] = candidates[:0]
+    for new in candidates:
+        for k, old in enumerate(best) if len(candidates) > count else ():
+            better = new[0] < old[0]
+            best[k], new = where_each(better, new, old), where_each(better, old, new)
+        if len(best) < count:
+            best.append(new)
+    return [point for _, point in best]
+
+
+def _box_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
+    corner, *beside, across = separation_of_boxes(block, parts.at, corners=4)
+    return [_point(parts, x) for x in (corner, across, *beside)]
+
+
+def _box_on_boulder(parts: Moving, boulder: RoundedBoxes) -> list[ContactPoints]:
+    return [_point(parts, separation_of_line_and_box(boulder, parts.at)[0], 1.0)]
+
+
+def _line_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
+    found = separation_of_line_and_box(parts.at, block)
+    return [_point(parts, _turned_round(x)) for x in found]
+
+
+def _ball_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
+    return _line_on_block(parts, block)[:1]
+
+
+def _line_on_boulder(parts: Moving, boulder: RoundedBoxes) -> list[ContactPoints]:
+    return [_point(parts, separation_of_lines(boulder, parts.at)[0])]
+
+
+def _ellipsoid_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
+    return [_on_ellipsoid(parts, *nearest_to_box(*parts.at[:3], block))]
+
+
+def _ellipsoid_on_boulder(parts: Moving, boulder: RoundedBoxes) -> list[ContactPoints]:
+    found = nearest_to_ball(*parts.at[:3], boulder.centre, boulder.radius)
+    return [_on_ellipsoid(parts, *found)]
+
+
+def _turned_round(found: Separation) -> Separation:
+    """Exchange the first and the second body of a separation."""
+    gap, normal, first, second, carried = found
+    return Separation(gap, -normal, second, first, carried[::-1])
+
+
+def _point(parts: Moving, found: Separation, carried: float | None = None) -> ContactPoints:
+    """Return the contact points of separations from obstacles to parts.
+
+    Args:
+        parts: parts of the creature.
+        found: separations.
+        carried: fraction of the normal that turns with the part, or None for the separation's.
+    """
+    offset = found.second - parts.origin
+    fraction = found.carried[1] if carried is None else carried * jnp.ones_like(found.gap)
+    velocity = parts.linear + cross(parts.angular, offset)
+    turning = fraction[None] * parts.angular
+    # A turning normal points at a different place of a sliding surface.
+    curvature = -2.0 * dot(cross(found.normal, turning), velocity)
+    material = offset + parts.at.radius[None] * found.normal
+    return ContactPoints(offset, material, found.gap, found.normal, curvature)
+
+
+def _on_ellipsoid(parts: Moving, gap: Array, normal: Array) -> ContactPoints:
+    at = parts.at
+    touching, curvature = tangent_point(at.axes, at.half_extents, normal, parts.angular)
+    offset = at.centre + touching - parts.origin
+    return ContactPoints(offset, offset, gap, normal, curvature)
+
+
+def tangent_point(
+    axes: Float[Array, "3 3 p *n"],
+    semi_axes: Float[Array, "3 p *#n"],
+    normal: Float[Array, "3 p *n"],
+    angular: Float[Array, "3 p *n"],
+) -> tuple[Float[Array, "3 p *n"], Float[Array, "p *n"]]:
+    """Return the vector from an ellipsoid's centre to the point that a tangent plane touches.
+
+    The second result is the point's surface-curvature acceleration along the normal, m/s^2.
+
+    Args:
+        axes: axes of the ellipsoid, as columns.
+        semi_axes: semi-axes, m.
+        normal: normal of the plane, towards the ellipsoid.
+        angular: angular velocity of the ellipsoid, rad/s.
+    """
+    stretched = semi_axes * matvec_t(axes, normal)
+    length = jnp.sqrt(dot(stretched, stretched) + _FLOOR)
+    touching = -matvec(axes, semi_axes * stretched / length[None])
+    # The centre's height over the plane is s = |A R^T n|. Its second derivative s'' is that of a
+    # body point plus (k . B k - s'^2) / s, with k = n x w and B = R A^2 R^T.
+    slide = cross(normal, angular)
+    across = semi_axes * matvec_t(axes, slide)
+    rate = dot(slide, touching)
+    return touching, (rate * rate - dot(across, across)) / length

@@ -1,0 +1,1 @@
+"""The implicit time step of a world."""

@@ -1,0 +1,175 @@
+"""One step of the world: forces, the implicit solve, integration.
+
+The integrator is semi-implicit Euler: the velocities at the end of the step move the positions.
+Velocity products and drag are means of their values before and after the step. The motion is
+therefore of second order if no forces are stiff, because positions and velocities leapfrog. A step
+without motor limits and contact takes two solves with one matrix.
+`evo_cpg.physics.step.step_solver` solves the other steps.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.tree import Tree
+from evo_cpg.native.fuse import fuse
+from evo_cpg.physics.step.equations import (
+    Residual,
+    StepSolution,
+    Warmstart,
+    prepare,
+    solve_at_once,
+    with_mean_products,
+)
+from evo_cpg.physics.step.step_solver import coldstart, solve_step
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.holding import holding_wrench
+from evo_cpg.physics.tree.joint_torque import Laws, MotorCommand
+from evo_cpg.physics.tree.muscle import metabolic_power
+from evo_cpg.physics.tree.state import State, integrate
+from evo_cpg.physics.tree.tendon import length_of, torque_of
+
+
+class Effort(NamedTuple):
+    """Motor and contact forces of one step.
+
+    Attributes:
+        torque: torque of the motor or the muscles on each axis at the end of the step, and of
+            motors that pull by tendons, N m.
+        energy: energy of all motors, the sum of |torque x rate| over the step, and metabolic energy
+            of all muscles (`evo_cpg.physics.tree.muscle.metabolic_power`), J.
+        contact_frame_force: force of the ground on every contact point, in its contact frame (two
+            tangents, then the normal), N, or None without ground.
+        contact_force: force of the ground on every contact point, in world axes, N.
+        pair_force: force between the bodies at every point of `World.pairs`, N, or None if no
+            bodies can touch.
+        residual: residual of the step's equations, or None if they are solved exactly.
+        warmstart: warm start of the next step, or None if no iteration is needed.
+        holding: moment (N m) and force (N) that hold the root still, in world axes, or None for a
+            free root.
+        tension: forces of the motors of tendons (`evo_cpg.creature.creature.Tendon`), or None
+            without tendons.
+    """
+
+    torque: Float[Array, "d *n"]
+    energy: Float[Array, " *n"]
+    contact_frame_force: Float[Array, "3 p *n"] | None = None
+    contact_force: Float[Array, "3 p *n"] | None = None
+    pair_force: Float[Array, "k *n"] | None = None
+    residual: Residual | None = None
+    warmstart: Warmstart | None = None
+    holding: Float[Array, "6 *n"] | None = None
+    tension: Float[Array, "t *n"] | None = None
+
+
+def step(
+    world: World,
+    state: State,
+    command: MotorCommand | Float[Array, "d *n"],
+    h: float,
+    warmstart: Warmstart | None = None,
+    friction_scale: Float[Array, " *n"] | None = None,
+) -> tuple[State, Effort]:
+    """Advance the world by ``h`` seconds.
+
+    Args:
+        world: the creature and its environment.
+        state: state at the start of the step.
+        command: command to motors and muscles, constant over the step, or only the target rates of
+            the motors, rad/s.
+        h: step, s.
+        warmstart: result of the previous step, which saves iterations, or None for a first step.
+            The solution changes only within the solver's tolerance.
+        friction_scale: factor of the world's static and dynamic friction, or None for 1.
+    """
+    run = functools.partial(_step, world, h)
+    if not isinstance(command, MotorCommand):
+        command = MotorCommand(command)
+    given = state, command, warmstart, friction_scale
+    return fuse(run, *given, batch_ndim=state.q.ndim - 1)
+
+
+def first_warmstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmstart | None:
+    """Return the warm start of a trial's first step, or None if steps need no iteration."""
+    return coldstart(world, batch, dtype) if needs_iteration(world) else None
+
+
+def needs_iteration(world: World) -> bool:
+    """Return whether steps of a world need iteration, because the force laws have kinks."""
+    if world.contact_model is not None or world.pairs is not None:
+        return True
+    each = world.tree, world.tree.tendons
+    return any(x is not None and (x.dry_friction is not None or _can_overload(x)) for x in each)
+
+
+def _step(
+    world: World,
+    h: float,
+    state: State,
+    command: MotorCommand,
+    warmstart: Warmstart | None,
+    friction_scale: Array | None,
+) -> tuple[State, Effort]:
+    if friction_scale is not None:
+        world = world.with_friction(friction_scale)
+    if needs_iteration(world):
+        if world.held:
+            raise ValueError("only a step without iteration can hold the root still")
+        found = solve_step(world, h, state, command, warmstart)
+        return _finish(world.tree, h, state, command, found)
+    equations = prepare(world, h, state, command)
+    with jax.named_scope("solve"):
+        first = solve_at_once(world, h, equations)
+        equations = with_mean_products(world, h, equations, *first)
+        # Both solves have the same matrix, only their forces differ.
+        found = solve_at_once(world, h, equations)
+    motor, tendons = equations.motor.at(world.tree, found.qdd, h), equations.tendons
+    tension = None if tendons is None else tendons.commanded(found.qdd, h)
+    solution = StepSolution(found.root, found.qdd, motor, tension=tension)
+    new_state, effort = _finish(world.tree, h, state, command, solution)
+    if world.held:
+        effort = effort._replace(
+            holding=holding_wrench(
+                world.tree, equations.kin, equations.inertia, equations.bias, found
+            )
+        )
+    return new_state, effort
+
+
+def _finish(
+    tree: Tree, h: float, state: State, command: MotorCommand, solution: StepSolution
+) -> tuple[State, Effort]:
+    """Return the state after the step, and the forces."""
+    with jax.named_scope("integrate"):
+        new_state = integrate(tree, state, solution.root, solution.qdd, h)
+    power = jnp.abs(solution.torque * 0.5 * (state.qd + new_state.qd))
+    if tree.muscles is not None:
+        driven = expand_dims_like(np.array(tree.muscles.driven), power).astype(bool)
+        rate = 0.5 * (state.qd + new_state.qd)
+        power = jnp.where(driven, metabolic_power(tree.muscles, command.activation, rate), power)
+    energy, torque = h * power.sum(0), solution.torque
+    if tree.tendons is not None and solution.tension is not None:
+        pull = torque_of(tree.tendons, solution.tension, len(torque))
+        rate = length_of(tree.tendons, 0.5 * (state.qd + new_state.qd))
+        energy, torque = energy + h * jnp.abs(solution.tension * rate).sum(0), torque + pull
+    forces = (None, None) if solution.contact is None else solution.contact
+    ends = solution.pairs, solution.residual, solution.warmstart
+    return new_state, Effort(torque, energy, *forces, *ends, tension=solution.tension)
+
+
+def _can_overload(tree: Laws) -> bool:
+    """Return whether any motor may have a torque limit. Traced limits count as limits."""
+    gains = tree.servo_gain, tree.servo_stiffness
+    if not isinstance(tree.torque_limit, np.ndarray):
+        return True
+    if not all(isinstance(gain, np.ndarray) for gain in gains):
+        # A joint without a motor has the limit 0.
+        return bool((np.isfinite(tree.torque_limit) & (tree.torque_limit > 0)).any())
+    driven = (gains[0] > 0) | (gains[1] > 0)
+    return bool(np.isfinite(tree.torque_limit[driven]).any())

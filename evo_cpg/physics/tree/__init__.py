@@ -1,0 +1,1 @@
+"""The tree: joints, recursions and the torques on its axes."""

@@ -1,0 +1,125 @@
+"""Equations of a tree in generalized coordinates: accelerations, forces and mass matrix.
+
+The accelerations of a tree are one vector y, ``(6 + d, *n)``. First comes the acceleration of the
+root (angular, rad/s^2, then linear, m/s^2), then all joint accelerations in the order of the tree.
+The matching forces are the root's wrench (moment, N m, then force, N) and the joint torques (N m).
+J_i is the Jacobian of a body:
+
+| what | function |
+|---|---|
+| ``a_i = J_i y`` | `body_accelerations` |
+| ``sum J_i^T f_i`` | `generalized_force` |
+| ``sum J_i^T I_i J_i`` | `mass_matrix` |
+
+`mass_matrix` is the composite-rigid-body algorithm (Featherstone 2008, table 6.2). All is in world
+axes and refers to the bodies' origins, as in `evo_cpg.physics.tree.articulated`. The inertias and
+wrenches may include contacts.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.tree import joints, root
+from evo_cpg.physics.tree.kinematics import Kinematics
+from evo_cpg.physics.tree.per_body import PerBody, in_dof_order, of_joints, take
+from evo_cpg.physics.tree.spatial_algebra import (
+    Inertia,
+    Motion,
+    Wrench,
+    inertia_at_parent,
+    motion_at_child,
+    wrench_at_parent,
+)
+
+
+def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
+    """Return the accelerations ``(3, b, *n)`` of all bodies, without those of `Kinematics`."""
+    batch_ndim, qdd = y.ndim - 1, root.joint_part(y)
+    a = PerBody([root.acceleration(y)], batch_ndim)
+    if tree.hanging is not None:
+        still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
+        i = tree.hanging
+        S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
+        a = PerBody.of(joints.accelerated(still, S, x), batch_ndim)
+    for i in tree.groups:
+        a_i = motion_at_child(a[i.parents], kin.offset[:, i.bodies])
+        S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
+        a = a.followed_by(joints.accelerated(a_i, S, x))
+    return a.stacked()
+
+
+def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Array, "v *n"]:
+    """Return the generalized force of wrenches ``(3, b, *n)`` on all bodies."""
+    batch_ndim = wrench.force.ndim - 2
+    f, torques = PerBody.of(wrench, batch_ndim), []
+    for i in reversed(tree.groups):
+        f_i = f[i.bodies]
+        torque = joints.torque_of(kin.axes.of(i, batch_ndim), f_i)
+        torques.append(in_dof_order(torque, batch_ndim))
+        f = f.plus(i.parents, wrench_at_parent(f_i, kin.offset[:, i.bodies]))
+    on_root = f.root()
+    if tree.hanging is not None:
+        S = kin.axes.of(tree.hanging, batch_ndim)
+        torques.append(in_dof_order(joints.torque_of(S, f[:1]), batch_ndim))
+        on_root = jax.tree.map(jnp.zeros_like, on_root)
+    return root.vector(on_root, torques[::-1])
+
+
+def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "v v *n"]:
+    """Return the mass matrix of the inertias ``(3, 3, b, *n)`` of all bodies."""
+    I_c = PerBody.of(inertia, inertia.linear.ndim - 3)
+    for i in reversed(tree.groups):
+        I_c = I_c.plus(i.parents, inertia_at_parent(I_c[i.bodies], kin.offset[:, i.bodies]))
+    block, size = root.mass_block(I_c.root()), root.size_of(tree.dof_count)
+    if tree.hanging is not None:
+        one = expand_dims_like(np.eye(len(block)), block)
+        block = jnp.broadcast_to(one, block.shape).astype(block.dtype)
+    H = jnp.zeros((size, size, *block.shape[2:]), block.dtype)
+    H = H.at[: len(block), : len(block)].set(block)
+    if not tree.dof_count:
+        return H
+    places, values = _joint_elements(tree, kin, I_c.stacked())
+    rows, columns = places.T
+    return H.at[rows, columns].set(values).at[columns, rows].set(values)
+
+
+def _joint_elements(
+    tree: Tree, kin: Kinematics, composite: Inertia
+) -> tuple[np.ndarray, Float[Array, "m *n"]]:
+    """Return the joint elements of the mass matrix on and below its diagonal.
+
+    ``f = I^c S`` of every degree of freedom is moved from body to body up to the root. At each body
+    its product with the axes of the body's joint gives elements. The components of a free root are
+    elements, too.
+
+    Returns:
+        Rows and columns, ``(m, 2)``, and the elements.
+    """
+    body = np.array(tree.dof_bodies, int)
+    f = joints.momentum_of_each(jax.tree.map(lambda x: take(x, body, 2), composite), kin.axes)
+    dofs = np.arange(tree.dof_count)
+    places, values = [], []
+    while len(dofs):
+        met = [
+            (one, other)
+            for one, dof in enumerate(dofs)
+            for other, owner in enumerate(tree.dof_bodies)
+            if owner == body[one] and other <= dof
+        ]
+        one, other = np.array(met, int).reshape(-1, 2).T
+        values.append(joints.torque_on_each(kin.axes.take(other), f, one))
+        places.append(root.joint_rows(np.stack([dofs[one], other], 1)))
+        f, body = wrench_at_parent(f, take(kin.offset, body)), np.array(tree.parents)[body]
+        top, below = np.flatnonzero(body == 0), np.flatnonzero(body > 0)
+        if tree.hanging is not None:
+            top, below = top[:0], np.flatnonzero(body >= 0)
+        for k, part in enumerate(root.components(f) if len(top) else []):
+            values.append(take(part, top, 0))
+            places.append(np.stack([root.joint_rows(dofs[top]), np.full(len(top), k)], 1))
+        f = Wrench(take(f.moment, below), take(f.force, below))
+        body, dofs = body[below], dofs[below]
+    return np.concatenate(places), jnp.concatenate(values)

@@ -1,0 +1,103 @@
+"""Poses and velocities of all bodies, from the root to the tips.
+
+All quantities have world axes and refer to each body's working frame. The frame's origin lies at
+the body's joint, so the shift from parent to child is a pure translation by ``offset``. Arrays are
+``(components, bodies, ...)``.
+
+| symbol | name |
+|---|---|
+| R_i | ``rotation``: body to world |
+| p_i, d_i | ``origin``; ``offset`` from the parent's origin |
+| S_i | ``axes``: motion of the body per rate of each degree of freedom |
+| w_i, v_i | ``angular``, ``linear`` velocity at the origin |
+| A0_i | ``bias_angular``, ``bias_linear``: acceleration at constant velocities of the tree |
+
+A0_i is a spatial acceleration. A material point has the acceleration A0 plus ``w x v``. A free
+root's A0 is ``-w x v``. A root that hangs on the world is carried by it as by a parent.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.tree import hanging, joints, root
+from evo_cpg.physics.tree.joints import Subspace
+from evo_cpg.physics.tree.links import Link, linked
+from evo_cpg.physics.tree.per_body import PerBody, of_joints
+from evo_cpg.physics.tree.spatial_algebra import BodyMotion
+from evo_cpg.physics.tree.state import State
+
+
+class Kinematics(NamedTuple):
+    """Positions and velocities of all bodies. The module docstring has the symbols."""
+
+    rotation: Float[Array, "3 3 b *n"]
+    origin: Float[Array, "3 b *n"]
+    offset: Float[Array, "3 b *n"]
+    axes: Subspace
+    angular: Float[Array, "3 b *n"]
+    linear: Float[Array, "3 b *n"]
+    bias_angular: Float[Array, "3 b *n"]
+    bias_linear: Float[Array, "3 b *n"]
+
+
+def kinematics(tree: Tree, state: State) -> Kinematics:
+    """Return the forward kinematics: positions, and the first pass of Featherstone, table 7.1.
+
+    Each line holds for one body and for a group of like limbs side by side (`PerBody`).
+    """
+    batch_ndim = state.q.ndim - 1
+    if tree.hanging is None:
+        # The root comes before the joints, because another order changes the rounding.
+        rest, rotation = jnp.zeros_like(state.position), root.rotation(state.orientation)
+        first = Link(rotation, state.position, *root.motion(state.velocity))
+        bodies, local = PerBody([first], batch_ndim), joints.local_frames(tree, state.q)
+        offsets, axes = [rest[:, None]], []
+    else:
+        local = joints.local_frames(tree, state.q)
+        i, world = tree.hanging, hanging.fixed_link(hanging.base_of(state.base))
+        first, offset, S = linked(tree, i, world, local[i.bodies], state.qd)
+        bodies = PerBody[Link]([], batch_ndim).followed_by(first)
+        offsets, axes = [offset], [S]
+    for i in tree.groups:
+        body, offset, S = linked(tree, i, bodies[i.parents], local[i.bodies], state.qd)
+        bodies = bodies.followed_by(body)
+        offsets.append(offset)
+        axes.append(S)
+    rotation, origin, *motion = bodies.stacked()
+    return Kinematics(
+        rotation,
+        origin,
+        jnp.concatenate(offsets, 1),
+        joints.subspace(axes, state.position),
+        *motion,
+    )
+
+
+def motion_of_bodies(
+    tree: Tree, kin: Kinematics, velocity: Float[Array, "6 *n"], qd: Float[Array, "d *n"]
+) -> BodyMotion:
+    """Return the motion of the bodies with other velocities of the root and the joints.
+
+    Args:
+        tree: the creature.
+        kin: kinematics with the poses of the bodies.
+        velocity: velocity of a free root, as in `State`.
+        qd: joint rates, rad/s.
+    """
+    batch_ndim = qd.ndim - 1
+    if tree.hanging is None:
+        bodies = PerBody([root.motion(velocity)], batch_ndim)
+    else:
+        i, offset = tree.hanging, kin.offset[:, :1]
+        still = BodyMotion(*(jnp.zeros_like(offset) for _ in range(4)))
+        S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
+        first = joints.carried(still, offset, S, rates)
+        bodies = PerBody[BodyMotion]([], batch_ndim).followed_by(first)
+    for i in tree.groups:
+        parent, offset = bodies[i.parents], kin.offset[:, i.bodies]
+        S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
+        bodies = bodies.followed_by(joints.carried(parent, offset, S, rates))
+    return bodies.stacked()

@@ -1,0 +1,131 @@
+"""State of the integrator: pose and velocity of a tree."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.algebra.linear import array_of
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.tree import hanging, joints, root
+from evo_cpg.physics.tree.hanging import Base
+
+
+class State(eqx.Module):
+    """Pose and velocity of a tree. Trailing axes are individuals.
+
+    The first three fields belong to the root (`evo_cpg.physics.tree.root`), the next two to the
+    joints (`evo_cpg.physics.tree.joints`). If the root hangs on the world, its three fields follow
+    from the others (`placed`), and its joint is the first one.
+
+    Attributes:
+        position: position of the root's centre in the world, m.
+        orientation: unit quaternion (w, x, y, z), root to world.
+        velocity: velocity of the root in the world: angular (rad/s), then linear at its centre
+            (m/s).
+        q: joint angles, rad, displacements of slides, m, and rotation vectors of balls, rad.
+        qd: their rates. A ball's are the angular velocity relative to the parent, along the axes
+            of the ball that the child carries, rad/s.
+        base: frame on which the root hangs, or None for a free root.
+    """
+
+    position: Float[Array, "3 *n"]
+    orientation: Float[Array, "4 *n"]
+    velocity: Float[Array, "6 *n"]
+    q: Float[Array, "d *n"]
+    qd: Float[Array, "d *n"]
+    base: Base | None = None
+
+    @property
+    def angular_velocity(self) -> Float[Array, "3 *n"]:
+        """Angular velocity of the root in the world, rad/s."""
+        return root.angular(self.velocity)
+
+    @property
+    def linear_velocity(self) -> Float[Array, "3 *n"]:
+        """Linear velocity of the root's centre in the world, m/s."""
+        return root.linear(self.velocity)
+
+    @property
+    def rates(self) -> Float[Array, "v *n"]:
+        """Velocities of the root and the joints as one generalized vector."""
+        return jnp.concatenate([self.velocity, self.qd])
+
+    def moved(self, tree: Tree, h: float) -> "State":
+        """Return the state after h seconds (negative: before) at constant velocities."""
+        q = joints.moved(tree, self.q, self.qd, h)
+        if self.base is not None:
+            return dataclasses.replace(self, q=q).placed(tree)
+        pose = root.moved(self.position, self.orientation, self.velocity, h)
+        return State(*pose, self.velocity, q, self.qd)
+
+    def displaced(self, tree: Tree, x: Float[Array, " v"]) -> "State":
+        """Return the state at static coordinates from this pose (`step.statics`)."""
+        q = joints.displaced(tree, self.q, root.joint_part(x))
+        if self.base is not None:
+            return dataclasses.replace(self, q=q).placed(tree)
+        pose = root.displaced(self.position, self.orientation, x)
+        return State(*pose, self.velocity, q, self.qd)
+
+    def placed(self, tree: Tree) -> "State":
+        """Return the state with a root that hangs put where its joint holds it."""
+        if self.base is None:
+            return self
+        pose = hanging.pose(tree, self.base, self.q, self.qd)
+        return State(*pose, self.q, self.qd, self.base)
+
+
+def integrate(
+    tree: Tree,
+    state: State,
+    acceleration: Float[Array, "6 *n"],
+    qdd: Float[Array, "d *n"],
+    h: float,
+) -> State:
+    """Take a semi-implicit Euler step: the new velocities move the positions.
+
+    Args:
+        tree: the creature.
+        state: state at the start of the step.
+        acceleration: acceleration of a free root, rad/s^2 and m/s^2.
+        qdd: joint accelerations, rad/s^2.
+        h: step, s.
+    """
+    velocity, qd = state.velocity + h * acceleration, state.qd + h * qdd
+    return dataclasses.replace(state, velocity=velocity, qd=qd).moved(tree, h)
+
+
+def resting_state(
+    tree: Tree,
+    batch: tuple[int, ...] = (),
+    dtype: jnp.dtype | type = jnp.float32,
+    position: tuple[ArrayLike, ...] = (0.0, 0.0, 0.0),
+    orientation: tuple[ArrayLike, ...] = (1.0, 0.0, 0.0, 0.0),
+    angles: Sequence[ArrayLike] | Array | None = None,
+) -> State:
+    """Return a pose at rest, by default the neutral pose.
+
+    Args:
+        tree: the creature.
+        batch: trailing axes, such as ``(population,)``.
+        dtype: floating-point type of every array.
+        position: position of the root, m. A root that hangs on the world moves with the world's
+            frame, which is put there.
+        orientation: orientation of the root or that frame, unit quaternion (w, x, y, z).
+        angles: joint angles, rad, or None for the neutral pose.
+    """
+
+    def fill(values) -> Array:
+        column = array_of(values).reshape(-1, *(1,) * len(batch))
+        return jnp.broadcast_to(jnp.asarray(column, dtype), (column.shape[0], *batch))
+
+    still = np.zeros(tree.dof_count)
+    bent = still if angles is None else angles
+    velocity = np.zeros(root.ROOT_DOFS)
+    base = None if tree.hanging is None else Base(fill(position), fill(orientation))
+    state = State(fill(position), fill(orientation), fill(velocity), fill(bent), fill(still), base)
+    return state.placed(tree)

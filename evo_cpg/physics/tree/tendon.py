@@ -1,0 +1,216 @@
+"""Forces of fixed tendons, whose length is a weighted sum of joint angles, ``L = C q``.
+
+A tendon's force f is the torque ``C^T f`` on the joints. Its motor, limits and dry friction obey
+the laws of joint axes (`evo_cpg.physics.tree.joint_torque`) with L in place of the angle. Its
+spring and damper are implicit, too:
+
+    f = -k (L_end - clip(L_end, a, b)) - c L'_end,    L_end = L + h L'_end,
+
+with the shortest and the longest length a and b at which the spring is slack. A step keeps the side
+of this dead band on which ``L + h L'`` lies.
+
+Every law has the form ``f_end = f - T C qdd``. It adds ``C^T T C`` to the mass matrix, which
+couples joints that are no ancestors of each other. A tree with tendons is therefore solved by
+elimination in generalized coordinates (`evo_cpg.physics.step.step_problem`).
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.tendons import Tendons
+from evo_cpg.physics.tree.joint_torque import (
+    MotorCommand,
+    MotorTorque,
+    changes_overload,
+    clamp_torque,
+    expected_limit_torque,
+    limit_torque,
+    linearized_torque,
+    motor_torque,
+)
+from evo_cpg.physics.tree.per_body import spread, take
+from evo_cpg.physics.tree.root import joint_part, joint_rows, plus_torque
+from evo_cpg.physics.tree.state import State
+
+
+class Lengths(NamedTuple):
+    """Lengths of the tendons and their rates, `evo_cpg.physics.tree.joint_torque.Coordinates`.
+
+    Attributes:
+        q: lengths.
+        qd: rates of the lengths, per s.
+    """
+
+    q: Float[Array, "t *n"]
+    qd: Float[Array, "t *n"]
+
+
+class TendonLaws(NamedTuple):
+    """Laws of the tendons in a step.
+
+    Attributes:
+        tendons: the tendons.
+        lengths: lengths at the start of the step.
+        passive: force of springs and dampers at the present rates.
+        derivative: T of springs and dampers, with the armature.
+        motor: forces that the motors command.
+    """
+
+    tendons: Tendons
+    lengths: Lengths
+    passive: Float[Array, "t *n"]
+    derivative: Float[Array, "t *#n"]
+    motor: MotorTorque
+
+    def linearized(self, qdd: Float[Array, "d *n"], h: float) -> "TendonForce":
+        """Return motors, limits and dry friction, linearized at joint accelerations."""
+        change = length_of(self.tendons, qdd)
+        force, slope = linearized_torque(self.tendons, self.motor, self.lengths, change, h)
+        return TendonForce(self.tendons, force, h * slope)
+
+    def expected(self, h: float) -> "TendonForce":
+        """Return all laws for a step of one solve."""
+        stop, slope = expected_limit_torque(self.tendons, self.lengths, h)
+        resistance = self.derivative + h * (self.motor.derivative(self.tendons, h) + slope)
+        return TendonForce(self.tendons, self.passive + self.motor.start + stop, resistance)
+
+    def springs(self) -> "TendonForce":
+        """Return the force of springs and dampers, with the armature."""
+        return TendonForce(self.tendons, self.passive, self.derivative)
+
+    def changes_overload(self, qdd: Float[Array, "d *n"], h: float) -> Bool[Array, "*n"]:
+        """Return `evo_cpg.physics.tree.joint_torque.changes_overload` for the tendons."""
+        change = length_of(self.tendons, qdd)
+        return changes_overload(self.tendons, self.motor, self.lengths, change, h)
+
+    def commanded(self, qdd: Float[Array, "d *n"], h: float) -> Float[Array, "t *n"]:
+        """Return the forces that the motors command at the end of the step."""
+        return self.motor.at(self.tendons, length_of(self.tendons, qdd), h)
+
+
+class TendonForce(NamedTuple):
+    """Force of the tendons as ``force - resistance C qdd``.
+
+    Attributes:
+        tendons: the tendons.
+        force: force at zero joint acceleration.
+        resistance: decrease of the force per acceleration of the length.
+    """
+
+    tendons: Tendons
+    force: Float[Array, "t *n"]
+    resistance: Float[Array, "t *#n"]
+
+    def torque(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Return the torques on the joints, N m."""
+        force = self.force - self.resistance * length_of(self.tendons, qdd)
+        return torque_of(self.tendons, force, len(qdd))
+
+    def added_to(
+        self, matrix: Float[Array, "v v *n"], force: Float[Array, "v *n"]
+    ) -> tuple[Float[Array, "v v *n"], Float[Array, "v *n"]]:
+        """Return the matrix plus ``C^T T C``, and the generalized force plus ``C^T f``."""
+        tendons = self.tendons
+        pairs = [
+            (one, other)
+            for tendon in range(len(tendons.names))
+            for one in tendons.places(tendon)
+            for other in tendons.places(tendon)
+        ]
+        one, other = np.array(pairs, int).T
+        dofs, owners = np.array(tendons.dofs), np.array(tendons.owners)
+        coefficients = expand_dims_like(tendons.coefficients, self.force)
+        product = take(coefficients, one, 0) * take(coefficients, other, 0)
+        values = product * take(self.resistance, owners[one], 0)
+        matrix = matrix.at[joint_rows(dofs[one]), joint_rows(dofs[other])].add(values)
+        torque = torque_of(tendons, self.force, len(joint_part(force)))
+        return matrix, plus_torque(force, torque)
+
+
+def tendon_laws(
+    tendons: Tendons | None, state: State, command: MotorCommand, h: float
+) -> TendonLaws | None:
+    """Return the laws of the tendons in a step of h (s), or None without tendons."""
+    if tendons is None:
+        return None
+    lengths = lengths_of(tendons, state)
+    passive, derivative = passive_force(tendons, lengths, h)
+    derivative = derivative + expand_dims_like(tendons.armature, derivative)
+    own = command.to(np.maximum(tendons.channels, 0))
+    motor = motor_torque(tendons, lengths, own, h)
+    return TendonLaws(tendons, lengths, passive, derivative, motor)
+
+
+def passive_force(
+    tendons: Tendons, lengths: Lengths, h: float
+) -> tuple[Float[Array, "t *n"], Float[Array, "t *n"]]:
+    """Return the force and T of springs and dampers over a step of h (s)."""
+    stiffness, damping = (
+        expand_dims_like(x, lengths.q) for x in (tendons.stiffness, tendons.damping)
+    )
+    ahead = lengths.q + h * lengths.qd
+    stretch, (shortest, longest) = stretch_of(tendons, ahead), _rest(tendons, ahead)
+    stiffness = jnp.where((ahead > shortest) & (ahead < longest), 0.0, stiffness)
+    return -stiffness * stretch - damping * lengths.qd, h * (damping + h * stiffness)
+
+
+def static_force(tendons: Tendons, q: Float[Array, " d"]) -> Float[Array, " t"]:
+    """Return the forces of tendons at rest whose motors hold the neutral length.
+
+    A motor without a spring would hold any length. A spring as stiff as a soft limit holds its
+    tendon, because no single coordinate of the search for rest stays fixed then.
+    """
+    length = length_of(tendons, q)
+    zero = jnp.zeros_like(length)
+    lengths = Lengths(length, zero)
+    motor = motor_torque(tendons, lengths, MotorCommand(zero), 0.0).start
+    rigid = (tendons.servo_gain > 0) & (tendons.servo_stiffness == 0)
+    hold = jnp.where(rigid, expand_dims_like(tendons.limit_stiffness, length), 0.0)
+    motor = clamp_torque(tendons, motor - hold * length)
+    limit, _ = limit_torque(tendons, length, zero, 0.0)
+    return passive_force(tendons, lengths, 0.0)[0] + limit + motor
+
+
+def tendon_energy(tendons: Tendons, state: State) -> Float[Array, "*n"]:
+    """Return the energy of the tendons' springs and armature, J."""
+    length, rate = lengths_of(tendons, state)
+    stretch = stretch_of(tendons, length)
+    stiffness, armature = (
+        expand_dims_like(x, length) for x in (tendons.stiffness, tendons.armature)
+    )
+    return 0.5 * (armature * rate**2 + stiffness * stretch**2).sum(0)
+
+
+def lengths_of(tendons: Tendons, state: State) -> Lengths:
+    """Return the lengths of the tendons and their rates in a state."""
+    return Lengths(length_of(tendons, state.q), length_of(tendons, state.qd))
+
+
+def length_of(tendons: Tendons, q: Float[Array, "d *n"]) -> Float[Array, "t *n"]:
+    """Return the lengths at joint angles, or the rates of the lengths at joint rates."""
+    parts = expand_dims_like(tendons.coefficients, q) * take(q, np.array(tendons.dofs), 0)
+    return spread(parts, tendons.owners, len(tendons.names), 0)
+
+
+def torque_of(tendons: Tendons, force: Float[Array, "t *n"], dofs: int) -> Float[Array, "d *n"]:
+    """Return the torques of the tendons' forces on all degrees of freedom, N m."""
+    parts = expand_dims_like(tendons.coefficients, force) * take(force, np.array(tendons.owners), 0)
+    return spread(parts, tendons.dofs, dofs, 0)
+
+
+def stretch_of(tendons: Tendons, length: Float[Array, "t *n"]) -> Float[Array, "t *n"]:
+    """Return how far lengths are outside the lengths at which the springs are slack."""
+    shortest, longest = _rest(tendons, length)
+    return length - jnp.clip(length, shortest, longest)
+
+
+def _rest(
+    tendons: Tendons, length: Float[Array, "t *n"]
+) -> tuple[Float[Array, "t *#n"], Float[Array, "t *#n"]]:
+    rest = tendons.shortest_rest, tendons.longest_rest
+    shortest, longest = (expand_dims_like(x, length) for x in rest)
+    return shortest, longest

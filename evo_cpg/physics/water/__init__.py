@@ -1,0 +1,1 @@
+"""Water: forces on bodies that move in it."""

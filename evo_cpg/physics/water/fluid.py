@@ -1,0 +1,270 @@
+"""Drag: form drag and skin friction at points on the surface of the bodies.
+
+Iwadate 2010, eqs. 7 and 8. Each surface point has an outward normal n, two tangents and an area A.
+Its velocity relative to the water has the parts v_n n and v_t:
+
+    f = -1/2 rho C_d A |v_n| v_n n - 1/2 rho C_f A |v_t| v_t.
+
+These are the paper's "inertial" and "frictional" resistance. Windward *and* lee faces count. So the
+frontal drag coefficient of a box is 2 C_d, and the coefficient of a sphere is C_d.
+
+Differs from eq. 8 as printed, which defines neither the direction of v nor the part of each
+resistance. ``law="isotropic"`` keeps the literal reading, -1/2 rho (C_d + C_f) A |v| v, which gives
+undulation no forward thrust.
+
+The force over a step is ``-c |v_0| v_1``, with the velocities at the start and the end. Under drag
+alone this is the exact solution of ``v' = -c |v| v`` for any step. Elsewhere it is of second order
+(Kahan 1993). The derivative ``2 c |v|`` would make it first order.
+
+W is the constant matrix of point Jacobians. Point velocities are ``W V`` and the wrench is
+``W^T F``. Its decrease per change of V, ``D = sum_p c_p |v_p| w_p w_p^T``, is a product of the
+constant outer products with the coefficients. These small matrix products serve the whole
+population.
+
+If the water has a surface, each point's force and derivative are scaled by the fraction of its
+patch under water.
+"""
+
+import dataclasses
+import functools
+from typing import ClassVar, Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.mixed_array import MixedArray
+from evo_cpg.creature.algebra.numerics import Number, xp
+from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.surface import PointLayout
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part
+from evo_cpg.physics.water.surface_points import (
+    Places,
+    alike,
+    merge_alike,
+    outer_products,
+    places_of,
+    runs,
+    still_alike,
+    velocity_rows,
+    wet_fraction,
+)
+
+# Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
+_SPEED_FLOOR = 1e-12
+
+DragLaw = Literal["normal", "isotropic"]
+
+
+class Patch(NamedTuple):
+    """Surface points of bodies that have the same surface in their working frames.
+
+    Form drag and skin friction have separate points. Points of form drag with equal normal
+    velocities, up to the sign, feel equal wrenches and are merged. A box keeps only half of its
+    points, because points on opposite faces move alike. At the water's surface opposite points do
+    not get wet alike, so all are kept.
+
+    Attributes:
+        bodies: indices in the tree, in increasing order.
+        normal: rows for the normal velocity, ``(form points, 6)``.
+        normal_area: area of each form point, m^2.
+        normal_outer: blocks of the outer products of the rows, ``(27, form points)``.
+        tangential: rows for the two tangential velocities, ``(2, skin points, 6)``.
+        tangential_area: area of each skin point, m^2.
+        tangential_outer: blocks of the outer products, summed over tangents, ``(27, skin points)``.
+        normal_places: places of the form points, or None for water without a surface.
+        tangential_places: places of the skin points, or None for water without a surface.
+    """
+
+    bodies: tuple[int, ...]
+    normal: np.ndarray
+    normal_area: np.ndarray
+    normal_outer: np.ndarray
+    tangential: np.ndarray
+    tangential_area: np.ndarray
+    tangential_outer: np.ndarray
+    normal_places: Places | None = None
+    tangential_places: Places | None = None
+
+
+class Drag(ForceLaw):
+    """Form drag and skin friction.
+
+    Attributes:
+        form_drag: C_d.
+        skin_drag: C_f.
+        patches: the surface points that meet the water.
+        law: drag against the normal and tangential velocities, or against the whole velocity.
+    """
+
+    of_water: ClassVar[bool] = True
+
+    form_drag: Number
+    skin_drag: Number
+    patches: tuple[Patch, ...] = ()
+    law: DragLaw = eqx.field(static=True, default="normal")
+
+    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
+        """Return the drag wrench on every body (`ForceLaw.wrench`)."""
+        return self.parts(bodies)[0].wrench
+
+    def parts(self, bodies: Bodies) -> tuple[Part]:
+        """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
+        assert bodies.water is not None
+        density = bodies.water.density
+        wrench, derivative = drag(self, density, bodies.relative, bodies.pose)
+        return (Part(wrench, bodies.h * derivative),)
+
+    def averaged(self, start: Bodies, moving: Bodies) -> None:
+        """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
+        del start, moving
+
+    def scaled(self, factor: float) -> "Drag":
+        """Return drag with both coefficients multiplied by a factor."""
+        return dataclasses.replace(
+            self, form_drag=self.form_drag * factor, skin_drag=self.skin_drag * factor
+        )
+
+
+def make_patches(
+    tree: Tree,
+    form: dict[str, Surface],
+    skin: dict[str, Surface],
+    law: DragLaw = "normal",
+    surfacing: bool = False,
+    layout: PointLayout = "merged",
+) -> tuple[Patch, ...]:
+    """Group bodies with equal surfaces and prepare their constant matrices.
+
+    Args:
+        tree: the creature.
+        form: points for form drag on each body by name, in the body's geometric frame.
+        skin: points for skin friction. The isotropic law uses the form points for both.
+        law: drag law (`Drag`).
+        surfacing: whether the water has a surface.
+        layout: "merged" merges equal bodies and points.
+    """
+    if law == "isotropic":
+        skin = form
+    placed = [
+        (
+            form[name]._replace(points=form[name].points + tree.centre[None, :, i]),
+            skin[name]._replace(points=skin[name].points + tree.centre[None, :, i]),
+        )
+        for i, name in enumerate(tree.names)
+    ]
+    groups = (
+        chosen(lambda: alike(placed), lambda groups: still_alike(placed, groups))
+        if layout == "merged"
+        else [(i,) for i in range(len(placed))]
+    )
+    return tuple(
+        _patch(bodies, *placed[bodies[0]], law == "normal" and layout == "merged", surfacing)
+        for bodies in groups
+        if len(placed[bodies[0]][0].areas)
+    )
+
+
+def drag(
+    law: Drag,
+    density: Number,
+    velocity: Float[Array, "6 b *n"],
+    pose: Float[Array, "4 b *n"] | None = None,
+) -> tuple[Float[Array, "6 b *n"], Float[Array, "3 3 3 b *n"]]:
+    """Return the drag wrench on every body and D, in body axes.
+
+    Args:
+        law: coefficients and surface points.
+        density: density of the water, kg/m^3.
+        velocity: velocity of every body relative to the water: angular, then linear.
+        pose: pose of every body (`Bodies`), or None for water without a surface.
+
+    Returns:
+        The wrench (moment, force) and the blocks (angular-angular, angular-linear,
+        linear-linear) of D.
+    """
+    batch = velocity.shape[2:]
+    pieces = []
+    for patch in law.patches:
+        evaluate = functools.partial(_patch_drag, law, density, patch)
+        for run in runs(patch.bodies):
+            part = [x[:, run] for x in (velocity, pose) if x is not None]
+            pieces.append((run.start, *evaluate(*part)))
+    wet = {body for patch in law.patches for body in patch.bodies}
+    none = (
+        jnp.zeros((6, 1, *batch), velocity.dtype),
+        jnp.zeros((3, 3, 3, 1, *batch), velocity.dtype),
+    )
+    pieces += [(body, *none) for body in range(velocity.shape[1]) if body not in wet]
+    _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
+    return jnp.concatenate(wrenches, 1), jnp.concatenate(derivatives, 3)
+
+
+def _patch_drag(
+    law: Drag,
+    density: Number,
+    patch: Patch,
+    velocity: Float[Array, "6 k *n"],
+    pose: Float[Array, "4 k *n"] | None = None,
+) -> tuple[Float[Array, "6 k *n"], Float[Array, "3 3 3 k *n"]]:
+    """Return the wrench and D of one patch.
+
+    Constant factors are multiplied into the constant matrices, so a point takes few operations.
+    """
+    flat = velocity.reshape(6, -1)
+
+    def product(constant: np.ndarray | Array | MixedArray, x: Array) -> Array:
+        return jnp.asarray(constant, flat.dtype) @ x
+
+    pressure = 0.5 * density
+    skin_points = len(patch.tangential_area)
+    tangential_rows = patch.tangential.reshape(2 * skin_points, 6)
+    normal = product(patch.normal, flat)
+    # A part whose skin points are all inside other parts has none, so no size can be -1.
+    first, second = product(tangential_rows, flat).reshape(2, skin_points, flat.shape[1])
+    along = jnp.sqrt(first * first + second * second + _SPEED_FLOOR)
+    normal_factor = pressure * law.form_drag * patch.normal_area
+    tangential_factor = pressure * law.skin_drag * patch.tangential_area
+    if law.law == "normal":
+        speed = jnp.abs(normal)
+    else:
+        speed = jnp.sqrt(normal * normal + along * along)
+        normal_factor = tangential_factor = normal_factor + pressure * law.skin_drag * (
+            patch.normal_area
+        )
+        along = speed
+    if pose is not None:
+        speed = speed * wet_fraction(patch.normal_places, pose)
+        along = along * wet_fraction(patch.tangential_places, pose)
+    friction = jnp.concatenate([along * first, along * second])
+    wrench = -product(patch.normal.T * normal_factor[None], speed * normal)
+    wrench = wrench - product(
+        tangential_rows.T * jnp.concatenate([tangential_factor] * 2)[None], friction
+    )
+    derivative = product(patch.normal_outer * normal_factor[None], speed)
+    derivative = derivative + product(patch.tangential_outer * tangential_factor[None], along)
+    return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *velocity.shape[1:])
+
+
+def _patch(
+    bodies: tuple[int, ...], form: Surface, skin: Surface, merge: bool, surfacing: bool
+) -> Patch:
+    normal, _, _ = velocity_rows(form)
+    normal_area = form.areas
+    if merge and not surfacing:
+        normal, normal_area = merge_alike(normal, normal_area)
+    _, first, second = velocity_rows(skin)
+    return Patch(
+        bodies,
+        normal,
+        normal_area,
+        outer_products(normal),
+        xp.stack([first, second]),
+        skin.areas,
+        outer_products(first) + outer_products(second),
+        places_of(form) if surfacing else None,
+        places_of(skin) if surfacing else None,
+    )

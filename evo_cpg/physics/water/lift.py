@@ -1,0 +1,297 @@
+"""Lift of thin bodies, such as fins and flippers.
+
+The water pushes a plate at an angle of attack a along its normal, with the force
+``1/2 rho V^2 S C_N(a)``. Form drag already gives ``C_N(90) sin^2 a``. This law adds the rest,
+
+    F = -1/2 rho V^2 S (C_N(a) - C_N(90) sin^2 a) n,
+
+against the normal velocity, so that its power is never positive. The rest is 0 at 90 degrees.
+
+At small angles the flow is attached, and beyond the stall angle it is separated:
+
+    attached   C_N = 0.9 K sin a cos a + 2.2 sin^2 a,     K = 2 pi AR / (2 + sqrt(AR^2 + 4)),
+    stalled    C_N = 2 (1 / (0.56 + 0.44 sin a) - 0.41 (1 - exp(-17 / AR))) sin a
+                     (1 + 0.81 sin^4 a cos^2 a),
+    stall      sin a_s = 0.1 + 0.74 / (1 + 1.1 AR), with a logistic function of sin a.
+
+The attached form is Polhamus's (1966) with K by Helmbold. The numbers 0.9 and 2.2, and those of the
+stall, are fitted to plates of aspect ratio 1 and 2 (Pelletier and Mueller 2000). The stalled form
+is Lindenburg's. Its last factor is fitted to a plate of aspect ratio 2 at a Reynolds number of 100
+(Taira et al. 2007).
+
+The aspect ratio is ``span^2 / S``. The span is the extent across the flow's projection on the
+plate. For flow along tangent 1 of a plate of lengths L_1 and L_2 it is L_2, in general
+``span^2 = (L_2^2 v_1^2 + L_1^2 v_2^2) / (v_1^2 + v_2^2)``. The mean chord is ``S / span``.
+
+The whole normal force acts ahead of the centre, at a quarter of the chord for small angles and at
+the centre for 90 degrees. Its lever is ``chord / 4 (1 - sin a)``. Added mass has such a moment of
+its own (Munk), which is the whole moment of a long plate. Then the law has no moment.
+
+V is the velocity of the centre through the water. At a surface the force is proportional to the
+fraction of the body under water.
+
+| symbol | name |
+|---|---|
+| C_N / sin a | ``per_sine`` |
+| AR | ``aspect`` |
+| v_n, v_1, v_2 | velocity along the rows of ``PlateLift.frame`` |
+"""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.algebra.decisions import Condition, all_hold, chosen
+from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec, matvec_t
+from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.shapes import Shape
+from evo_cpg.creature.slender import LEAST_BODIES, slender_chains
+from evo_cpg.creature.surface import PointLayout
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.tree.per_body import spread, take
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part
+
+# Reduction of the potential slope, and vortex lift of a rectangular plate. Polhamus's 3.14 is for
+# deltas, and too large for rectangles.
+_SLOPE, _VORTEX = 0.9, 2.2
+
+# Lindenburg's coefficients: drag of an infinite plate, shape of the nose, and finite span.
+_LONG_PLATE, _NOSE, _FINITE, _SPAN = 2.0, 0.44, 0.41, 17.0
+
+# Increase of Lindenburg's force at 55 degrees. Without it, the lift of a plate of aspect ratio 2 at
+# 60 degrees and Re 100 is 24 % too small.
+_OBLIQUE = 0.12
+
+# Sine of the stall angle of a long plate, its increase at aspect ratio 0, and the decay.
+_STALL, _STALL_MORE, _STALL_DECAY = 0.1, 0.74, 1.1
+
+# Width of the stall in the sine of the angle.
+_STALL_WIDTH = 0.04
+
+# Centre of pressure at small angles ahead of the centre, as a fraction of the chord.
+_AHEAD = 0.25
+
+# Thickness over the smaller other extent up to which a body is a plate, and from which it is not.
+_THIN, _THICK = 0.25, 0.75
+
+# Squared speed (m^2/s^2) added under roots, so that their derivatives exist at rest.
+_SPEED_FLOOR = 1e-12
+
+# Resolution of the surface points from which the area of a plate is found.
+_RESOLUTION = 16
+
+
+class PlateLift(ForceLaw):
+    """Lift of plates, in addition to their form drag.
+
+    The force over a step is ``-c(v_0) v_n``, with the normal velocity v_n at the end. So light
+    plates are stable. The rest of the derivative is averaged with the predicted velocity, and the
+    step is of second order. The symmetric part of the whole derivative does not serve as D: it
+    could make the inertia of a light plate negative.
+
+    Attributes:
+        bodies: indices of the plates in the tree.
+        frame: normal and two tangents of each plate, as rows in the axes of its body.
+        lengths: extents along the tangents, m.
+        area: area of one side, m^2.
+        weight: fraction of the force, 1 for thin bodies and 0 for thick ones.
+        has_moment: whether the force acts ahead of the centre.
+    """
+
+    of_water: ClassVar[bool] = True
+
+    bodies: tuple[int, ...] = eqx.field(static=True)
+    frame: Float[Numbers, "3 3 p"]
+    lengths: Float[Numbers, "2 p"]
+    area: Float[Numbers, " p"]
+    weight: Float[Numbers, " p"]
+    has_moment: bool = eqx.field(static=True, default=True)
+
+    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
+        """Return the lift on every body (`ForceLaw.wrench`)."""
+        velocity = self._own(bodies.through_water)
+        frame = expand_dims_like(self.frame, velocity, velocity.ndim + 1)
+        local = matvec(frame, velocity)
+        force = -frame[0] * (self._against(bodies, local) * local[0])[None]
+        moment = cross(self._centre(bodies), force)
+        if self.has_moment:
+            moment = moment + matvec_t(frame, self._moment(bodies, local))
+        return self._spread(bodies, jnp.concatenate([moment, force]))
+
+    def parts(self, bodies: Bodies) -> tuple[Part]:
+        """Return the lift with ``c w w^T`` as D, for the row w of the normal velocity."""
+        row, c = self._resistance(bodies)
+        angular, linear = row[:3], row[3:]
+        pairs = ((angular, angular), (angular, linear), (linear, linear))
+        outer = jnp.stack([c[None, None] * a[:, None] * b[None] for a, b in pairs])
+        flat = self._spread(bodies, (bodies.h * outer).reshape(27, *c.shape))
+        return (Part(self.wrench(bodies), flat.reshape(3, 3, 3, *flat.shape[1:])),)
+
+    def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
+        """Return the wrench of the derivatives that D leaves out (`ForceLaw.averaged`)."""
+
+        def wrench(velocity: Float[Array, "6 b *n"]) -> Float[Array, "6 b *n"]:
+            return self.wrench(start.moving(velocity))
+
+        whole = jax.jvp(wrench, (start.velocity,), (moving.velocity,))[1]
+        row, c = self._resistance(start)
+        own = 2.0 * c * dot(row, self._own(moving.velocity))
+        return whole + self._spread(start, row * own[None])
+
+    def _own(self, x: Float[Array, "k b *n"]) -> Float[Array, "k p *n"]:
+        """Return a quantity of the plates."""
+        return take(x, np.array(self.bodies))
+
+    def _spread(self, bodies: Bodies, own: Float[Array, "k p *n"]) -> Float[Array, "k b *n"]:
+        """Return a quantity of the plates as a quantity of all bodies."""
+        return spread(own, self.bodies, bodies.tree.body_count)
+
+    def _centre(self, bodies: Bodies) -> Float[Array, "3 p *#n"]:
+        return expand_dims_like(bodies.tree.centre[:, np.array(self.bodies)], bodies.velocity)
+
+    def _resistance(self, bodies: Bodies) -> tuple[Float[Array, "6 p *n"], Float[Array, "p *n"]]:
+        """Return the row of the normal velocity, and the force over this velocity, N s/m."""
+        velocity = self._own(bodies.through_water)
+        frame = expand_dims_like(self.frame, velocity, velocity.ndim + 1)
+        normal = jnp.broadcast_to(frame[0], velocity.shape)
+        row = jnp.concatenate([cross(self._centre(bodies), normal), normal])
+        return row, self._against(bodies, matvec(frame, velocity))
+
+    def _pressure(self, bodies: Bodies, local: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:
+        """Return ``1/2 rho S`` of the parts under water, kg/m."""
+        assert bodies.water is not None
+        wet = self._own(bodies.under_water[None])[0]
+        area = expand_dims_like(self.weight * self.area, local[0])
+        return 0.5 * bodies.water.density * area * wet
+
+    def _flow(self, local: Float[Array, "3 p *n"]) -> tuple[Array, Array, Array, Array, Array]:
+        """Return speed, speed along the plate (m/s), sine, cosine, and aspect ratio."""
+        normal, first, second = local
+        along = first * first + second * second + _SPEED_FLOOR
+        speed = jnp.sqrt(normal * normal + along)
+        slip = jnp.sqrt(along)
+        one, other = expand_dims_like(self.lengths, local)
+        across = other * other * first * first + one * one * second * second
+        square = (across + one * other * _SPEED_FLOOR) / along
+        aspect = square / expand_dims_like(self.area, normal)
+        return speed, slip, jnp.abs(normal) / speed, slip / speed, aspect
+
+    def _against(self, bodies: Bodies, local: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:
+        """Return the additional force against the normal velocity, over this velocity, N s/m.
+
+        Args:
+            bodies: the bodies.
+            local: velocity through the water along the normal and the tangents, m/s.
+        """
+        speed, _, sine, cosine, aspect = self._flow(local)
+        added = per_sine(sine, cosine, aspect) - broadside(aspect) * sine
+        return self._pressure(bodies, local) * speed * added
+
+    def _moment(self, bodies: Bodies, local: Float[Array, "3 p *n"]) -> Float[Array, "3 p *n"]:
+        """Return the moment of the whole normal force about the centre in plate axes, N m."""
+        speed, slip, sine, cosine, aspect = self._flow(local)
+        whole = -self._pressure(bodies, local) * speed * local[0] * per_sine(sine, cosine, aspect)
+        chord = jnp.sqrt(expand_dims_like(self.area, slip) / aspect)
+        # The lever 1 - sin a along the flow is (cos a)^2 / (1 + sin a), here over the slip.
+        lever = _AHEAD * chord * slip / (speed * speed * (1.0 + sine))
+        turning = whole * lever
+        return jnp.stack([jnp.zeros_like(turning), turning * local[2], -turning * local[1]])
+
+
+def per_sine(sine: Array, cosine: Array, aspect: Array) -> Array:
+    """Return C_N over the sine of the angle of attack, a number of order 1.
+
+    Args:
+        sine: sine of the angle of attack, 0 to 1.
+        cosine: cosine of the angle.
+        aspect: aspect ratio, span over mean chord.
+    """
+    potential = 2.0 * jnp.pi * aspect / (2.0 + jnp.sqrt(aspect * aspect + 4.0))
+    attached = _SLOPE * potential * cosine + _VORTEX * sine
+    nose = 1.0 / (1.0 - _NOSE + _NOSE * sine)
+    stalled = broadside(aspect) + _LONG_PLATE * (nose - 1.0)
+    stalled = stalled * (1.0 + _OBLIQUE * 6.75 * sine**4 * cosine * cosine)
+    stall = _STALL + _STALL_MORE / (1.0 + _STALL_DECAY * aspect)
+    separated = jax.nn.sigmoid((sine - stall) / _STALL_WIDTH)
+    return attached + separated * (stalled - attached)
+
+
+def broadside(aspect: Array) -> Array:
+    """Return C_N at 90 degrees by Lindenburg: 1.18 for a square, 2 for a long plate."""
+    return _LONG_PLATE * (1.0 - _FINITE * (1.0 - jnp.exp(-_SPAN / aspect)))
+
+
+def make_plate_lift(
+    creature: Creature, tree: Tree, has_moment: bool = True, layout: PointLayout = "merged"
+) -> PlateLift | None:
+    """Return the lift of the thin bodies outside slender chains, or None if there are none.
+
+    Args:
+        creature: the creature.
+        tree: tree of the creature.
+        has_moment: whether the force acts ahead of the centre (`PlateLift`).
+        layout: "complete" keeps thick bodies, with a weight of 0.
+    """
+    chained = {
+        creature.bodies[body].name
+        for chain in slender_chains(creature)
+        if len(chain.bodies) >= LEAST_BODIES
+        for body in chain.bodies
+    }
+    shapes = {body.name: body.shape for body in creature.bodies}
+    free = [i for i, name in enumerate(tree.names) if name not in chained]
+    weights = [_weight(shapes[tree.names[i]]) for i in free]
+
+    def choose() -> tuple[int, ...]:
+        kept = zip(free, weights, strict=True)
+        return tuple(i for i, weight in kept if weight > 0 or layout == "complete")
+
+    def still(plates: tuple[int, ...]) -> Condition:
+        return all_hold(
+            weight == 0 for i, weight in zip(free, weights, strict=True) if i not in plates
+        )
+
+    plates = chosen(choose, still)
+    if not plates:
+        return None
+    found = [_plate(shapes[tree.names[i]]) for i in plates]
+    frames, lengths, areas = zip(*found, strict=True)
+    return PlateLift(
+        plates,
+        xp.stack(frames, -1),
+        xp.stack(lengths, -1),
+        xp.array(areas),
+        xp.array([weight for i, weight in zip(free, weights, strict=True) if i in plates]),
+        has_moment,
+    )
+
+
+def _weight(shape: Shape) -> Number:
+    """Return 1 for a thin body, 0 for a thick one or one of size 0, and a cubic in between."""
+    half, _ = shape.stretch
+    thickness, width, _ = xp.sort(half)
+    ratio = thickness / xp.maximum(width, 1e-12)
+    return xp.where(width > 0, smooth_step((_THICK - ratio) / (_THICK - _THIN)), 0.0)
+
+
+def _plate(shape: Shape) -> tuple[Numbers, Numbers, Number]:
+    """Return the frame of a thin body as rows, its lengths (m) and its area (m^2)."""
+    half, axes = shape.stretch
+    thinnest = xp.where(half <= xp.min(half), 1.0, 0.0)
+    # The first of equal axes.
+    thinnest = thinnest * xp.where(xp.cumsum(thinnest) > 1.0, 0.0, 1.0)
+    normal, first = axes @ thinnest, axes @ xp.roll(thinnest, 1)
+    second = xp.cross(normal, first)
+    lengths = [
+        tangent @ (shape.support(tangent) - shape.support(-tangent)) for tangent in (first, second)
+    ]
+    _, normals, areas = shape.surface(_RESOLUTION)
+    area = (areas * xp.abs(normals @ normal)).sum() / 2
+    # A body of size 0 has a weight of 0, and any lengths serve.
+    sizes = [xp.where(size > 0, size, 1.0) for size in (*lengths, area)]
+    return xp.stack([normal, first, second]), xp.array(sizes[:2]), sizes[2]

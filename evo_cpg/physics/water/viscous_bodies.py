@@ -1,0 +1,271 @@
+"""Builder of the drag of water with a viscosity (`evo_cpg.physics.water.viscous_drag`).
+
+The constants of a body come from its exposed surface and from the outline of its whole chain
+(`evo_cpg.creature.chain_outline`):
+
+- R of creeping flow is that of an ellipsoid with the proportions of the outline.
+- The coefficients of form drag give the outline its measured drag.
+- The distance x of the boundary layer runs from the nose of the chain, or from its tail. Across the
+  centreline, x is the path around the body. It is the distance of the mean coefficient over the
+  body, a quarter of the length for a single body.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
+from evo_cpg.creature.chain_outline import Outline, outline
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.slender import slender_chains
+from evo_cpg.creature.surface import PointLayout
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.water.form_coefficients import form_drag_coefficients, point_coefficients
+from evo_cpg.physics.water.stokes import ellipsoid_resistance
+from evo_cpg.physics.water.surface_points import (
+    Places,
+    alike,
+    merge_alike,
+    outer_products,
+    places_of,
+    still_alike,
+    velocity_rows,
+)
+from evo_cpg.physics.water.viscous_drag import ViscousDrag, ViscousPatch, Wetted
+
+# Reynolds number of the transition to turbulent friction. A single body has one Re_x for its whole
+# length. The transition begins at its rear, where x is larger: the factor fits the mean friction of
+# a plate with a transition at 5e5.
+_TRANSITION, _ALONE = 5e5, 1.5
+
+# Re_x below which the boundary layer fades out, because creeping flow has all the friction.
+_CREEPING = 0.05
+
+# Depth of the dip of round bodies' form drag.
+_DIP = 0.3
+
+# Sharpness above which form drag needs no points at the centre: the faces have all of it.
+_SHARP = 0.99
+
+# Resolution of the points that find silhouette and area of a body, and the largest frontal area of
+# its few points over the silhouette. Those of half-balls have 1.09 at the default resolution.
+_FINE, _MOST_FRONT = 8, 1.1
+
+# Least length, so that a body without size has finite coefficients, m.
+_TINY = 1e-9
+
+
+def make_viscous_drag(
+    creature: Creature,
+    tree: Tree,
+    form: dict[str, Surface],
+    skin: dict[str, Surface],
+    viscosity: Number,
+    form_drag: Number = 1.0,
+    surfacing: bool = False,
+    layout: PointLayout = "merged",
+) -> ViscousDrag:
+    """Return the law for a creature.
+
+    Args:
+        creature: the creature.
+        tree: its tree.
+        form: exposed points for form drag on each body by name, in the body's geometric frame.
+        skin: exposed points for skin friction.
+        viscosity: dynamic viscosity, Pa s.
+        form_drag: factor of the form coefficients.
+        surfacing: whether the water has a surface.
+        layout: "merged" merges equal bodies and points.
+    """
+    wetted: list[Wetted] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
+    places: list[Places] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
+    runs_along = [xp.zeros(2)] * tree.body_count
+    mass = tree.rigid_mass
+    for chain in slender_chains(creature):
+        if not creature.bodies[chain.bodies[0]].shape.exists:
+            continue
+        shape = outline(creature, chain)
+        names = [creature.bodies[body].name for body in chain.bodies]
+        fine = creature.bodies[chain.bodies[0]].shape.surface(_FINE)
+        points = _form_points(shape, [form[name] for name in names], fine)
+        creep = _creep(shape)
+        runs_here = _runs_along(shape)
+        for i, name in enumerate(names):
+            k = tree.names.index(name)
+            surface, coefficients = points[i]
+            placed = surface._replace(points=surface.points + tree.centre[None, :, k])
+            places[k] = places_of(placed)
+            area, own = coefficients * surface.areas, skin[name]
+            if len(names) == 1:
+                own = own._replace(areas=own.areas * _excess(own, fine))
+            wetted[k] = _wetted(shape, i, tree.centre[:, k], placed, area, own, creep[i], mass[k])
+            runs_along[k] = runs_here[i]
+    wet = [k for k, own in enumerate(wetted) if own is not None]
+    keys = [(tuple(wetted[k]), tuple(places[k])) for k in wet]
+    found = (
+        chosen(lambda: alike(keys), lambda found: still_alike(keys, found))
+        if layout == "merged"
+        else [(i,) for i in range(len(keys))]
+    )
+    groups = [tuple(wet[i] for i in bodies) for bodies in found]
+    patches = []
+    for bodies in groups:
+        own = wetted[bodies[0]]
+        if layout == "merged" and not surfacing:
+            normal, area = merge_alike(own.normal, own.form)
+            if len(own.dip) > 1:
+                _, dip = merge_alike(own.normal, own.form * own.dip)
+                own = own._replace(dip=dip / xp.maximum(area, _TINY**2))
+            own = own._replace(normal=normal, form=area)
+        forward, backward = xp.stack([runs_along[body] for body in bodies], -1)
+        patches.append(
+            ViscousPatch(
+                bodies,
+                own,
+                outer_products(own.normal),
+                forward,
+                backward,
+                places[bodies[0]] if surfacing else None,
+            )
+        )
+    return ViscousDrag(viscosity, form_drag, tuple(patches))
+
+
+def _excess(surface: Surface, fine: Surface) -> Number:
+    """Return the factor that reduces the area of few points to that of many, at most 1."""
+    return xp.minimum(1.0, fine.areas.sum() / xp.maximum(surface.areas.sum(), _TINY**2))
+
+
+def _form_points(
+    shape: Outline, surfaces: list[Surface], fine: Surface
+) -> list[tuple[Surface, Numbers]]:
+    """Return the points of form drag of each body of a chain, and their coefficients k.
+
+    The coefficients give the chain the drag of its outline. Where the points of a round body are
+    too few for that, such as at the edge of a thin disc, points at the body's centre add the rest.
+
+    Args:
+        shape: outline of the chain.
+        surfaces: points of its bodies.
+        fine: many points of the first body. The few points of a thin ellipsoid have up to six times
+            its area, and a single body meets hardly more flow than its silhouette.
+    """
+    normals = [surface.normals @ turn for surface, turn in zip(surfaces, shape.axes, strict=True)]
+    every, areas = xp.concatenate(normals), xp.concatenate([s.areas for s in surfaces])
+    coefficients = form_drag_coefficients(shape.sizes, shape.sharpness, shape.bluntness)
+    fronts = xp.stack([0.5 * s.areas @ xp.abs(n) for s, n in zip(surfaces, normals, strict=True)])
+    total = fronts.sum(0)
+    if len(surfaces) == 1:
+        silhouette = 0.5 * fine.areas @ xp.abs(fine.normals @ shape.axes[0])
+        coefficients = coefficients * xp.minimum(
+            1.0, _MOST_FRONT * silhouette / xp.maximum(total, _TINY**2)
+        )
+    k = point_coefficients(every, areas, coefficients)
+    splits = np.cumsum([len(s.areas) for s in surfaces])[:-1].tolist()
+    own = xp.split(k, splits)
+    if chosen(
+        lambda: bool(shape.sharpness > _SHARP), lambda was: (shape.sharpness > _SHARP) == was
+    ):
+        return list(zip(surfaces, own, strict=True))
+    given = (k * areas) @ xp.abs(every) ** 3
+    missing = xp.maximum(coefficients - given / xp.maximum(total, _TINY**2), 0.0)
+    found = []
+    for i, surface in enumerate(surfaces):
+        centre = Surface(np.zeros((3, 3)), shape.axes[i].T, fronts[i])
+        both = (xp.concatenate(columns) for columns in zip(surface, centre, strict=True))
+        found.append((Surface(*both), xp.concatenate([own[i], missing])))
+    return found
+
+
+def _creep(shape: Outline) -> Float[Numbers, "n 6"]:
+    """Return the resistances of each body about and along the axes of the outline, at its centre.
+
+    The ellipsoid has the proportions of the outline and the volume of the bodies. A body gets its
+    part of the force. A part of a straight chain that turns about its own centre has a torque that
+    grows with the cube of its length.
+    """
+    half = shape.sizes / 2
+    scale = (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
+    force, torque = ellipsoid_resistance(xp.maximum(half * scale, _TINY))
+    lengths = _lengths(shape)
+    part = (lengths / xp.maximum(lengths.sum(), _TINY))[:, None]
+    about = xp.concatenate([part * torque[None, :1], part**3 * torque[None, 1:]], 1)
+    return xp.concatenate([about, part * force[None]], 1)
+
+
+def _lengths(shape: Outline) -> Float[Numbers, " n"]:
+    return shape.chain.lengths if len(shape.axes) > 1 else 2 * shape.halves[:, 0]
+
+
+def _path(depth: Number, one: Number, other: Number) -> Number:
+    """Return the length of the way of the water around a body of a depth along the flow, m."""
+    narrow = xp.minimum(one, other)
+    return (depth**4 + narrow**4) ** 0.25
+
+
+def _runs_along(shape: Outline) -> Float[Numbers, "n 2"]:
+    """Return the squared inverse distances of each body from the nose and from the tail, 1/m^2.
+
+    The mean of ``x^-1/2`` over a body from x_0 to x_1 is ``2 / (sqrt(x_0) + sqrt(x_1))``.
+    """
+    lengths = _lengths(shape)
+    ends = xp.cumsum(lengths)
+    total = xp.maximum(ends[-1], _TINY)
+    starts = ends - lengths
+    scale = _path(*shape.sizes) / total
+
+    def inverse(near: Numbers, far: Numbers) -> Numbers:
+        roots = xp.sqrt(xp.maximum(near, 0.0)) + xp.sqrt(xp.maximum(far, _TINY))
+        return 1 / (scale * roots**2 / 4) ** 2
+
+    return xp.stack([inverse(starts, ends), inverse(total - ends, total - starts)], -1)
+
+
+def _wetted(
+    shape: Outline,
+    i: int,
+    middle: Float[Numbers, " 3"],
+    placed: Surface,
+    form: Float[Numbers, " p"],
+    skin: Surface,
+    creep: Float[Numbers, " 6"],
+    mass: Number,
+) -> Wetted:
+    """Return the constants of a body of a chain in its working frame."""
+    turn, half = shape.axes[i], xp.maximum(shape.halves[i], _TINY)
+    along = xp.concatenate([xp.cross(middle[None], turn.T), turn.T], 1)
+    motion = xp.concatenate([along, xp.concatenate([turn.T, np.zeros((3, 3))], 1)])
+    normal, _, _ = velocity_rows(placed)
+    _, first, second = velocity_rows(skin._replace(points=skin.points + middle))
+    friction = (first.T * skin.areas) @ first + (second.T * skin.areas) @ second
+    axes = xp.concatenate([motion[3:], motion[:3]])
+    # The path of the water across the centreline is that around the body. A chain that is shorter
+    # than wide has the path of its length.
+    sizes = xp.array([shape.sizes[0], 2 * half[1], 2 * half[2]])
+    runs = [_path(sizes[j], sizes[j - 1], sizes[j - 2]) / 4 for j in range(3)]
+    inverse = xp.array([1 / run**2 for run in runs])
+    # Mean squares of the positions in a box of the body's sizes.
+    square = xp.square(half)
+    spread = square / 3
+    turning = xp.array([[0.0 if j == k else spread[3 - j - k] for k in range(3)] for j in range(3)])
+    # The inertia of an ellipsoid of these sizes.
+    inertia = xp.concatenate([0.2 * mass * (square.sum() - square), xp.stack([mass] * 3)])
+    dip = xp.array([_DIP * (1 - shape.sharpness)])
+    if shape.blunt[i]:
+        # The flow leaves flat ends at their edge, at any speed.
+        dip = dip * (1 - xp.square(placed.normals[:, 0]))
+    return Wetted(
+        normal=normal,
+        form=form,
+        motion=motion,
+        speed=xp.concatenate([np.ones(3), turning.sum(0)])[None],
+        rate=xp.concatenate([inverse * np.array([0.0, 1.0, 1.0]), inverse @ turning])[None],
+        friction=friction,
+        creep=(axes.T * creep) @ axes,
+        decay=xp.array([xp.max(creep / xp.maximum(inertia, _TINY**5))]),
+        fade=xp.array([_CREEPING * xp.sqrt(inverse[1] * inverse[2])]),
+        transition=xp.array([_TRANSITION if len(shape.axes) > 1 else _TRANSITION / _ALONE]),
+        diameter=xp.array([2 * xp.sqrt(half[1] * half[2])]),
+        dip=dip,
+    )

@@ -1,0 +1,153 @@
+"""What a page draws of a document: bodies, skins, joints, lines of sight and the world, as JSON.
+
+A body is drawn in its own frame at its centre of mass, as in recordings. `frame` is the position of
+the configuration's frame from there. Both are the same place for all shapes but meshes.
+"""
+
+import base64
+import functools
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.creature.creature import NO_LIMIT, length_of, lowest_height, neutral_pose
+from evo_cpg.creature.loft import outline, section_axes
+from evo_cpg.io.schema.shape import LoftConfig
+from evo_cpg.view.clip import quaternions
+from evo_cpg.view.drawing_page.document import Data
+from evo_cpg.view.drawing_page.lookup import Posed, posed
+from evo_cpg.view.meshes import pieces
+from evo_cpg.view.run_page.animal_data import piece_data, skin_data
+
+
+def scene(data: Data, source: Path) -> dict[str, Any]:
+    """Return the drawing of a document.
+
+    Args:
+        data: data of the document.
+        source: file of the document.
+
+    Raises:
+        KeyProblem: the creature is wrong.
+    """
+    here = posed(data, source)
+    creature = here.creature
+    arrays: dict[str, str] = {}
+    add = functools.partial(_array, arrays)
+    centres, rotations = map(np.asarray, neutral_pose(creature))
+    turns = quaternions(rotations[None])[0]
+    drawn = pieces(creature)
+    named = {each.name: i for i, each in enumerate(here.copies)}
+    bodies = []
+    for i, body in enumerate(creature.bodies):
+        index = named.get(body.whole or body.name)
+        found: dict[str, Any] = {
+            "name": body.name,
+            "entry": None,
+            "whole": body.whole,
+            "parent": body.joint.parent if body.joint else body.whole,
+            "place": centres[i].tolist(),
+            "turn": turns[i].tolist(),
+            "mass": float(body.mass),
+            "half": np.asarray(body.shape.half_extents, float).tolist(),
+            "mesh": piece_data(drawn[i][0], add) if body.shape.exists else None,
+            "color": drawn[i][0].color,
+            "eyes": [piece_data(piece, add) for piece in drawn[i][1:]],
+            "joint": _joint(creature, i, centres, rotations),
+        }
+        if index is not None:
+            frame = rotations[i].T @ (here.origins[index] - centres[i])
+            # A place on a further part is in the frame of its body.
+            turned = rotations[i].T @ here.rotations[index]
+            copied = here.copies[index]
+            found |= {
+                "entry": here.config.bodies[copied.entry].name,
+                "copies": sum(each.entry == copied.entry for each in here.copies),
+                "frame": frame.tolist(),
+                "turned": turned.T.tolist(),
+                "sections": [] if body.whole else _sections(here, index, frame),
+            }
+        bodies.append(found)
+    return {
+        "bodies": bodies,
+        **skin_data(creature, add),
+        "sights": _sights(here),
+        "pressure": list(creature.pressure_sensors),
+        "length": float(length_of(creature)),
+        "lowest": float(lowest_height(creature)),
+        "mass": float(creature.mass),
+        "axes": sum(len(body.joint.dofs) for body in creature.bodies if body.joint),
+        "arrays": arrays,
+    }
+
+
+def _sections(here: Posed, index: int, frame: np.ndarray) -> list[dict[str, Any]]:
+    """Return the cross-sections of a body that is a loft, in the frame at its centre of mass."""
+    copied = here.copies[index]
+    shape = here.config.bodies[copied.entry].shape
+    if not isinstance(shape, LoftConfig):
+        return []
+    if copied.mirror:
+        shape = shape.mirrored(copied.mirror)
+    sections = shape.drawn
+    corners = outline(shape.corners)
+    return [
+        {
+            "place": (frame + each.at).tolist(),
+            "across": (each.width / 2 * across).tolist(),
+            "up": (each.height / 2 * up).tolist(),
+            "outline": corners.tolist(),
+        }
+        for each, (across, up) in zip(sections, section_axes(sections), strict=True)
+    ]
+
+
+def _array(arrays: dict[str, str], values: Any, kind: str) -> str:
+    """Add an array under the digest of its bytes, so that equal arrays are sent once."""
+    found = np.ascontiguousarray(values, kind).tobytes()
+    key = hashlib.sha256(kind.encode() + found).hexdigest()[:20]
+    if key not in arrays:
+        arrays[key] = base64.b64encode(found).decode()
+    return key
+
+
+def _joint(creature: Any, i: int, centres: Any, rotations: Any) -> dict[str, Any] | None:
+    joint = creature.bodies[i].joint
+    if joint is None:
+        return None
+    place = centres[i] + rotations[i] @ np.asarray(joint.child_anchor, float)
+
+    def written(limit: float, kind: str) -> float | None:
+        """Return a limit in degrees, or in m for a slide, or None for no limit."""
+        if abs(limit) >= NO_LIMIT:
+            return None
+        return float(limit) if kind == "slide" else float(np.degrees(limit))
+
+    return {
+        "place": place.tolist(),
+        "axes": [
+            {
+                "kind": dof.kind,
+                "along": (rotations[i] @ np.asarray(dof.axis, float)).tolist(),
+                "at": (place + rotations[i] @ np.asarray(dof.place, float)).tolist(),
+                "lower": written(float(dof.lower), dof.kind),
+                "upper": written(float(dof.upper), dof.kind),
+            }
+            for dof in joint.dofs
+        ],
+    }
+
+
+def _sights(here: Posed) -> list[dict[str, Any]]:
+    """Return the lines of sight of light sensors, in the frames at their bodies' centres."""
+    return [
+        {
+            "body": eye.body,
+            "place": [float(x) for x in eye.position],
+            "along": [float(x) for x in eye.axis],
+            "half_angle": float(eye.field_of_view) / 2,
+        }
+        for eye in here.creature.light_sensors
+    ]

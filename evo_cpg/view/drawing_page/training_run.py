@@ -1,0 +1,183 @@
+"""A run of the drawn animal, in a process of its own, that the page can watch and stop."""
+
+import contextlib
+import csv
+import itertools
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from evo_cpg.errors import UserError
+from evo_cpg.io.load import load_config
+from evo_cpg.io.trust import is_trusted
+from evo_cpg.system import named
+from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.view.drawing_page.document import DrawingError
+from evo_cpg.view.drawing_page.trying import motion
+
+# Columns of metrics.csv that the page draws.
+_CURVES = ("generation", "best", "mean")
+# Time that a process gets to end, s.
+_PATIENCE = 10.0
+# Time in which the live page must start, s.
+_START = 120.0
+# Number of characters of its output that are shown.
+_SHOWN = 2000
+
+
+class TrainingRun:
+    """A process of `evo-cpg train`.
+
+    Args:
+        config: file of the configuration, which is saved.
+        name: name of the run.
+        generations: number of generations, or None for the configuration's number.
+    """
+
+    def __init__(self, config: Path, name: str, generations: int | None = None):
+        folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
+        places = (config.parent / "runs" / named(folder) for folder in folders)
+        self.folder = next(place for place in places if not place.exists())
+        command = ["train", str(config), "--out", str(self.folder)]
+        if generations is not None:
+            command.append(f"evolution.generations={generations}")
+        self._is_stopping = False
+        self._scratch = tempfile.TemporaryDirectory()
+        self._output = Path(self._scratch.name) / "output.txt"
+        self._watch_output = Path(self._scratch.name) / "watch.txt"
+        self._process = _started(command, self._output)
+        self._watching: subprocess.Popen | None = None
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the process still runs."""
+        return self._process.poll() is None
+
+    def state(self) -> dict[str, Any]:
+        """Return the progress of the run, as JSON."""
+        try:
+            words = self._output.read_text(encoding="utf-8", errors="replace")
+        except OSError:  # The run was closed at this moment.
+            words = ""
+        return {
+            "folder": str(self.folder),
+            "running": self.is_running,
+            "stopping": self._is_stopping,
+            "code": self._process.poll(),
+            "output": words[-_SHOWN:].strip(),
+            "curves": self._curves(),
+        }
+
+    def champion(self) -> dict[str, Any]:
+        """Return the motion of the champion, as JSON.
+
+        Raises:
+            DrawingError: there is no champion yet.
+        """
+        try:
+            _, recording, _ = RunFolder(self.folder).load_champion()
+            config = load_config(RunFolder(self.folder).config)
+        except UserError as error:
+            raise DrawingError(f"there is no champion yet ({error})") from None
+        if recording is None:
+            raise DrawingError(
+                "the run ended before the motion of its champion was recorded. "
+                f"`evo-cpg resume {self.folder}` goes on"
+            )
+        return motion(recording, [body.name for body in config.creature.build().bodies])
+
+    def watch(self) -> None:
+        """Start `evo-cpg watch --page` for the run, if it does not serve the page yet."""
+        if self._watching is None or self._watching.poll() is not None:
+            self._watching = _started(["watch", str(self.folder), "--page"], self._watch_output)
+
+    def live_page(self) -> str:
+        """Wait until `watch` serves the page, and return its address.
+
+        Raises:
+            DrawingError: the program did not start.
+        """
+        until = time.monotonic() + _START
+        words = ""
+        with contextlib.suppress(OSError):  # The run may be closed meanwhile.
+            while time.monotonic() < until and self._watching and self._watching.poll() is None:
+                words = self._watch_output.read_text(encoding="utf-8", errors="replace")
+                for line in words.splitlines(True):
+                    if line.startswith("http://") and line.endswith("\n"):
+                        return line.strip()
+                time.sleep(0.1)
+            words = self._watch_output.read_text(encoding="utf-8", errors="replace")
+        why = f": {words[-_SHOWN:].strip()}" if words.strip() else ""
+        raise DrawingError(f"the live page did not start{why}")
+
+    def stop(self) -> None:
+        """Interrupt the process as Control-C does, which keeps its generations.
+
+        The process ends after the generation that it computes. It is killed if it takes longer.
+        """
+        if self.is_running and not self._is_stopping:
+            self._is_stopping = True
+            _release(self._process)
+            threading.Thread(target=self._end, daemon=True).start()
+
+    def close(self) -> None:
+        """Stop the process and its live page, wait for their ends, and delete their output."""
+        self.stop()
+        self._end()
+        if self._watching is not None:
+            self._watching.kill()
+            self._watching.wait()
+            _release(self._watching)
+        self._scratch.cleanup()
+
+    def _end(self) -> None:
+        """Wait for the end of the process, and kill it after some time."""
+        _release(self._process)
+        try:
+            self._process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _curves(self) -> dict[str, list[float]]:
+        try:
+            with (self.folder / "metrics.csv").open(encoding="utf-8", newline="") as file:
+                rows = list(csv.DictReader(file))
+        except OSError:
+            return {}
+        found = {}
+        for name in _CURVES:
+            if rows and name in rows[0]:
+                found[name] = [value for row in rows if (value := _number(row[name])) is not None]
+        return found
+
+
+def _number(text: str | None) -> float | None:
+    """Return the number of a cell, or None if the cell is not written yet."""
+    try:
+        return float(text or "")
+    except ValueError:
+        return None
+
+
+def _release(process: subprocess.Popen) -> None:
+    """Close the input of a process, which then interrupts itself (`tethered`)."""
+    if process.stdin is not None:
+        process.stdin.close()
+
+
+def _started(arguments: list[str], output: Path) -> subprocess.Popen:
+    """Start `evo-cpg`, which ends with this program, and write its output to a file.
+
+    A file object of our own would share its position with the process that writes.
+    """
+    trust = ["--trust"] if is_trusted() else []
+    command = [sys.executable, "-m", "evo_cpg.view.drawing_page.tethered", *trust, *arguments]
+    with output.open("wb") as file:
+        return subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=file, stderr=subprocess.STDOUT
+        )

@@ -1,0 +1,171 @@
+"""Replays for a live page: the newest champion, and the population around it."""
+
+import contextlib
+from typing import NamedTuple
+
+import numpy as np
+
+from evo_cpg.errors import UserError
+from evo_cpg.io.load import load_config
+from evo_cpg.io.opened import Opened
+from evo_cpg.native.machine_constants import LANES
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.training.experiment import ExperimentParts
+from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.view.live_page.contents import Answer, Numbered, Pace
+from evo_cpg.view.live_page.replays import Replays
+from evo_cpg.view.run_page.html import number
+from evo_cpg.view.run_page.viewer_data import motion_data, viewer_data
+from evo_cpg.view.scene import panel_of
+
+# Least time between two champions, and between two parts of a wall, s.
+_SELDOM = 5.0
+# Largest number of individuals on the wall, and length, s, and frames per second of their motion.
+_TILES, _SECONDS, _RATE = 48, 12.0, 12.0
+
+
+class _Rest(NamedTuple):
+    """Individuals that are not on the wall yet.
+
+    Attributes:
+        checkpoint: checkpoint with their genomes.
+        run: number of their run.
+        places: their places in the population.
+    """
+
+    checkpoint: Checkpoint
+    run: int
+    places: list[int]
+
+
+class Replaying:
+    """The newest champion and the wall of the population, a piece of work at a time.
+
+    Args:
+        folder: folder of the run.
+
+    Attributes:
+        motion: the champion's motion.
+        wall: motions of individuals of the population.
+    """
+
+    def __init__(self, folder: RunFolder):
+        self._folder = folder
+        self.motion, self.wall = Numbered(), Numbered()
+        self._replays: Replays | None = None
+        self._champions, self._walls = Pace(_SELDOM), Pace(_SELDOM)
+        self._forget()
+
+    def work(self, checkpoint: Checkpoint, finished: bool) -> None:
+        """Do what is due: replay the champion, or the next individuals of the wall.
+
+        Args:
+            checkpoint: newest checkpoint.
+            finished: whether no generation follows.
+        """
+        champion = checkpoint.champion
+        if champion is None:
+            return
+        which = champion.run, champion.generation, champion.index, champion.worth
+        if which == self._failed:
+            return
+        generation = champion.run, checkpoint.generation
+        new = which != self._shown and (finished or self._champions.due)
+        more = self._rest is not None or generation != self._filled
+        if not (new or (more and (finished or self._walls.due))):
+            return
+        try:
+            replays = self._replays_now()
+            if new:
+                kept = self._kept(champion)
+                if kept is None and replays.prepare("champion"):
+                    # By now there may be a newer champion.
+                    return
+                self._shown = which
+                with self._champions.working():
+                    self._show(replays.experiment, champion, kept or replays.champion(champion))
+                return
+            if replays.prepare("population"):
+                return
+            if self._rest is None:
+                self._filled = generation
+                self._rest = self._begin(replays, checkpoint, champion.run)
+            with self._walls.working():
+                self._rest = self._fill(replays, self._rest)
+        except (UserError, OSError, ValueError) as error:
+            self._forget()
+            # Nothing is tried again before there is another champion.
+            self._failed = which
+            if self._folder.config.is_file():
+                words = f"The animals cannot be replayed: {error}"
+                self.motion = self.motion.replaced({"words": words, "scene": None})
+
+    def _forget(self) -> None:
+        self._settings: Answer | None = None
+        self._shown: tuple | None = None
+        self._failed: tuple | None = None
+        self._filled: tuple | None = None
+        self._rest: _Rest | None = None
+
+    def _replays_now(self) -> Replays:
+        """Return the replays, built again if the configuration has changed."""
+        config = load_config(self._folder.config)
+        settings = config.model_dump(mode="json")
+        # `resume` changes only this.
+        settings["evolution"].pop("generations")
+        if self._replays is None or settings != self._settings:
+            self._forget()
+            self._replays = Replays(self._folder)
+            Opened(self._folder, config, self._replays.experiment).require_configured()
+            self._settings = settings
+        return self._replays
+
+    def _show(self, experiment: ExperimentParts, champion: Champion, recording: Recording) -> None:
+        words = (
+            f"Champion of generation {champion.generation} (the first is 0), "
+            f"fitness {number(champion.worth)}"
+        )
+        scene = viewer_data(panel_of(experiment, recording, experiment.name))
+        self.motion = self.motion.replaced({"words": words, "scene": scene})
+
+    def _kept(self, champion: Champion) -> Recording | None:
+        """Return the motion in champion.npz, which the trainer records at the end."""
+        with contextlib.suppress(UserError):
+            found, recording, digests = self._folder.load_champion()
+            same = digests["config_sha256"] == self._folder.config_digest()
+            if same and np.array_equal(found.genes, champion.genes):
+                return recording
+        return None
+
+    def _begin(self, replays: Replays, checkpoint: Checkpoint, run: int) -> _Rest:
+        population = replays.experiment.strategy.population
+        places = np.linspace(0, population - 1, min(population, _TILES)).round().astype(int)
+        which = "all" if len(places) == population else f"{len(places)} of {population}"
+        words = f"Generation {checkpoint.generation}: {which} individuals, and their fitness"
+        self.wall = self.wall.replaced({"words": words, "count": len(places), "tiles": []})
+        return _Rest(checkpoint, run, places.tolist())
+
+    def _fill(self, replays: Replays, rest: _Rest) -> _Rest | None:
+        """Add individuals to the wall, and return the rest."""
+        own = rest.places[:LANES]
+        found = replays.population(rest.checkpoint, rest.run, own)
+        tiles = [
+            {
+                "place": place,
+                "value": float(fitness),
+                "fitness": number(fitness),
+                "motion": _motion(recording),
+            }
+            for place, fitness, recording in zip(own, found.fitness, found.recordings, strict=True)
+        ]
+        shown = self.wall.content
+        self.wall = self.wall._replace(content={**shown, "tiles": shown["tiles"] + tiles})
+        return rest._replace(places=rest.places[LANES:]) if rest.places[LANES:] else None
+
+
+def _motion(recording: Recording) -> Answer | None:
+    """Return the motion of an individual on the wall, or None if it diverged."""
+    if not (np.isfinite(recording.position).all() and np.isfinite(recording.rotation).all()):
+        return None
+    return motion_data(recording, _RATE, _SECONDS)

@@ -1,1 +1,0 @@
-"""One page about a run: the animal in 3D, charts and tables (`evo_cpg.view.page.document`)."""

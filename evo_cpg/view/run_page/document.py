@@ -1,0 +1,176 @@
+"""The page of a run: one self-contained HTML file for screen and paper.
+
+The content security policy of the page names its scripts by their digests, and allows no other
+script and no request. Text from a configuration of unknown origin stays text.
+"""
+
+import base64
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from evo_cpg.analysis.gait_numbers import GaitNumbers
+from evo_cpg.view.run_page import movement, origin
+from evo_cpg.view.run_page.html import Html, asset, join, number, policy, tag, with_unit
+from evo_cpg.view.run_page.subject import Crowd, RecordedMotion, Subject
+
+_ALONE = """
+html, body { height: 100%; }
+body { max-width: none; padding: 0; }
+#animal { height: 100%; margin: 0; display: flex; flex-direction: column; }
+#animal .screen { flex: 1 1 0; min-height: 8rem; aspect-ratio: auto; }
+.hint { display: none; }
+"""
+
+
+def document(subject: Subject, motion: RecordedMotion) -> str:
+    """Return the whole page."""
+    sections = [
+        ("gait", "How it moves", movement.gait(motion)),
+        ("signals", "Signals", movement.signals(subject, motion)),
+        ("effort", "Power and torque", movement.effort(motion)),
+        ("numbers", "All numbers", movement.all_numbers(motion.numbers.quantities)),
+        ("evolution", "How it evolved", origin.evolution(subject, motion)),
+        ("audit", "Is it a gait, or a trick of the simulation?", origin.audit(subject)),
+        ("paper", "Differences from the paper", origin.paper(subject)),
+        ("repeat", "How to repeat it", origin.repetition(subject)),
+    ]
+    shown = [(key, title, inner) for key, title, inner in sections if inner]
+    return _whole(
+        f"{subject.name}: its champion",
+        _scenes(motion.scene, motion.crowd),
+        asset("page.css"),
+        tag("h1", f"{subject.name}: its champion"),
+        tag("p", subject.sentence, class_="lead"),
+        _changed(subject),
+        tag("nav", *(tag("a", title, href=f"#{key}") for key, title, _ in shown)),
+        _choice(motion.crowd),
+        player(_still(motion.still)),
+        _cards(subject, motion.numbers),
+        *(
+            tag("section", tag("h2", title), inner, id=key, aria_label=title)
+            for key, title, inner in shown
+        ),
+        tag(
+            "footer",
+            f"Made by {subject.program} on {subject.made}. The animal is drawn by three.js (MIT "
+            "licence). This page makes no network requests.",
+        ),
+    )
+
+
+def _scenes(champion: Mapping[str, Any], crowd: Crowd | None) -> Html:
+    """Return the data of the viewer."""
+    scenes = {"scene": champion} | ({} if crowd is None else {"crowd": crowd.scene})
+    return join(*(_json_script(name, scene) for name, scene in scenes.items()))
+
+
+def _choice(crowd: Crowd | None) -> Html | None:
+    """Return buttons that choose the animals in the viewer, or None if there is one scene."""
+    if crowd is None:
+        return None
+    named = [("scene", "Champion"), ("crowd", crowd.title)]
+    return tag(
+        "p",
+        *(tag("button", words, type="button", data_scene=scene) for scene, words in named),
+        class_="choice",
+    )
+
+
+def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
+    """Return a page that has nothing but the animal, and fills its window or frame.
+
+    Args:
+        title: title of the page.
+        scene: data of the viewer.
+        picture: what browsers without WebGL show, JPEG.
+    """
+    style = asset("page.css") + _ALONE
+    return _whole(title, _scenes(scene, None), style, player(_still(picture)))
+
+
+def _whole(title: str, scenes: Html, style: str, *body: Html | None) -> str:
+    scripts = [asset(name) for name in ("three.min.js", "animal.js", "viewer.js")]
+    inner = tag(
+        "body",
+        *body,
+        scenes,
+        *(Html(f"<script>{script}</script>") for script in scripts),
+    )
+    head = tag(
+        "head",
+        tag("meta", charset="utf-8"),
+        tag("meta", http_equiv="Content-Security-Policy", content=policy(scripts)),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("meta", name="generator", content="evo-cpg analyse"),
+        tag("title", title),
+        Html(f"<style>{style}</style>"),
+    )
+    return "<!doctype html>\n" + tag("html", head, inner, lang="en")
+
+
+def _changed(subject: Subject) -> Html | None:
+    """Return a warning that the configuration changed after training, or None if it did not."""
+    if subject.changed is None:
+        return None
+    words = "All numbers on this page describe a trial with the changed configuration."
+    return tag("p", f"{subject.changed}. {words}", class_="failed")
+
+
+def player(before: Html) -> Html:
+    """Return the screen and the controls of the animal in 3D.
+
+    Args:
+        before: what the screen shows before the animal, and without WebGL.
+    """
+    views = [("side", "Side"), ("top", "Top"), ("behind", "Behind"), ("front", "Front")]
+    buttons = [tag("button", word, type="button", data_view=key) for key, word in views]
+    paces = [
+        tag("option", f"{pace} x", value=pace, selected=pace == "1")
+        for pace in ("0.1", "0.25", "0.5", "1", "2")
+    ]
+    return Html(
+        f"""<div id="animal">
+<div class="screen">
+{before}
+<canvas tabindex="0" aria-label="The animal in 3D. Space plays, arrow keys step."></canvas>
+<div class="caption"></div>
+</div>
+<div class="controls">
+<button class="play" type="button" aria-pressed="false">Play</button>
+<input type="range" min="0" max="1" value="0" aria-label="time">
+<span class="clock"></span>
+<select class="pace" aria-label="playback speed">{join(*paces)}</select>
+<span class="group">{join(*buttons)}
+<button type="button" data-zoom="0.8" aria-label="zoom in">+</button>
+<button type="button" data-zoom="1.25" aria-label="zoom out">\N{MINUS SIGN}</button></span>
+<label><input class="follow" type="checkbox" checked> follow</label>
+<span class="note hint">drag to turn, right-drag to move, Ctrl or Shift and wheel to zoom</span>
+</div>
+</div>"""
+    )
+
+
+def _still(picture: bytes) -> Html:
+    source = f"data:image/jpeg;base64,{base64.b64encode(picture).decode()}"
+    return tag("img", class_="still", src=source, alt="the animal")
+
+
+def _cards(subject: Subject, numbers: GaitNumbers) -> Html:
+    """Return the most important numbers."""
+    found = [("fitness", number(subject.champion["fitness"]))]
+    for key in ("speed", "speed_in_lengths", "stride_frequency", "strouhal", "duty_factor",
+                "cost_of_transport", "power"):  # fmt: skip
+        for each in numbers.quantities:
+            if each.key == key:
+                found.append((each.name, with_unit(each)))
+    return tag(
+        "ul", *(tag("li", tag("b", value), tag("span", name)) for name, value in found),
+        class_="cards",
+    )  # fmt: skip
+
+
+def _json_script(name: str, values: Mapping[str, Any]) -> Html:
+    # Text within a script is not escaped, and "</" would end the script.
+    text = json.dumps(values, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return Html(f'<script type="application/json" id="{name}">{text}</script>')

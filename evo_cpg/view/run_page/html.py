@@ -1,0 +1,203 @@
+"""Parts of every page: HTML that is safe from injection, its files, its policy, and its numbers.
+
+Everything but `Html` is escaped as text.
+"""
+
+import base64
+import hashlib
+import html
+import math
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import PurePath
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evo_cpg.analysis.quantity import Quantity
+
+
+class Html(str):
+    """Text that is already HTML."""
+
+    __slots__ = ()
+
+
+def tag(name: str, /, *children: Any, **attributes: Any) -> Html:
+    """Return an element.
+
+    Args:
+        name: name of the element.
+        children: contents. `Html` is kept, other values become text, and None is left out.
+        attributes: attributes of the element, with ``_`` for ``-`` and a trailing ``_`` dropped
+            (``class_``). True is an attribute without a value. None and False are left out.
+    """
+    words = [name]
+    for key, value in attributes.items():
+        key = key.rstrip("_").replace("_", "-")
+        if value is True:
+            words.append(key)
+        elif value is not None and value is not False:
+            words.append(f'{key}="{html.escape(str(value))}"')
+    inner = join(*children)
+    if name in _VOID:
+        return Html(f"<{' '.join(words)}>")
+    return Html(f"<{' '.join(words)}>{inner}</{name}>")
+
+
+def join(*parts: Any) -> Html:
+    """Join parts: `Html` is kept, other values become text, and None is left out."""
+    return Html("".join(_inner(part) for part in parts if part is not None))
+
+
+def table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = ()) -> Html:
+    """Return a table.
+
+    Args:
+        head: headings of the columns.
+        rows: cells of each row.
+        numbers: columns that are set flush right.
+    """
+
+    def row(cells: list[Any], name: str) -> Html:
+        made = (
+            tag(name, cell, class_="number" if i in numbers else None)
+            for i, cell in enumerate(cells)
+        )
+        return tag("tr", *made)
+
+    body = tag("tbody", *(row(cells, "td") for cells in rows))
+    inner = tag("table", tag("thead", row(head, "th")), body)
+    return tag("div", inner, class_="wide")
+
+
+def long_table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = ()) -> Html:
+    """Return a table whose rows after the first dozen are folded away."""
+    first = table(head, rows[:_DOZEN], numbers=numbers)
+    if len(rows) <= _DOZEN:
+        return first
+    rest = table(head, rows[_DOZEN:], numbers=numbers)
+    return join(first, tag("details", tag("summary", f"{len(rows) - _DOZEN} more rows"), rest))
+
+
+_DOZEN = 12
+_VOID = ("img", "input", "meta", "br")
+
+
+def _inner(part: Any) -> str:
+    return part if isinstance(part, Html) else html.escape(str(part))
+
+
+class Page(NamedTuple):
+    """A page that a server sends.
+
+    Attributes:
+        text: the whole page, as HTML.
+        policy: its content security policy.
+    """
+
+    text: str
+    policy: str
+
+
+def served_page(title: str, style: str, body: str, scripts: Sequence[str]) -> Page:
+    """Return a page that may run its own scripts and call its own server, and nothing else.
+
+    Args:
+        title: title of the page, as text.
+        style: style sheets.
+        body: HTML of the body, which is not escaped.
+        scripts: scripts in their order.
+    """
+    inline = "".join(f"<script>{script}</script>" for script in scripts)
+    text = (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<link rel="icon" href="data:,"><title>{html.escape(title)}</title>'
+        f"<style>{style}</style></head><body>{body}{inline}</body></html>"
+    )
+    return Page(text, f"{policy(scripts)}; connect-src 'self'; frame-ancestors 'none'")
+
+
+def policy(scripts: Sequence[str]) -> str:
+    """Return a content security policy that allows some scripts, and no request.
+
+    Args:
+        scripts: texts of the scripts, which the policy names by their digests.
+    """
+    digests = [
+        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts
+    ]
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: "
+        "blob:; base-uri 'none'; form-action 'none'"
+    )
+
+
+def asset(name: str, package: str = "evo_cpg.view.run_page") -> str:
+    """Return the text of a file of a page.
+
+    Args:
+        name: name of the file.
+        package: package that holds it.
+    """
+    return resources.files(package).joinpath(name).read_text(encoding="utf-8")
+
+
+# Letters of the longest text in a cell.
+_LETTERS = 120
+
+
+def number(value: float | np.floating) -> str:
+    """Return a number with three significant digits, or a dash if it is not finite.
+
+    Numbers from a thousand to a million are rounded to whole numbers.
+    """
+    if not math.isfinite(value):
+        return "\N{EN DASH}"
+    words = f"{value:.3g}"
+    if "e" in words:
+        words = f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else words
+    return words.replace("-", "\N{MINUS SIGN}", 1) if words.startswith("-") else words
+
+
+def with_unit(each: Quantity) -> str:
+    """Return the value and unit of a quantity."""
+    return f"{number(each.value)} {each.unit}".rstrip()
+
+
+def quantity(value: Any, unit: Any) -> str:
+    """Return a number from a file with its unit, or an empty text for any other value."""
+    if not _is_number(value):
+        return ""
+    return f"{100 * value:.3g} %" if unit == "%" else f"{value:.3g} {unit}".rstrip()
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def listed(value: Any) -> list[Any]:
+    """Return a list from a file, or an empty list for any other value."""
+    return value if isinstance(value, list) else []
+
+
+def cell(value: Any) -> str:
+    """Return any value as a short text, or a dash for None."""
+    if value is None:
+        return "\N{EN DASH}"
+    words = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return words if len(words) <= _LETTERS else words[: _LETTERS - 3] + "..."
+
+
+def without_folders(word: str) -> str:
+    """Return a word of a command, with an absolute path or a home path cut to its last name.
+
+    Other people may read the page, and must not see the user's folders.
+    """
+    key, mark, value = word.partition("=")
+    place = value if mark else word
+    if PurePath(place).is_absolute() or place.startswith("~"):
+        return f"{key}{mark}{PurePath(place).name}" if mark else PurePath(place).name
+    return word

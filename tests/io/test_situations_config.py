@@ -1,0 +1,263 @@
+"""Situations of trials and positions of lights: building from YAML, and errors."""
+
+import numpy as np
+import pytest
+import yaml
+
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.errors import ConfigError
+from evo_cpg.io.load import check_config, dump_config, load_config
+from evo_cpg.simulation.situation import Situation
+from tiny_run import CONFIG, REPOSITORY
+
+HEXAPOD = REPOSITORY / "configs" / "hexapod.yaml"
+TASK = """
+import jax.numpy as jnp
+from evo_cpg.simulation.task import Task
+
+class Lit(Task):
+    light: tuple[float, float, float] = (1.0, 2.0, 3.0)
+
+    def begin(self, batch, dtype, steps):
+        return jnp.zeros(batch, dtype)
+
+    def update(self, tally, transition, steps):
+        return transition.after.state.position[0]
+
+    def terms(self, tally, steps):
+        return {"way": tally}
+
+    def fitness(self, terms, scales):
+        return terms["way"]
+"""
+
+
+def built(*overrides: str, path=CONFIG):
+    return build_experiment(load_config(path, overrides), path)
+
+
+def situations(trials: str, *overrides: str, path=CONFIG) -> tuple[Situation, ...]:
+    return built(f"simulation.trials={trials}", *overrides, path=path).simulation.situations
+
+
+def lights(trials: str, *overrides: str):
+    return [situation.light for situation in situations(trials, *overrides)]
+
+
+def test_a_number_of_trials_is_one_situation():
+    (situation,) = situations("1", "simulation.start=[1, 2]", "simulation.start_heading_deg=90")
+    assert situation.start_position == (1.0, 2.0, 0.0)
+    assert situation.start_heading == pytest.approx(np.pi / 2)
+    experiment = built("simulation.trials=5", "noise.push=0.1")
+    assert (len(experiment.simulation.situations), experiment.trials) == (1, 5)
+    assert experiment.simulation.lights == (experiment.simulation.task.light,)
+
+
+def test_an_entry_changes_only_its_keys():
+    """Start, heading and each key of the light can change alone."""
+    some = (
+        "[{light: {bearing_deg: -60}}, {light: {bearing_deg: 90, distance: 5}}, {},"
+        " {start: [3, 0], start_heading_deg: 180, light: {bearing_deg: 0}}, {start: [0, 1]}]"
+    )
+    light = "task.light={distance: 4, bearing_deg: 90}"
+    made = built(f"simulation.trials={some}", "simulation.start=[1, 0]", light).simulation
+    goals = [(3, -2 * np.sqrt(3), 0), (1, 5, 0), (1, 4, 0), (-1, 0, 0), (0, 5, 0)]
+    np.testing.assert_allclose([made.lights[i] for i in range(5)], goals, atol=1e-12)
+    assert made.task.light == made.lights[0]
+    starts = [situation.start_position[:2] for situation in made.situations]
+    assert starts == [(1, 0), (1, 0), (1, 0), (3, 0), (0, 1)]
+    turns = [situation.start_heading for situation in made.situations]
+    np.testing.assert_allclose(turns, [0, 0, 0, np.pi, 0])
+
+
+def test_every_situation_is_a_trial_with_and_without_noise():
+    for noise in ((), ("noise.push=0.1",)):
+        assert built("simulation.trials=[{}, {start: [1, 1]}]", *noise).trials == 2
+
+
+def test_a_light_may_have_a_position_in_the_world():
+    """It does not depend on the start. The other keys then start from their defaults."""
+    trials = "[{}, {start: [5, 5], start_heading_deg: 70}, {light: {bearing_deg: 0}}]"
+    found = lights(trials, "task.light={at: [1, 2, 3]}")
+    assert found[:2] == [(1, 2, 3), (1, 2, 3)]
+    assert found[2] == pytest.approx((8, 0, 0))
+    assert lights("[{light: {at: [1, 2, 3]}}]", "task.light.distance=4") == [(1, 2, 3)]
+    assert lights("[{light: {}}]", "task.light.at=null", "task.light.bearing_deg=0") == [(8, 0, 0)]
+
+
+def test_situations_are_read_back_unchanged(tmp_path):
+    trials = "[{light: {bearing_deg: -60}}, {start: [3, 0], light: {at: [1, 2, 3]}}, {}]"
+    config = load_config(CONFIG, [f"simulation.trials={trials}"])
+    copy = tmp_path / "copy.yaml"
+    copy.write_text(dump_config(config))
+    assert load_config(copy) == config
+    assert yaml.safe_load(copy.read_text())["simulation"]["trials"] == [
+        {"light": {"bearing_deg": -60.0}},
+        {"start": [3.0, 0.0], "light": {"at": [1.0, 2.0, 3.0]}},
+        {},
+    ]
+    again = build_experiment(load_config(copy), copy).simulation.situations
+    assert again == situations(trials)
+
+
+def test_an_override_can_change_one_situation():
+    config = load_config(CONFIG, ["simulation.trials=[{}, {}]", "simulation.trials.1.start=[2, 3]"])
+    trials = config.simulation.trials
+    assert isinstance(trials, list)
+    assert [entry.start for entry in trials] == [None, (2.0, 3.0)]
+
+
+def test_every_start_is_on_the_ground():
+    """Two starts: before a slope, and on the land above it."""
+    lower, upper = situations(
+        "[{}, {start: [4, -1]}]",
+        "world.ground.floor={type: shore, start: 1, stop: 2, stop_height: 0.7}",
+        path=HEXAPOD,
+    )
+    difference = upper.start_position[2] - lower.start_position[2]
+    assert difference == pytest.approx(0.7, abs=1e-4)
+
+
+def test_own_task_keeps_its_light_unless_an_entry_moves_it(tmp_path, monkeypatch):
+    (tmp_path / "lit_task.py").write_text(TASK)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    data = load_config(CONFIG).model_dump()
+    data["task"] = {"type": "lit_task:Lit"}
+    data["simulation"]["trials"] = [{}, {"light": {"bearing_deg": 0}}]
+    simulation = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation
+    assert [situation.light for situation in simulation.situations] == [None, (8.0, 0.0, 0.0)]
+    assert simulation.lights == ((1.0, 2.0, 3.0), (8.0, 0.0, 0.0))
+
+
+SURFACE = ("world.water.surface=1", "world.water.density=1250")
+
+
+@pytest.mark.slow
+def test_settled_start_floats_at_its_place_and_heading():
+    """Each situation keeps its own position and heading, and the light rises with the root."""
+    trials = "[{}, {start: [2, 1], start_heading_deg: 90}]"
+    neutral = situations(trials, *SURFACE)
+    assert {situation.start_orientation for situation in neutral} == {None}
+    afloat = situations(trials, "simulation.start_pose=settled", *SURFACE)
+    for found, given in zip(afloat, neutral, strict=True):
+        assert found.start_position[:2] == pytest.approx(given.start_position[:2], abs=1e-9)
+        assert found.start_position[2] > 0.9
+        w, _, _, z = found.orientation
+        assert 2 * np.arctan2(z, w) == pytest.approx(given.start_heading, abs=1e-6)
+        assert found.light is not None and given.light is not None
+        rise = found.start_position[2] - given.start_position[2]
+        assert found.light[2] - given.light[2] == pytest.approx(rise)
+
+
+STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2000]}]"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (
+            ["simulation.start_pose=setled"],
+            "simulation.start_pose: 'setled': must be 'neutral' or 'settled'. Did you mean 'se",
+        ),
+        (
+            ["simulation.start_pose=settled", "world.water.surface=0", "world.water.density=900"],
+            "simulation.start_pose: 'settled': no rest from the start at (0, 0), it sinks",
+        ),
+        (["simulation.trials=[]"], "simulation.trials: []: must have at least 1, has 0"),
+        (["simulation.trials={}"], "simulation.trials: must be a number, or a list of situations"),
+        (
+            ["simulation.trials=[3]"],
+            "simulation.trials.0: 3: must be a section with the keys start",
+        ),
+        (
+            ["simulation.trials=[{}, {strat: [1, 2]}]"],
+            "simulation.trials.1.strat: unknown key: did you mean 'start'?",
+        ),
+        (
+            ["simulation.trials=[{}, {light: {bearing: 3}}]"],
+            "simulation.trials.1.light.bearing: unknown key: did you mean 'bearing_deg'?",
+        ),
+        (
+            ["simulation.trials=[{light: {distance: -1}}]"],
+            "simulation.trials.0.light.distance: -1: must be greater than 0",
+        ),
+        (
+            ["simulation.trials=[{light: {distance: '5'}}]"],
+            "simulation.trials.0.light.distance: '5': must be a number",
+        ),
+        (
+            ["simulation.trials=[{light: {at: [0, 0, 1], bearing_deg: 0}}]"],
+            "simulation.trials.0.light: at is a position in the world. "
+            "Leave out bearing_deg, or at",
+        ),
+        (
+            ["task.light.at=[0, 0, 1]"],
+            "task.light: at is a position in the world. Leave out distance, bearing_deg",
+        ),
+        (
+            ["task={type: distance}", "simulation.trials=[{}, {light: {distance: 3}}]"],
+            "simulation.trials.1.light: a task of type 'distance' has no light",
+        ),
+        (
+            ["simulation.trials=[{light: {distance: 10000}}]"],
+            "simulation.trials.0.light: the light at (8660.25, 5000, 0) would be 1e+04 m from the "
+            "start. Allowed: up to 1000 times the creature's length, 2.22e+03 m",
+        ),
+        (["task.light={at: [9e9, 0, 0]}"], "task.light: the light at (9e+09, 0, 0) would be"),
+        (["task.light={at: [0, 0, 0]}"], "the light at (0, 0, 0) would be where the animal starts"),
+        (
+            ["world.ground={}", "simulation.trials=[{}, {light: {elevation_deg: -60}}]"],
+            "simulation.trials.1.light: the light at (3.4641, 2, -6.8",
+        ),
+        (["world.ground={}", "task.light={at: [1, 0, -0.5]}"], "would be 0.5 m deep in the ground"),
+        (
+            ["world.ground={}", STONE, "task.light={at: [4, 0, 2]}"],
+            "task.light: the light at (4, 0, 2) would be 1 m deep in the ground",
+        ),
+        (
+            ["world.ground={}", STONE, "simulation.trials=[{}, {start: [4, 0]}]"],
+            "simulation.trials.1.start: no place to stand at (4, 0). Is it inside an obstacle?",
+        ),
+        (
+            ["world.ground={}", STONE, "simulation.start=[4, 0]", "simulation.trials=[{}]"],
+            "simulation.start: no place to stand at (4, 0). Is it inside an obstacle?",
+        ),
+        (
+            ["simulation.start=[0, -1e5]"],
+            "simulation.start: the animal of 2.18 m would start at y = -100000 m, where float32 "
+            "resolves only 0.0078 m. It would stand still or move wrongly in steps of 0.0083 s. "
+            "Allowed: less than 1024 m from the origin. Subtract about -100000 m from the world's "
+            "y coordinates",
+        ),
+        (["simulation.trials=[{}, {start: [5e5, 5e6]}]"], "simulation.trials.1.start: the animal"),
+        (["world.ground={floor: {height: 3e4}}"], "world.ground.floor: the animal of 2.18 m would"),
+    ],
+)
+def test_invalid_situations_and_lights_are_rejected(overrides, words):
+    with pytest.raises(ConfigError) as refused:
+        built(*overrides)
+    assert words in str(refused.value)
+
+
+@pytest.mark.parametrize("height", [300, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "floor",
+    [
+        "{{type: relief, heights: [[{0}, {0}], [{0}, {0}]]}}",
+        "{{type: shore, stop: 1, start_height: {0}, stop_height: {0}}}",
+    ],
+)
+def test_high_ground_carries_an_animal(floor, height):
+    """It starts as on a level plane, up to the rounding of float32."""
+    starts = [
+        situations("1", f"world.ground.floor={given}", path=HEXAPOD)[0].start_position[2]
+        for given in (floor.format(height), f"{{height: {height}}}")
+    ]
+    assert starts[0] == pytest.approx(starts[1], abs=4 * float(np.spacing(np.float32(height))))
+
+
+def test_an_unused_start_is_not_checked():
+    """A start that every entry overrides may lie inside an obstacle."""
+    stone = ("world.ground={}", STONE, "simulation.start=[4, 0]")
+    (situation,) = situations("[{start: [0, 0], light: {bearing_deg: 90}}]", *stone)
+    assert situation.start_position[:2] == (0, 0)
