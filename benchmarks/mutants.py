@@ -108,7 +108,7 @@ MUTANTS = (
         "api/test_own_force_law.py",
     ),
     Mutant(
-        "physics/water/weight.py",
+        "physics/water/force_law.py",
         "under - tree.mass",
         "tree.mass - under",
         "physics/test_water.py physics/test_implicit_step.py",
@@ -120,7 +120,7 @@ MUTANTS = (
         "physics/test_water.py physics/test_implicit_step.py",
     ),
     Mutant(
-        "physics/step/body_equations.py",
+        "physics/step/equations.py",
         "jnp.concatenate([moment, cross(w, momentum[3:])])",
         "jnp.concatenate([moment, 0 * momentum[3:]])",
         "physics/test_accelerations.py physics/test_free_motion.py",
@@ -156,7 +156,7 @@ MUTANTS = (
         "physics/test_reactive_thrust.py",
     ),
     Mutant(
-        "physics/water/sections.py",
+        "physics/water/reactive_thrust.py",
         "chain.lengths[k] / np.sqrt(12)",
         "chain.lengths[k] / 2",
         "physics/test_sections.py",
@@ -222,7 +222,7 @@ MUTANTS = (
         "creature/algebra/test_ldl.py",
     ),
     Mutant(
-        "physics/contact/flat_separation.py",
+        "physics/contact/box_separation.py",
         "gap + (far - near) * climb",
         "gap",
         "physics/test_separation.py",

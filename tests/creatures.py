@@ -13,7 +13,7 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.native.jax_internals import quick_jit
-from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve

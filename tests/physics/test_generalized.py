@@ -11,7 +11,7 @@ import pytest
 
 from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force, mass_matrix

@@ -12,7 +12,7 @@ from creatures import quick_jit
 from evo_cpg.creature.algebra.rotation import euler_to_matrix, quaternion_to_matrix
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.physics.contact.contact_points import clearance
-from evo_cpg.physics.contact.ellipsoids import nearest_to_ball, nearest_to_box
+from evo_cpg.physics.contact.obstacles import nearest_to_ball, nearest_to_box
 from evo_cpg.physics.contact.separation import RoundedBoxes
 from evo_cpg.physics.contact.terrain import Block, Boulder, Plane
 from evo_cpg.physics.step.step import step

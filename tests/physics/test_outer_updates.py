@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.physics.step.outer_updates import Cone, PairBias, reduced
+from evo_cpg.physics.step.outer_updates import Cone, reduced
 
 
 def test_cone_iteration_solves_linear_fixed_point_in_three_rounds():
@@ -27,16 +27,6 @@ def test_first_cone_update_takes_allowed_radius():
 def test_cone_radius_is_never_negative():
     cone = Cone.first(jnp.array([[1.0]])).updated(jnp.array([[0.5]])).updated(jnp.array([[0.0]]))
     assert float(cone.radius[0, 0]) == 0.0
-
-
-def test_updates_do_not_change_other_individuals():
-    mask = jnp.array([True, False])
-    cone = Cone.first(jnp.ones((1, 2))).updated_where(mask, 3 * jnp.ones((1, 2)))
-    np.testing.assert_array_equal(cone.radius, [[3, 1]])
-    np.testing.assert_array_equal(cone.rounds, [1, 0])
-    bias = PairBias.first(jnp.zeros((1, 2))).updated_where(mask, jnp.ones((1, 2)))
-    np.testing.assert_array_equal(bias.value, [[1, 0]])
-    np.testing.assert_array_equal(bias.updates, [1, 0])
 
 
 def test_restitution_is_halved_twice_then_zero():

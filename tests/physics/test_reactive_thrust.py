@@ -18,7 +18,7 @@ from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.io.models.mujoco_state import dof_order, load_state
-from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree import root
@@ -27,9 +27,8 @@ from evo_cpg.physics.tree.kinematics import kinematics, motion_of_bodies
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.added_mass import AddedMass
 from evo_cpg.physics.water.fluid import Drag
-from evo_cpg.physics.water.force_law import in_body_axes
+from evo_cpg.physics.water.force_law import buoyancy_alone, in_body_axes
 from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
-from evo_cpg.physics.water.weight import buoyancy_alone
 
 WATER, GRAVITY = 1000.0, 9.81
 LENGTH, HEIGHT, THICKNESS = 1.0, 0.1, 0.01

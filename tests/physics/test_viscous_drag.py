@@ -19,8 +19,7 @@ from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.physics.water.buoyancy import make_cells
-from evo_cpg.physics.water.stokes import ellipsoid_resistance
-from evo_cpg.physics.water.viscous_bodies import make_viscous_drag
+from evo_cpg.physics.water.viscous_bodies import ellipsoid_resistance, make_viscous_drag
 from evo_cpg.physics.water.viscous_drag import ViscousDrag
 from evo_cpg.physics.water.water import Current, Water
 from measured_water import CYLINDER, FRICTION, PLATE, SPHERE

@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.mixed_array import MixedArray
-from evo_cpg.creature.algebra.numerics import is_traced, xp
+from evo_cpg.creature.algebra.numerics import MixedArray, is_traced, xp
 
 inlined = functools.partial(jax.jit, inline=True)
 """Decorator of a function of arrays alone: JAX traces it once for arguments of each shape and type.
@@ -42,6 +41,11 @@ def expand_dims_like(
     constant = jnp.asarray(constant, like.dtype)
     missing = (like.ndim if rank is None else rank) - constant.ndim
     return constant.reshape(constant.shape + (1,) * missing)
+
+
+def as_matrix_of(constant: np.ndarray | Array | MixedArray, vector: Array) -> Array:
+    """Append unit axes to constant matrices ``(i, j, ...)``, so that they multiply vectors."""
+    return expand_dims_like(constant, vector, vector.ndim + 1)
 
 
 def of_each(value: Array, like: Array) -> Array:

@@ -120,11 +120,11 @@ def axis_rotation(
     x, y, z = axis
     cross_matrix = array_of(((0 * z, -z, y), (z, 0 * z, -x), (-y, x, 0 * z)))
     along = axis[:, None] * axis[None]
-    rank = sine.ndim + 2
+    sine, cosine = sine[None, None], cosine[None, None]
     return (
-        expand_dims_like(along, sine, rank)
-        + expand_dims_like(np.eye(3) - along, sine, rank) * cosine[None, None]
-        + expand_dims_like(cross_matrix, sine, rank) * sine[None, None]
+        expand_dims_like(along, sine)
+        + expand_dims_like(np.eye(3) - along, sine) * cosine
+        + expand_dims_like(cross_matrix, sine) * sine
     )
 
 

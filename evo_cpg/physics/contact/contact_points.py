@@ -11,9 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec, matvec_t
-from evo_cpg.creature.algebra.mixed_array import MixedArray
-from evo_cpg.creature.algebra.numerics import Numbers, xp
+from evo_cpg.creature.algebra.linear import (
+    as_matrix_of,
+    cross,
+    dot,
+    expand_dims_like,
+    matvec,
+    matvec_t,
+)
+from evo_cpg.creature.algebra.numerics import MixedArray, Numbers, xp
 from evo_cpg.physics.contact.contact_model import CORNERS, ContactModel, ContactPoints
 from evo_cpg.physics.contact.obstacles import meeting_time, obstacle_points, tangent_point
 from evo_cpg.physics.contact.separation import RoundedBoxes
@@ -304,7 +310,7 @@ def _lowest_of_meshes(meshes: np.ndarray, up: Float[Array, "3 m *n"]) -> Float[A
     is farthest from the first. The third and fourth are farthest from their line on either side. If
     no other corner lies low enough, the first corner is repeated.
     """
-    corners = expand_dims_like(meshes, up, up.ndim + 1)
+    corners = as_matrix_of(meshes, up)
     rise = (corners * up[:, None]).sum(0)
     rise = (rise - rise.min(0, keepdims=True)) / _TILT
     table = jnp.asarray(np.swapaxes(meshes, 0, 2), up.dtype)

@@ -50,7 +50,7 @@ from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.spatial_algebra import Wrench
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.tree.tendon import static_force, torque_of
-from evo_cpg.physics.water.weight import weight
+from evo_cpg.physics.water.force_law import weight
 
 
 class FrictionState(NamedTuple):

@@ -31,7 +31,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import dot, matvec, where_each
-from evo_cpg.creature.algebra.numerics import Number, xp
+from evo_cpg.creature.algebra.numerics import xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.frontend.symmetric_solve import solve_symmetric
 from evo_cpg.physics.contact.contact import (
@@ -125,21 +125,16 @@ class StepProblem(NamedTuple):
             mass, force = equations.tendons.springs().added_to(mass, force)
         return cls(world, h, equations, mass, force)
 
-    def with_restitution(self, restitution: Float[Array, "*n"]) -> "StepProblem":
-        """Return the problem with a fraction (0 to 1) of the restitution."""
+    def under(
+        self, restitution: Float[Array, "*n"], bias: Float[Array, "k *n"] | None = None
+    ) -> "StepProblem":
+        """Return the problem with a fraction (0 to 1) of the restitution, and another pair bias."""
         equations = self.equations
-        if equations.contacts is None:
-            return self
-        contacts = bounded(equations.contacts, restitution)
-        return self._replace(equations=equations._replace(contacts=contacts))
-
-    def with_pair_bias(self, bias: Float[Array, "k *n"]) -> "StepProblem":
-        """Return the problem with another velocity-product bias of its pairs."""
-        equations = self.equations
-        if equations.pairs is None:
-            return self
-        pairs = equations.pairs.with_bias(bias)
-        return self._replace(equations=equations._replace(pairs=pairs))
+        if equations.contacts is not None:
+            equations = equations._replace(contacts=bounded(equations.contacts, restitution))
+        if equations.pairs is not None and bias is not None:
+            equations = equations._replace(pairs=equations.pairs.with_bias(bias))
+        return self._replace(equations=equations)
 
     def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
         """Return the contact points' final velocities, contact frame, m/s. None without ground."""
@@ -269,7 +264,8 @@ class StepProblem(NamedTuple):
         limits of joints, and a thousandth of the other forces.
         """
         torque = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
-        total = self.load(linear) ** 2 / self._total_mass() + self._square(torque)
+        mass = xp.sum(self.world.tree.mass)
+        total = self.load(linear) ** 2 / mass + self._square(torque)
         return total + _OTHER_FORCES**2 * self._square(self.force)
 
     def resistance(self, y: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
@@ -306,7 +302,7 @@ class StepProblem(NamedTuple):
 
     def load(self, linear: Linearization) -> Float[Array, "*n"]:
         """Return the total force of ground and pairs, or the weight if that is more, N."""
-        weight = self.world.gravity * self._total_mass()
+        weight = self.world.gravity * xp.sum(self.world.tree.mass)
         carried = jnp.zeros_like(linear.torque[:0]).sum(0)
         if linear.contact is not None:
             carried = carried + linear.contact.force[2].sum(0)
@@ -339,30 +335,20 @@ class StepProblem(NamedTuple):
         whirls = (self.h * jnp.abs(state.qd + self.h * joint_part(y)) > _LARGEST_TURN).any(0)
         return ((power > 0) | whirls) & (contacts.bounce > 0).any(0)
 
-    def touches(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
-        """Return for which individuals a motion would need contact forces."""
-        contacts, pairs, velocity = self.equations.contacts, self.equations.pairs, self.velocity(y)
-        found = jnp.zeros(y.shape[1:], bool)
-        if contacts is not None and velocity is not None:
-            found = found | (contacts.target_velocity > velocity[2]).any(0)
-        if pairs is not None:
-            found = found | pairs.touches(joint_part(y))
-        return found
+    def needs_contact_or_other_limits(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
+        """Return for which individuals a free motion is wrong.
 
-    def changes_overload(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
-        """Return for which individuals a motion overloads other motors than zero acceleration does.
-
-        `step_solver.free_motion` holds motors at their limits, and joints at sticking or sliding.
-        Its torques are then wrong.
+        `step_solver.free_motion` has no contact forces. It holds motors at their limits, and joints
+        at sticking or sliding, as at zero acceleration.
         """
-        equations, qdd, h = self.equations, joint_part(y), self.h
+        equations, qdd, h, velocity = self.equations, joint_part(y), self.h, self.velocity(y)
         found = changes_overload(self.world.tree, equations.motor, equations.state, qdd, h)
+        if equations.contacts is not None and velocity is not None:
+            found = found | (equations.contacts.target_velocity > velocity[2]).any(0)
+        if equations.pairs is not None:
+            found = found | equations.pairs.touches(qdd)
         tendons = equations.tendons
         return found if tendons is None else found | tendons.changes_overload(qdd, h)
-
-    def commanded_torque(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-        """Return the torques that motors and muscles command at the end of the step, N m."""
-        return self.equations.motor.at(self.world.tree, qdd, self.h)
 
     @property
     def pair_bias(self) -> Float[Array, "k *n"]:
@@ -379,10 +365,6 @@ class StepProblem(NamedTuple):
         """Return for which individuals another velocity-product bias would move touching pairs."""
         pairs = self.equations.pairs
         return jnp.zeros(qdd.shape[1:], bool) if pairs is None else pairs.drifts(qdd, bias)
-
-    def _total_mass(self) -> Number:
-        """Return the mass of the creature, kg."""
-        return xp.sum(self.world.tree.mass)
 
     def _square(self, force: Float[Array, "v *n"]) -> Float[Array, "*n"]:
         """Return the sum of squared generalized forces, each divided by its inertia in M."""

@@ -33,9 +33,7 @@ class World(eqx.Module):
         contact_model: the contact points, or None without ground.
         cells: simple volumes that make up the bodies. Empty without a water surface.
         pairs: bodies that must not pass through each other, or None if none can meet.
-        held: whether the root is held still (`evo_cpg.physics.tree.holding`). Steps that need
-        iteration
-            cannot hold it.
+        held: whether the root is held still. Steps that need iteration cannot hold it.
     """
 
     tree: Tree

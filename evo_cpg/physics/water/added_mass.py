@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.decisions import Condition, chosen
-from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
+from evo_cpg.creature.algebra.linear import as_matrix_of, cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
@@ -81,7 +81,7 @@ class AddedMass(ForceLaw):
 
     def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *#n"]:
         """Return M of the bodies' parts under water (`ForceLaw.inertia`)."""
-        added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
+        added = as_matrix_of(self.carried, bodies.velocity)
         if bodies.displaced is None:
             return added
         return added * bodies.under_water[None, None]
@@ -102,7 +102,7 @@ class AddedMass(ForceLaw):
 
     def _entering(self, bodies: Bodies, gained: Float[Array, "b *n"]) -> Float[Array, "6 6 b *n"]:
         """Return the inertia of the water that entering volumes set in motion."""
-        added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
+        added = as_matrix_of(self.carried, bodies.velocity)
         volume = expand_dims_like(bodies.tree.volume, gained)
         return added * (jnp.maximum(gained, 0.0) / volume)[None, None]
 

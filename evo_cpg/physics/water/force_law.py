@@ -1,6 +1,6 @@
 """Force laws: forces on the bodies of a creature besides weight, joints and contact.
 
-A law computes the wrench on every body. The implicit step (`evo_cpg.physics.step.body_equations`)
+A law computes the wrench on every body. The implicit step (`evo_cpg.physics.step.equations`)
 also needs the derivative ``S = d wrench / d V`` by the velocity V of the body. The step uses the
 symmetric and skew parts of S and takes the wrench as
 
@@ -25,11 +25,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec, matvec_t, transpose
-from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.creature.algebra.numerics import Number, xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.physics.water.buoyancy import Cells, Displacement, displacement
+from evo_cpg.physics.water.buoyancy import Cells, Displacement, buoyancy, displacement
 from evo_cpg.physics.water.water import Water
 
 
@@ -77,11 +77,6 @@ class Bodies:
         """Velocity of the centres of the shapes relative to the water, m/s."""
         relative = self.relative
         return relative[3:] + cross(relative[:3], expand_dims_like(self.tree.centre, relative))
-
-    @property
-    def up(self) -> Float[Array, "3 b *n"]:
-        """Upward unit vector."""
-        return self.kin.rotation[2]
 
     @property
     def under_water(self) -> Float[Array, "b *n"]:
@@ -279,3 +274,36 @@ class ForceLaw(eqx.Module):
         """Return the law with its drag multiplied by a factor. By default it has no drag."""
         del factor
         return self
+
+
+def weight(bodies: Bodies) -> Float[Array, "6 b *n"]:
+    """Return the wrench of weight and buoyancy on every body, in body axes.
+
+    They are one law, and no `ForceLaw`. In deep water their difference ``(rho V - m) g`` is one
+    number (Iwadate 2010, eq. 7), because a sum of two forces has larger rounding errors. A body
+    whose centre of mass is not that of its volume has both forces, each at its own centre. Both are
+    gradients of a potential, which energy balances count as stored energy.
+    """
+    tree, water, displaced = bodies.tree, bodies.water, bodies.displaced
+    under = water.density * tree.volume if water is not None and displaced is None else 0.0
+    up, com = bodies.kin.rotation[2], expand_dims_like(tree.com, bodies.kin.rotation[2])
+    if tree.centre_of_volume is None:
+        force = expand_dims_like((under - tree.mass) * bodies.gravity, up[0])[None] * up
+        wrench = jnp.concatenate([cross(com, force), force])
+    else:
+        pull = expand_dims_like(-tree.mass * bodies.gravity, up[0])[None] * up
+        displaced_weight = xp.broadcast_to(under * bodies.gravity, tree.mass.shape)
+        lift = expand_dims_like(displaced_weight, up[0])[None] * up
+        moment = cross(com, pull) + cross(expand_dims_like(tree.centre, up), lift)
+        wrench = jnp.concatenate([moment, pull + lift])
+    if water is None or displaced is None:
+        return wrench
+    return wrench + buoyancy(displaced, up, water.density * bodies.gravity)
+
+
+def buoyancy_alone(bodies: Bodies) -> Float[Array, "6 b *n"]:
+    """Return the wrench of buoyancy on every body, in body axes."""
+    up = bodies.kin.rotation[2]
+    pull = expand_dims_like(bodies.tree.mass * bodies.gravity, up[0])[None] * up
+    offset = expand_dims_like(bodies.tree.com, up)
+    return weight(bodies) + jnp.concatenate([cross(offset, pull), pull])

@@ -46,7 +46,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.decisions import Condition, all_hold, chosen
-from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec, matvec_t
+from evo_cpg.creature.algebra.linear import (
+    as_matrix_of,
+    cross,
+    dot,
+    expand_dims_like,
+    matvec,
+    matvec_t,
+)
 from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
@@ -115,7 +122,7 @@ class PlateLift(ForceLaw):
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
         """Return the lift on every body (`ForceLaw.wrench`)."""
         velocity = self._own(bodies.through_water)
-        frame = expand_dims_like(self.frame, velocity, velocity.ndim + 1)
+        frame = as_matrix_of(self.frame, velocity)
         local = matvec(frame, velocity)
         force = -frame[0] * (self._against(bodies, local) * local[0])[None]
         moment = cross(self._centre(bodies), force)
@@ -157,7 +164,7 @@ class PlateLift(ForceLaw):
     def _resistance(self, bodies: Bodies) -> tuple[Float[Array, "6 p *n"], Float[Array, "p *n"]]:
         """Return the row of the normal velocity, and the force over this velocity, N s/m."""
         velocity = self._own(bodies.through_water)
-        frame = expand_dims_like(self.frame, velocity, velocity.ndim + 1)
+        frame = as_matrix_of(self.frame, velocity)
         normal = jnp.broadcast_to(frame[0], velocity.shape)
         row = jnp.concatenate([cross(self._centre(bodies), normal), normal])
         return row, self._against(bodies, matvec(frame, velocity))

@@ -3,12 +3,12 @@
 Three terms add up. Each one is small where it does not belong, so there is no switch:
 
 - Creeping flow, ``-mu R V``. R (6x6) is constant: the resistance of the ellipsoid of the whole
-  chain (`evo_cpg.physics.water.stokes`), divided among its bodies in proportion to their lengths.
+  chain (`evo_cpg.physics.water.viscous_bodies`), divided among its bodies by their lengths.
 - Boundary layer, ``-1/2 rho c_f s G V``. G (6x6) is the integral of the tangential velocities over
   the exposed surface. c_f is the local coefficient of a flat plate at ``Re_x = rho s x / mu``:
   ``0.664 Re_x^-1/2`` (laminar), ``0.0592 Re_x^-1/5`` (turbulent), with a smooth transition at 5e5.
 - Form drag, ``-1/2 rho q k A |v_n| v_n n`` at surface points. The constant k gives the whole chain
-  the drag of its shape (`evo_cpg.physics.water.form_coefficients`). For round bodies
+  the drag of its shape (`evo_cpg.physics.water.viscous_bodies`). For round bodies
   ``q = 1 - 0.3 * 4 y / (1 + y)^2`` with ``y = Re_d / 2500``: the drag of spheres and cylinders is
   lowest at Re 2500.
 
@@ -35,8 +35,8 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.algebra.numerics import Number, Numbers
+from evo_cpg.physics.water.fluid import Places, runs, wet_fraction
 from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part, blocks
-from evo_cpg.physics.water.surface_points import Places, runs, wet_fraction
 
 # Local friction coefficients 0.664 Re^-1/2 (Blasius) and 0.0592 Re^-1/5 (Prandtl), and the power of
 # the weight of the transition.

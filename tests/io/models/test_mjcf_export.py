@@ -29,7 +29,7 @@ from evo_cpg.io.models.mujoco_state import dof_order, load_state, motor_order
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Block, Boulder, Part, Plane, Relief, Shore
-from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.joint_torque import (
