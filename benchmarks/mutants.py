@@ -253,7 +253,7 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact/obstacles.py",
-        "own = nearest(parts, first)",
+        "own = within(parts, first)",
         "own = parts.centre",
         "physics/test_obstacles.py",
     ),

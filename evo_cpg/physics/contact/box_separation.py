@@ -60,8 +60,12 @@ def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> l
     gap, normal, of_b = _best_face(a, b)
     clearly = jnp.minimum(_CLEARLY, _CLEAR_FRACTION * smaller(a, b))
     edge, crossing = _best_edges(a, b, gap + clearly)
-    face = _on_face(a, b, normal, of_b)
-    first = where_each(edge, crossing, _at_corner(face, gap))
+    over, under = where_each(of_b, a, b), where_each(of_b, b, a)
+    outward = jnp.where(of_b[None], -normal, normal)
+    lowest = _corner(over, -outward)
+    corner = _over_both(outward, under, over, lowest)
+    face = _Face(outward, of_b, under, over, lowest, corner)
+    first = where_each(edge, crossing, _on_plane(face, corner, gap))
     combinations = (0,), (1,), (0, 1)
     least = same(a, b)
     crossed = edge & (crossing.gap > gap + least)
@@ -134,13 +138,6 @@ class _Face(NamedTuple):
     corner: Array
 
 
-def _on_face(a: RoundedBoxes, b: RoundedBoxes, normal: Array, of_b: Array) -> _Face:
-    over, under = where_each(of_b, a, b), where_each(of_b, b, a)
-    normal = jnp.where(of_b[None], -normal, normal)
-    lowest = _corner(over, -normal)
-    return _Face(normal, of_b, under, over, lowest, _over_both(normal, under, over, lowest))
-
-
 def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: Array) -> Array:
     """Return the place on a box's lowest face, near its corner, that is over the other's face.
 
@@ -160,10 +157,6 @@ def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: A
             )
             corner = corner + matvec(box.axes, moved - own)
     return corner
-
-
-def _at_corner(face: _Face, gap: Array) -> Separation:
-    return _on_plane(face, face.corner, gap)
 
 
 def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) -> Separation:

@@ -43,6 +43,7 @@ from evo_cpg.physics.contact.separation import (
     Separation,
     separation_of_line_and_box,
     separation_of_lines,
+    within,
 )
 from evo_cpg.physics.contact.sweep import Moving, Outline, moved, times_of_contact
 from evo_cpg.physics.contact.terrain import Block, Boulder, Obstacle
@@ -71,24 +72,17 @@ def obstacle_points(
         h: step, s. Fast parts meet the obstacles in their way instead of passing through them.
     """
     found = []
-    for parts, most, ellipsoids, *touches in (
-        (solids.boxes, solids.points[0], False, _box_on_block, _box_on_boulder),
-        (solids.lines, solids.points[1], False, _line_on_block, _line_on_boulder),
-        (solids.balls, solids.points[2], False, _ball_on_block, _line_on_boulder),
-        (solids.ellipsoids, solids.points[3], True, _ellipsoid_on_block, _ellipsoid_on_boulder),
-    ):
-        if parts.bodies:
-            placed = _place(parts, kin)
-            candidates = []
-            for obstacles, touch in zip(_by_kind(ground.obstacles), touches, strict=True):
-                outline = Outline(ellipsoids, _corners(parts, placed.origin))
-                for near in _nearest(obstacles, placed, outline, ground.margin, h):
-                    points = touch(near.parts, near.obstacle)
-                    candidates += [
-                        (point.gap + rank * _BEHIND, point._replace(ahead=near.time))
-                        for rank, point in enumerate(points)
-                    ]
-            found += _first(candidates, most)
+    for kind, parts, most in zip(Solids._fields[:4], solids[:4], solids.points, strict=True):
+        if not parts.bodies:
+            continue
+        candidates = []
+        for is_block, near in _near_obstacles(parts, kind == "ellipsoids", ground, kin, h):
+            points = _touching(kind, near.parts, near.obstacle, is_block)
+            candidates += [
+                (point.gap + rank * _BEHIND, point._replace(ahead=near.time))
+                for rank, point in enumerate(points)
+            ]
+        found += [point for _, point in _smallest(candidates, most)]
     return found
 
 
@@ -101,37 +95,12 @@ def meeting_time(solids: Solids, ground: Ground, kin: Kinematics, h: float) -> F
         kin: kinematics of the creature.
         h: step, s.
     """
-    placed = _place(solids.ellipsoids, kin)
-    outline = Outline(True, _corners(solids.ellipsoids, placed.origin))
     best = None
-    for obstacles in _by_kind(ground.obstacles):
-        for near in _nearest(obstacles, placed, outline, ground.margin, h):
-            new = near.distance, near.time
-            best = new if best is None else where_each(near.distance < best[0], new, best)
+    for _, near in _near_obstacles(solids.ellipsoids, True, ground, kin, h):
+        new = near.distance, near.time
+        best = new if best is None else where_each(near.distance < best[0], new, best)
     assert best is not None
     return best[1]
-
-
-def _by_kind(obstacles: tuple[Obstacle, ...]) -> tuple[tuple[Obstacle, ...], ...]:
-    """Return the blocks, and the boulders."""
-    return tuple(tuple(x for x in obstacles if isinstance(x, kind)) for kind in (Block, Boulder))
-
-
-def _corners(parts: Parts, like: Array) -> Array | None:
-    return None if parts.corners is None else as_matrix_of(parts.corners, like)
-
-
-def _place(parts: Parts, kin: Kinematics) -> Moving:
-    bodies = np.array(parts.bodies)
-    rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
-    centre = origin + matvec(rotation, expand_dims_like(parts.centre, origin))
-    axes = rotation
-    if parts.axes is not None:
-        axes = matmul(rotation, expand_dims_like(parts.axes, rotation))
-    half = expand_dims_like(parts.half_extents, origin) + 0 * centre
-    radius = expand_dims_like(parts.radius, origin[0]) + 0 * centre[0]
-    speeds = take(kin.linear, bodies), take(kin.angular, bodies)
-    return Moving(RoundedBoxes(centre, axes, half, radius), origin, *speeds)
 
 
 class _Near(NamedTuple):
@@ -150,22 +119,33 @@ class _Near(NamedTuple):
     parts: Moving
 
 
-def _nearest(
-    obstacles: tuple[Obstacle, ...],
-    parts: Moving,
-    outline: Outline,
-    margin: Number,
-    h: float,
-) -> list[_Near]:
-    """Return the obstacles of one kind that are nearest to each part or overlap with it.
+def _near_obstacles(
+    parts: Parts, ellipsoids: bool, ground: Ground, kin: Kinematics, h: float
+) -> list[tuple[bool, _Near]]:
+    """Place parts of a creature, and return blocks (with True) and boulders near each of them."""
+    bodies = np.array(parts.bodies)
+    rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
+    centre = origin + matvec(rotation, expand_dims_like(parts.centre, origin))
+    axes = rotation
+    if parts.axes is not None:
+        axes = matmul(rotation, expand_dims_like(parts.axes, rotation))
+    half = expand_dims_like(parts.half_extents, origin) + 0 * centre
+    radius = expand_dims_like(parts.radius, origin[0]) + 0 * centre[0]
+    speeds = take(kin.linear, bodies), take(kin.angular, bodies)
+    placed = Moving(RoundedBoxes(centre, axes, half, radius), origin, *speeds)
+    corners = None if parts.corners is None else as_matrix_of(parts.corners, origin)
+    found = []
+    for kind in (Block, Boulder):
+        alike = [obstacle for obstacle in ground.obstacles if isinstance(obstacle, kind)]
+        nearest = _nearest(alike, placed, Outline(ellipsoids, corners), ground.margin, h)
+        found += [(kind is Block, near) for near in nearest]
+    return found
 
-    Args:
-        obstacles: obstacles of one kind.
-        parts: parts of the creature.
-        outline: shapes of the parts.
-        margin: margin of the ground, m.
-        h: step, s.
-    """
+
+def _nearest(
+    obstacles: list[Block | Boulder], parts: Moving, outline: Outline, margin: Number, h: float
+) -> list[_Near]:
+    """Return the obstacles of one kind that are nearest to each part or overlap with it."""
     if not obstacles:
         return []
     boxes = [_as_box(obstacle, parts.at.centre) for obstacle in obstacles]
@@ -182,26 +162,27 @@ def _nearest(
             for t, new, distance in zip(times, swept, distances, strict=True)
         ]
     found = list(zip(distances, boxes, times, strict=True))
-    best = found[: 0 if len(found) > NEAREST else NEAREST]
-    for new in found if not best else ():
-        for k, old in enumerate(best):
-            closer = new[0] < old[0]
-            best[k], new = where_each(closer, new, old), where_each(closer, old, new)
-        if len(best) < NEAREST:
+    near = _smallest(found, NEAREST)
+    return [_Near(away, box, time, moved(parts, time)) for away, box, time in near]
+
+
+def _smallest(candidates: list[tuple], count: int) -> list[tuple]:
+    """Return the tuples whose first elements are smallest, for each part."""
+    best = candidates[:0]
+    for new in candidates:
+        for k, old in enumerate(best) if len(candidates) > count else ():
+            better = new[0] < old[0]
+            best[k], new = where_each(better, new, old), where_each(better, old, new)
+        if len(best) < count:
             best.append(new)
-    return [_Near(*each, moved(parts, each[-1])) for each in best]
+    return best
 
 
 def _apart(parts: RoundedBoxes, box: RoundedBoxes) -> Float[Array, "p *n"]:
     """Return approximate distances of parts from an obstacle, m, by alternating projections."""
-
-    def nearest(to: RoundedBoxes, point: Array) -> Array:
-        within = jnp.clip(matvec_t(to.axes, point - to.centre), -to.half_extents, to.half_extents)
-        return to.centre + matvec(to.axes, within)
-
-    first = nearest(box, parts.centre)
-    own = nearest(parts, first)
-    separation = nearest(box, own) - own
+    first = within(box, parts.centre)
+    own = within(parts, first)
+    separation = within(box, own) - own
     sunk = first - parts.centre
     # The second term ranks overlapping obstacles: nearer to the part's centre comes first.
     gap = jnp.sqrt(dot(separation, separation) + _FLOOR) - parts.radius - box.radius
@@ -227,78 +208,45 @@ def _as_box(obstacle: Obstacle, like: Float[Array, "3 p *n"]) -> RoundedBoxes:
     return RoundedBoxes(spread(obstacle.centre), axes, half, radius)
 
 
-def _first(candidates: list[tuple[Array, ContactPoints]], count: int) -> list[ContactPoints]:
-    """Return the points with the smallest keys, for each part."""
-    best: list[tuple[Array, ContactPoints]] = candidates[:0]
-    for new in candidates:
-        for k, old in enumerate(best) if len(candidates) > count else ():
-            better = new[0] < old[0]
-            best[k], new = where_each(better, new, old), where_each(better, old, new)
-        if len(best) < count:
-            best.append(new)
-    return [point for _, point in best]
-
-
-def _box_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
-    corner, *beside, across = separation_of_boxes(block, parts.at, corners=4)
-    return [_point(parts, x) for x in (corner, across, *beside)]
-
-
-def _box_on_boulder(parts: Moving, boulder: RoundedBoxes) -> list[ContactPoints]:
-    return [_point(parts, separation_of_line_and_box(boulder, parts.at)[0], 1.0)]
-
-
-def _line_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
-    found = separation_of_line_and_box(parts.at, block)
-    return [_point(parts, _turned_round(x)) for x in found]
-
-
-def _ball_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
-    return _line_on_block(parts, block)[:1]
-
-
-def _line_on_boulder(parts: Moving, boulder: RoundedBoxes) -> list[ContactPoints]:
-    return [_point(parts, separation_of_lines(boulder, parts.at)[0])]
-
-
-def _ellipsoid_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
-    return [_on_ellipsoid(parts, *nearest_to_box(*parts.at[:3], block))]
-
-
-def _ellipsoid_on_boulder(parts: Moving, boulder: RoundedBoxes) -> list[ContactPoints]:
-    found = nearest_to_ball(*parts.at[:3], boulder.centre, boulder.radius)
-    return [_on_ellipsoid(parts, *found)]
-
-
-def _turned_round(found: Separation) -> Separation:
-    """Exchange the first and the second body of a separation."""
-    gap, normal, first, second, carried = found
-    return Separation(gap, -normal, second, first, carried[::-1])
-
-
-def _point(parts: Moving, found: Separation, carried: float | None = None) -> ContactPoints:
-    """Return the contact points of separations from obstacles to parts.
-
-    Args:
-        parts: parts of the creature.
-        found: separations.
-        carried: fraction of the normal that turns with the part, or None for the separation's.
-    """
-    offset = found.second - parts.origin
-    fraction = found.carried[1] if carried is None else carried * jnp.ones_like(found.gap)
-    velocity = parts.linear + cross(parts.angular, offset)
-    turning = fraction[None] * parts.angular
-    # A turning normal points at a different place of a sliding surface.
-    curvature = -2.0 * dot(cross(found.normal, turning), velocity)
-    material = offset + parts.at.radius[None] * found.normal
-    return ContactPoints(offset, material, found.gap, found.normal, curvature)
-
-
-def _on_ellipsoid(parts: Moving, gap: Array, normal: Array) -> ContactPoints:
+def _touching(
+    kind: str, parts: Moving, obstacle: RoundedBoxes, is_block: bool
+) -> list[ContactPoints]:
+    """Return the contact points of parts of a kind (`Solids`) with a block or a boulder each."""
     at = parts.at
-    touching, curvature = tangent_point(at.axes, at.half_extents, normal, parts.angular)
-    offset = at.centre + touching - parts.origin
-    return ContactPoints(offset, offset, gap, normal, curvature)
+    if kind == "ellipsoids":
+        gap, normal = (
+            nearest_to_box(*at[:3], obstacle)
+            if is_block
+            else nearest_to_ball(*at[:3], obstacle.centre, obstacle.radius)
+        )
+        touching, curvature = tangent_point(at.axes, at.half_extents, normal, parts.angular)
+        offset = at.centre + touching - parts.origin
+        return [ContactPoints(offset, offset, gap, normal, curvature)]
+    if kind == "boxes" and is_block:
+        corner, *beside, across = separation_of_boxes(obstacle, at, corners=4)
+        found = [corner, across, *beside]
+    elif kind == "boxes":
+        # The normal on a face turns with the box.
+        one, *_ = separation_of_line_and_box(obstacle, at)
+        found = [one._replace(carried=jnp.ones_like(one.carried))]
+    elif is_block:
+        # The line is the first body there, and the second here.
+        found = [
+            Separation(gap, -normal, second, first, carried[::-1])
+            for gap, normal, first, second, carried in separation_of_line_and_box(at, obstacle)
+        ][: 1 if kind == "balls" else 2]
+    else:
+        found = separation_of_lines(obstacle, at)[:1]
+    points = []
+    for gap, normal, _, place, carried in found:
+        offset = place - parts.origin
+        velocity = parts.linear + cross(parts.angular, offset)
+        turning = carried[1][None] * parts.angular
+        # A turning normal points at a different place of a sliding surface.
+        curvature = -2.0 * dot(cross(normal, turning), velocity)
+        material = offset + at.radius[None] * normal
+        points.append(ContactPoints(offset, material, gap, normal, curvature))
+    return points
 
 
 def tangent_point(
@@ -417,15 +365,11 @@ def _least(metric: Array, here: Array, extent: Array) -> Array:
     x = jnp.clip(here, -extent, extent)
     diagonal = jnp.stack([metric[i, i] for i in range(3)])
 
-    def descend(x: Array) -> Array:
+    for _ in range(_ROUNDS):
         for i in range(3):
             gradient = dot(metric[i], x - here)
             moved = jnp.clip(x[i] - gradient / diagonal[i], -extent[i], extent[i])
             x = jnp.stack([moved if k == i else x[k] for k in range(3)])
-        return x
-
-    for _ in range(_ROUNDS):
-        x = descend(x)
         held = (jnp.abs(x) >= extent) & (matvec(metric, x - here) * x < 0)
         for _ in range(3):
             # A coordinate that would leave the box is held at the face. Solve for the others again.

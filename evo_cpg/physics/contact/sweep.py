@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.linear import cross, dot, matvec, matvec_t
 from evo_cpg.creature.algebra.numerics import is_traced
 from evo_cpg.native.converge import while_each
-from evo_cpg.physics.contact.separation import RoundedBoxes
+from evo_cpg.physics.contact.separation import RoundedBoxes, within
 from evo_cpg.physics.contact.terrain import Part, nearest
 
 # A part is fast if it moves farther in a step than this fraction of the margin, or of `_SIZES`
@@ -150,17 +150,15 @@ def times_of_contact(
         time = jnp.where(goes_on, later, time)
         return None, (time, (goes_on & (time < h)).astype(time.dtype), last)
 
-    def unmet(given: tuple) -> Array:
-        _, going, _, count = given
-        return (going > 0).any((0, 1)) & (count < _ROUNDS)
-
     def closer(given: tuple) -> tuple:
         *found, count = given
         _, found = jax.lax.scan(beside, None, (obstacles, *found))
         return *found, count + 1
 
     start = none, going, none, jnp.zeros(none.shape[2:], jnp.int32)
-    time, _, gap, _ = while_each(unmet, closer, start)
+    time, _, gap, _ = while_each(
+        lambda given: (given[1] > 0).any((0, 1)) & (given[-1] < _ROUNDS), closer, start
+    )
     return time, gap + time * speed[None]
 
 
@@ -193,10 +191,6 @@ def time_of_crossing(
     fast, end = h * speed > least, h + beyond / speed
     none = jnp.zeros_like(points[0])
 
-    def unsettled(given: tuple) -> Array:
-        count = given[-1]
-        return fast.any(0) & (count < _SAMPLES + _HALVINGS)
-
     def closer(given: tuple) -> tuple:
         low, high, deepest, count = given
         found = high > 0
@@ -209,7 +203,9 @@ def time_of_crossing(
         return jnp.where(meets, low, time), high, deepest, count + 1
 
     start = none, none, none, jnp.zeros(none.shape[1:], jnp.int32)
-    return while_each(unsettled, closer, start)[1]
+    return while_each(
+        lambda given: fast.any(0) & (given[-1] < _SAMPLES + _HALVINGS), closer, start
+    )[1]
 
 
 def _held(values: Any) -> Any:
@@ -237,9 +233,9 @@ def _apart_along(
     obstacle's axes, and the normal at the near point of an ellipsoid.
     """
     to = obstacle.axes
-    first = _within(obstacle, parts.centre)
-    own = _within(parts, first)
-    displacement = own - _within(obstacle, own)
+    first = within(obstacle, parts.centre)
+    own = within(parts, first)
+    displacement = own - within(obstacle, own)
     away = parts.centre - obstacle.centre
     along = matvec_t(to, away)
     directions = [
@@ -273,12 +269,6 @@ def _extent(parts: RoundedBoxes, outline: Outline, normal: Array) -> Array:
     if outline.corners is None:
         return reach
     return jnp.maximum(reach, -(outline.corners * own[:, None]).sum(0).min(0))
-
-
-def _within(box: RoundedBoxes, point: Array) -> Array:
-    """Return the point of a box, without its radius, that is nearest to another point."""
-    own = jnp.clip(matvec_t(box.axes, point - box.centre), -box.half_extents, box.half_extents)
-    return box.centre + matvec(box.axes, own)
 
 
 def _length(vector: Float[Array, "3 *rest"]) -> Float[Array, "*rest"]:

@@ -98,29 +98,20 @@ class Relief(Part):
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """Return the signed distance and the normal (see `Part.distance`)."""
-        height, along_x, along_y = self._look_up(point[0], point[1])
-        return _above(point, height, along_x, along_y)
-
-    def _look_up(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Return the height and its derivatives along x and y."""
-        heights = jnp.asarray(self.heights, x.dtype)
-        (i, u, on_x), (j, v, on_y) = (
-            self._cell(value - first, count)
-            for value, first, count in zip((x, y), self.corner, heights.shape, strict=True)
-        )
+        heights, cells = jnp.asarray(self.heights, point.dtype), []
+        for value, first, count in zip(point, self.corner, heights.shape, strict=False):
+            steps = (value - first) / self.spacing
+            inside = jnp.clip(steps, 0.0, count - 1.0)
+            cell = jnp.clip(jnp.floor(inside).astype(jnp.int32), 0, count - 2)
+            on_grid = (steps > 0) & (steps < count - 1)
+            cells.append((cell, inside - cell, on_grid))
+        (i, u, on_x), (j, v, on_y) = cells
         a, b = heights[i, j], heights[i + 1, j]
         c, d = heights[i, j + 1], heights[i + 1, j + 1]
         near, far = a + u * (b - a), c + u * (d - c)
-        slope_x = jnp.where(on_x, ((1 - v) * (b - a) + v * (d - c)) / self.spacing, 0.0)
-        slope_y = jnp.where(on_y, (far - near) / self.spacing, 0.0)
-        return near + v * (far - near), slope_x, slope_y
-
-    def _cell(self, offset: Array, count: int) -> tuple[Array, Array, Array]:
-        """Return the cell's index, the position in it (0 to 1), and whether it is on the grid."""
-        steps = offset / self.spacing
-        inside = jnp.clip(steps, 0.0, count - 1.0)
-        cell = jnp.clip(jnp.floor(inside).astype(jnp.int32), 0, count - 2)
-        return cell, inside - cell, (steps > 0) & (steps < count - 1)
+        along_x = jnp.where(on_x, ((1 - v) * (b - a) + v * (d - c)) / self.spacing, 0.0)
+        along_y = jnp.where(on_y, (far - near) / self.spacing, 0.0)
+        return _above(point, near + v * (far - near), along_x, along_y)
 
 
 class Boulder(Part):
