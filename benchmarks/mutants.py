@@ -163,7 +163,7 @@ MUTANTS = (
     ),
     Mutant(
         "physics/water/lift.py",
-        "- broadside(aspect) * sine",
+        "- broadside(self.aspect) * self.sine",
         "- 0.9 * broadside(aspect) * sine",
         "physics/test_lift.py",
     ),

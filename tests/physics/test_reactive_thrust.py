@@ -15,6 +15,7 @@ from benchmarks.mujoco_model import mujoco_model
 from creatures import box_chain, in_water, quick_jit, random_state
 from elongated_body import Plate
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
+from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.io.models.mujoco_state import dof_order, load_state
@@ -102,7 +103,7 @@ def test_a_rigid_chain_feels_lighthills_force_and_moment():
     def along(time):
         """Position, tangent, velocity and momentum per length of points along the centreline."""
         place, turn, _ = tumbling(time)
-        rotation = root.rotation(turn / jnp.sqrt((turn * turn).sum()))
+        rotation = quaternion_to_matrix(turn / jnp.sqrt((turn * turn).sum()))
         state = moving(world.tree, tumbling, time)
         arms = rotation[:, :1] * jnp.append(places, -0.5)[None]
         velocity = state.velocity[3:, None] + jnp.cross(state.velocity[:3, None], arms, axis=0)
@@ -463,7 +464,7 @@ def test_wrenches_turn_and_move_with_the_animal():
     state = random_state(world.tree, rng)
     turn = rng.normal(size=4)
     turn = jnp.asarray(turn / np.linalg.norm(turn))
-    matrix = root.rotation(turn)
+    matrix = quaternion_to_matrix(turn)
     w, x, y, z = turn
     product = jnp.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     moved = dataclasses.replace(

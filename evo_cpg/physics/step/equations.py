@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import (
     as_matrix_of,
@@ -36,7 +36,7 @@ from evo_cpg.physics.tree.joint_torque import (
 )
 from evo_cpg.physics.tree.kinematics import Kinematics, kinematics, motion_of_bodies
 from evo_cpg.physics.tree.root import (
-    joint_block,
+    JOINTS,
     joint_part,
     plus_joint_diagonal,
     plus_torque,
@@ -204,7 +204,7 @@ def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations
     if equations.balls is not None:
         matrix, force = equations.balls.expected(h).added_to(matrix, force)
     if world.held:
-        qdd = solve_symmetric(joint_block(matrix), joint_part(force))
+        qdd = solve_symmetric(matrix[JOINTS, JOINTS], joint_part(force))
         return Accelerations(jnp.zeros_like(root_part(force)), qdd)
     y = solve_symmetric(matrix, force)
     return Accelerations(root_part(y), joint_part(y))
@@ -282,7 +282,10 @@ def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6
     inertia = as_matrix_of(world.tree.inertia, velocity)
     momentum, w, v = matvec(inertia, velocity), velocity[:3], velocity[3:]
     across = momentum[3:]
-    small = _turn_easily(world.tree)
+    # Rounding of v x m v would turn a body of a small radius of gyration r, because it accelerates
+    # it by about 1e-7 v^2 / r^2 rad/s^2. Larger bodies keep the plain formula and its rounding.
+    least = xp.diagonal(central_inertia(world.tree)).min(1)
+    small = least < _TURNS_EASILY**2 * world.tree.mass
     # In deep water drag keeps v small, so rounding of v x m v does not matter.
     if not world.submerged and (is_traced(small) or small.any()):
         # The part m v of the momentum adds only rounding to the moment v x m v.
@@ -291,17 +294,6 @@ def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6
         across = matvec(as_matrix_of(rows, velocity), velocity)
     moment = cross(w, momentum[:3]) + cross(v, across)
     return jnp.concatenate([moment, cross(w, momentum[3:])])
-
-
-def _turn_easily(tree: Tree) -> Bool[Numbers, " b"]:
-    """Return which bodies are so small that the rounding of ``v x m v`` would turn them.
-
-    The rounding accelerates a body by about ``1e-7 v^2 / r^2`` rad/s^2. Here r is the smallest
-    radius of gyration. The rounding matters if r is below `_TURNS_EASILY`. Larger bodies are
-    computed as in earlier versions, with the same rounding.
-    """
-    least = xp.diagonal(central_inertia(tree)).min(1)
-    return least < _TURNS_EASILY**2 * tree.mass
 
 
 def gyroscopic_change(
@@ -326,7 +318,11 @@ def gyroscopic_change(
         # A welded body has no inertia, and no such torque.
         ones = np.eye(3)[..., None] * xp.where(empty, 1.0, 0.0)[None, None]
         matrix = matrix + as_matrix_of(ones, angular)
-    change = _solve(matrix, -h * torque)
+    # Solve matrix x change = -h torque by Cramer's rule.
+    a, b, c, v = matrix[:, 0], matrix[:, 1], matrix[:, 2], -h * torque
+    across = cross(b, c)
+    parts = [dot(v, across), dot(a, cross(v, c)), dot(a, cross(b, v))]
+    change = jnp.stack(parts) / dot(a, across)[None]
     return expand_dims_like(0.5 / scale, angular[0])[None] * matvec(derivative, change)
 
 
@@ -337,11 +333,3 @@ def central_inertia(tree: Tree) -> Float[Numbers, "3 3 b"]:
     across = xp.array([[none, -z, y], [z, none, -x], [-y, x, none]])
     square = (across[:, :, None] * across[None]).sum(1)
     return tree.inertia[:3, :3] + tree.mass[None, None] * square
-
-
-def _solve(m: Float[Array, "3 3 b *n"], v: Float[Array, "3 b *n"]) -> Float[Array, "3 b *n"]:
-    """Solve ``m x = v`` by Cramer's rule."""
-    a, b, c = m[:, 0], m[:, 1], m[:, 2]
-    across = cross(b, c)
-    parts = [dot(v, across), dot(a, cross(v, c)), dot(a, cross(b, v))]
-    return jnp.stack(parts) / dot(a, across)[None]

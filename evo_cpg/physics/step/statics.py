@@ -174,7 +174,10 @@ def _ground(
     bodies = np.array(contact_model.bodies)
     offset, _, gap, normal, *_ = contact_points(contact_model, kin)
     stiffness = expand_dims_like(resting_stiffness(contact_model, h), gap)
-    point, place = _on_body(contact_model, kin, offset)
+    point, place = (
+        matvec_t(take(kin.rotation, bodies, 2), offset),
+        take(kin.origin, bodies) + offset,
+    )
     depth = jnp.maximum(-gap, 0.0)
     now = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), friction.point)
     slip = friction.slip + now - friction.place
@@ -187,11 +190,3 @@ def _ground(
     tangential = jnp.where(slides, most / size, 1.0)[None] * slip
     push = stiffness[None] * (depth[None] * normal - jnp.where(gap < 0, tangential, 0.0))
     return push, Touch(point, place, stiffness * depth, slip, limit)
-
-
-def _on_body(
-    contact_model: ContactModel, kin: Kinematics, offset: Float[Array, "3 p"]
-) -> tuple[Float[Array, "3 p"], Float[Array, "3 p"]]:
-    """Return points in their body's axes, and in the world."""
-    bodies = np.array(contact_model.bodies)
-    return matvec_t(take(kin.rotation, bodies, 2), offset), take(kin.origin, bodies) + offset

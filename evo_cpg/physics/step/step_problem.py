@@ -34,18 +34,7 @@ from evo_cpg.creature.algebra.linear import dot, matvec, where_each
 from evo_cpg.creature.algebra.numerics import xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.frontend.symmetric_solve import solve_symmetric
-from evo_cpg.physics.contact.contact import (
-    ContactLinearization,
-    bounded,
-    change_of_velocity,
-    cone_radius,
-    contact_inertia,
-    contact_wrench,
-    friction_change,
-    lifting_power,
-    linearize_contacts,
-    linearized_force,
-)
+from evo_cpg.physics.contact.contact import ContactLinearization
 from evo_cpg.physics.contact.pair_contacts import PairForces
 from evo_cpg.physics.step.equations import Equations
 from evo_cpg.physics.step.world import World
@@ -54,8 +43,8 @@ from evo_cpg.physics.tree.ball_limit import BallForce
 from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force, mass_matrix
 from evo_cpg.physics.tree.joint_torque import changes_overload, linearized_torque
 from evo_cpg.physics.tree.root import (
+    JOINTS,
     joint_part,
-    plus_joint_block,
     plus_joint_diagonal,
     plus_torque,
 )
@@ -131,7 +120,7 @@ class StepProblem(NamedTuple):
         """Return the problem with a fraction (0 to 1) of the restitution, and another pair bias."""
         equations = self.equations
         if equations.contacts is not None:
-            equations = equations._replace(contacts=bounded(equations.contacts, restitution))
+            equations = equations._replace(contacts=equations.contacts.bounded(restitution))
         if equations.pairs is not None and bias is not None:
             equations = equations._replace(pairs=equations.pairs.with_bias(bias))
         return self._replace(equations=equations)
@@ -145,10 +134,10 @@ class StepProblem(NamedTuple):
 
     def change_of_velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"]:
         """Return the change of the contact points' velocities due to accelerations, m/s."""
-        contact_model, contacts = self.world.contact_model, self.equations.contacts
-        assert contact_model is not None and contacts is not None
+        contacts = self.equations.contacts
+        assert contacts is not None
         accelerations = body_accelerations(self.world.tree, self.equations.kin, y)
-        return change_of_velocity(contact_model, contacts, accelerations, self.h)
+        return contacts.change_of_velocity(accelerations)
 
     def linearized(
         self,
@@ -168,16 +157,16 @@ class StepProblem(NamedTuple):
         tree, equations = self.world.tree, self.equations
         state, motor = equations.state, equations.motor
         torque, derivative = linearized_torque(tree, motor, state, qdd, self.h)
-        contact_model, contacts, linear = self.world.contact_model, self.equations.contacts, None
-        if contact_model is not None and contacts is not None and velocity is not None:
-            linear = linearize_contacts(contact_model, contacts, radius, velocity, self.h)
-        apart = self.equations.pairs
-        pushes = None if apart is None else apart.at(qdd, pair_sums)
-        tendons = equations.tendons
-        pulls = None if tendons is None else tendons.linearized(qdd, self.h)
-        balls = equations.balls
-        stops = None if balls is None else balls.linearized(qdd, self.h)
-        return Linearization(torque, derivative, linear, pushes, pulls, stops)
+        contacts, pairs = equations.contacts, equations.pairs
+        tendons, balls = equations.tendons, equations.balls
+        return Linearization(
+            torque,
+            derivative,
+            None if contacts is None or velocity is None else contacts.linearized(radius, velocity),
+            None if pairs is None else pairs.at(qdd, pair_sums),
+            None if tendons is None else tendons.linearized(qdd, self.h),
+            None if balls is None else balls.linearized(qdd, self.h),
+        )
 
     def motion(self, linear: Linearization) -> Float[Array, "v *n"]:
         """Return the accelerations under linearized laws.
@@ -200,19 +189,17 @@ class StepProblem(NamedTuple):
         return where_each(pushed, joined, free)
 
     def _by_elimination(self, linear: Linearization) -> Float[Array, "v *n"]:
-        tree, equations, h = self.world.tree, self.equations, self.h
-        contact_model, contacts = self.world.contact_model, equations.contacts
+        tree, h, equations = self.world.tree, self.h, self.equations
+        contacts = equations.contacts
         matrix, force, torque = self.mass, self.force, linear.torque
-        if contact_model is not None and contacts is not None and linear.contact is not None:
-            blocks = contact_inertia(contact_model, contacts, linear.contact, equations.inertia, h)
+        if contacts is not None and linear.contact is not None:
+            blocks = linear.contact.inertia(contacts, equations.inertia)
             matrix = matrix + mass_matrix(tree, equations.kin, blocks)
-            force = force + self._ground(
-                linearized_force(linear.contact, contacts.unconstrained_velocity)
-            )
+            force = force + self._ground(linear.contact.at(contacts.unconstrained_velocity))
         matrix = plus_joint_diagonal(matrix, h * linear.derivative)
         if linear.pairs is not None:
             pushes, stiffening = linear.pairs.newton()
-            torque, matrix = torque + pushes, plus_joint_block(matrix, stiffening)
+            torque, matrix = torque + pushes, matrix.at[JOINTS, JOINTS].add(stiffening)
         if linear.tendons is not None:
             matrix, force = linear.tendons.added_to(matrix, force)
         if linear.balls is not None:
@@ -221,19 +208,15 @@ class StepProblem(NamedTuple):
 
     def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
         """Return the accelerations without pairs, by the articulated-body algorithm."""
-        equations, h = self.equations, self.h
-        contact_model, contacts = self.world.contact_model, equations.contacts
+        equations, h, contacts = self.equations, self.h, self.equations.contacts
         inertia, bias = equations.inertia, equations.bias
-        if contact_model is not None and contacts is not None and linear.contact is not None:
-            blocks = contact_inertia(contact_model, contacts, linear.contact, inertia, h)
+        if contacts is not None and linear.contact is not None:
+            blocks = linear.contact.inertia(contacts, inertia)
             inertia = jax.tree.map(jnp.add, inertia, blocks)
-            force = linearized_force(linear.contact, contacts.unconstrained_velocity)
-            wrench = contact_wrench(contact_model, contacts, force, bias)
+            wrench = contacts.wrench(linear.contact.at(contacts.unconstrained_velocity), bias)
             bias = jax.tree.map(jnp.subtract, bias, wrench)
-        torque, resistance = (
-            equations.passive + linear.torque,
-            equations.derivative + h * linear.derivative,
-        )
+        torque = equations.passive + linear.torque
+        resistance = equations.derivative + h * linear.derivative
         found = solve(self.world.tree, equations.kin, inertia, bias, torque, resistance)
         return jnp.concatenate(found)
 
@@ -294,10 +277,10 @@ class StepProblem(NamedTuple):
             velocity: velocities of the contact points in the solution, m/s.
             linear: laws linearized at the solution.
         """
-        contact_model = self.world.contact_model
-        if contact_model is None or velocity is None:
+        contacts = self.equations.contacts
+        if contacts is None or velocity is None:
             return jnp.zeros(linear.torque.shape[1:], linear.torque.dtype)
-        change = friction_change(contact_model, radius, allowed, velocity, self.h)
+        change = contacts.friction_change(radius, allowed, velocity)
         return jnp.sqrt((change * change).sum(0)) / self.load(linear)
 
     def load(self, linear: Linearization) -> Float[Array, "*n"]:
@@ -312,10 +295,10 @@ class StepProblem(NamedTuple):
 
     def cone_radius(self, velocity: Float[Array, "3 p *n"] | None) -> Float[Array, "p *n"]:
         """Return the radii of the friction cones from the normal forces at a velocity, N."""
-        contact_model, contacts = self.world.contact_model, self.equations.contacts
-        if contact_model is None or contacts is None or velocity is None:
+        contacts = self.equations.contacts
+        if contacts is None or velocity is None:
             return self.force[:0]
-        return cone_radius(contact_model, contacts, velocity, self.h)
+        return contacts.cone_radius(velocity)
 
     def must_reduce_restitution(
         self, y: Float[Array, "v *n"], linear: Linearization
@@ -331,7 +314,8 @@ class StepProblem(NamedTuple):
             return jnp.zeros(linear.torque.shape[1:], bool)
         force = linear.contact.force
         mean = state.rates + 0.5 * self.h * y
-        power = dot(mean, self._ground(force)) - lifting_power(contacts, force)
+        lifting = jnp.maximum(contacts.rest_velocity * force[2], 0.0).sum(0)
+        power = dot(mean, self._ground(force)) - lifting
         whirls = (self.h * jnp.abs(state.qd + self.h * joint_part(y)) > _LARGEST_TURN).any(0)
         return ((power > 0) | whirls) & (contacts.bounce > 0).any(0)
 
@@ -373,9 +357,9 @@ class StepProblem(NamedTuple):
 
     def _ground(self, force: Float[Array, "3 p *n"]) -> Float[Array, "v *n"]:
         """Return the generalized force of forces on the contact points."""
-        contact_model, equations = self.world.contact_model, self.equations
-        assert contact_model is not None and equations.contacts is not None
-        wrench = contact_wrench(contact_model, equations.contacts, force, equations.bias)
+        equations = self.equations
+        assert equations.contacts is not None
+        wrench = equations.contacts.wrench(force, equations.bias)
         return generalized_force(self.world.tree, equations.kin, wrench)
 
 

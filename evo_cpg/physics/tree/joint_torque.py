@@ -269,11 +269,12 @@ def motor_torque(tree: Laws, state: Coordinates, command: MotorCommand, h: float
     """
     rates = state.qd
     torque = expand_dims_like(tree.servo_gain, rates) * (command.target_rate - rates)
-    if has_springs(tree):
+    stiffness = tree.servo_stiffness
+    if not isinstance(stiffness, np.ndarray) or stiffness.any():
         ahead = state.q + h * rates
         angle = command.target_angle
         error = -ahead if angle is None else angle - ahead
-        torque = torque + expand_dims_like(tree.servo_stiffness, rates) * error
+        torque = torque + expand_dims_like(stiffness, rates) * error
     if tree.torque_motors is not None and command.torque is not None:
         driven = expand_dims_like(np.array(tree.torque_motors.driven), rates).astype(bool)
         torque = torque + jnp.where(driven, clamp_torque(tree, command.torque), 0.0)
@@ -281,12 +282,6 @@ def motor_torque(tree: Laws, state: Coordinates, command: MotorCommand, h: float
         return MotorTorque(torque)
     pull = pull_of(tree.muscles, command.activation, state.q, rates)
     return MotorTorque(torque + pull.torque(state.q, rates), pull.derivative(h))
-
-
-def has_springs(tree: Laws) -> bool:
-    """Return whether any motor pulls towards an angle."""
-    stiffness = tree.servo_stiffness
-    return not isinstance(stiffness, np.ndarray) or bool(stiffness.any())
 
 
 def overloaded(tree: Laws, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:

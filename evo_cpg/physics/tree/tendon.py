@@ -33,7 +33,7 @@ from evo_cpg.physics.tree.joint_torque import (
     motor_torque,
 )
 from evo_cpg.physics.tree.per_body import spread, take
-from evo_cpg.physics.tree.root import joint_part, joint_rows, plus_torque
+from evo_cpg.physics.tree.root import ROOT_DOFS, joint_part, plus_torque
 from evo_cpg.physics.tree.state import State
 
 
@@ -126,7 +126,7 @@ class TendonForce(NamedTuple):
         coefficients = expand_dims_like(tendons.coefficients, self.force)
         product = take(coefficients, one, 0) * take(coefficients, other, 0)
         values = product * take(self.resistance, owners[one], 0)
-        matrix = matrix.at[joint_rows(dofs[one]), joint_rows(dofs[other])].add(values)
+        matrix = matrix.at[ROOT_DOFS + dofs[one], ROOT_DOFS + dofs[other]].add(values)
         torque = torque_of(tendons, self.force, len(joint_part(force)))
         return matrix, plus_torque(force, torque)
 

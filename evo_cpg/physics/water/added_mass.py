@@ -15,14 +15,13 @@ enters sets more water in motion, which takes the momentum ``dM V_r`` in a step 
 A body that leaves gets no momentum back. So the surface never adds energy.
 """
 
-import functools
 from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.decisions import Condition, chosen
+from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.algebra.linear import as_matrix_of, cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Creature
@@ -151,14 +150,10 @@ def ellipsoid(shape: Shape) -> Float[Numbers, " 6"]:
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         difference, total = axes[j] ** 2 - axes[k] ** 2, axes[j] ** 2 + axes[k] ** 2
-        if chosen(functools.partial(_is_oblong, difference, total)):
+        if chosen(lambda d=difference, t=total: abs(d) > _ROUND * t):
             turn = alpha[j] - alpha[k]
             angular[i] = -(difference**2) * turn / (2 * difference + total * turn) / 5
     return shape.volume * xp.concatenate([xp.array(angular), linear])
-
-
-def _is_oblong(difference: Number, total: Number) -> Condition:
-    return abs(difference) > _ROUND * total
 
 
 def carried_water(

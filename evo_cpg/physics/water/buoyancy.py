@@ -86,15 +86,10 @@ def _horner(coefficients: tuple[float, ...], x: Array) -> Array:
     return value  # pyright: ignore[reportReturnType]
 
 
-def _disc_polynomials() -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the coefficients of e and g of a disc, by rising powers of ``s``."""
-    c0, c1, c2 = _DENSITIES["disc"]
-    e = _integrated(_integrated((c0, 0.0, c1 - c0, 0.0, c2 - c1, 0.0, -c2)))
-    return e, _integrated(e)
-
-
-# e and g of a disc within it.
-_DISC_E, _DISC_G = _disc_polynomials()
+# e and g of a disc within it, by rising powers of s.
+_C0, _C1, _C2 = _DENSITIES["disc"]
+_DISC_E = _integrated(_integrated((_C0, 0.0, _C1 - _C0, 0.0, _C2 - _C1, 0.0, -_C2)))
+_DISC_G = _integrated(_DISC_E)
 
 # Product of two differences in depth (m^2) up to which a corner counts as level with the others.
 _LEAST_SIDES = 1e-12

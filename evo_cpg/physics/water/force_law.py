@@ -131,7 +131,8 @@ def bodies_in(
     kin: Kinematics,
 ) -> Bodies:
     """Return the bodies of a creature for force laws. `Bodies` has the arguments."""
-    velocity, pose, displaced = body_velocity(kin), None, None
+    velocity = in_body_axes(kin.rotation, kin.angular, kin.linear)
+    pose, displaced = None, None
     if water is None:
         stream = jnp.zeros((3, 1) + (1,) * (velocity.ndim - 2), velocity.dtype)
     else:
@@ -141,11 +142,6 @@ def bodies_in(
             pose = jnp.concatenate([kin.rotation[2], (kin.origin[2] - water.surface)[None]])
             displaced = displacement(cells, pose)
     return Bodies(tree, gravity, water, cells, h, kin, velocity, stream, pose, displaced)
-
-
-def body_velocity(kin: Kinematics) -> Float[Array, "6 b *n"]:
-    """Return the velocities of the origins in body axes: angular (rad/s), then linear (m/s)."""
-    return in_body_axes(kin.rotation, kin.angular, kin.linear)
 
 
 def in_body_axes(

@@ -56,11 +56,10 @@ from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.water.fluid import (
     Places,
-    alike,
+    groups_of,
     merge_alike,
     outer_products,
     places_of,
-    still_alike,
     velocity_rows,
 )
 from evo_cpg.physics.water.viscous_drag import ViscousDrag, ViscousPatch, Wetted
@@ -136,11 +135,7 @@ def make_viscous_drag(
             runs_along[k] = runs_here[i]
     wet = [k for k, own in enumerate(wetted) if own is not None]
     keys = [(tuple(wetted[k]), tuple(places[k])) for k in wet]
-    found = (
-        chosen(lambda: alike(keys), lambda found: still_alike(keys, found))
-        if layout == "merged"
-        else [(i,) for i in range(len(keys))]
-    )
+    found = groups_of(keys, layout)
     groups = [tuple(wet[i] for i in bodies) for bodies in found]
     patches = []
     for bodies in groups:

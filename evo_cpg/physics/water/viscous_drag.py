@@ -28,6 +28,7 @@ Differs from nature: the drag crisis beyond Re 2e5 is missing, and so is the his
 """
 
 import dataclasses
+import functools
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
@@ -35,7 +36,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.algebra.numerics import Number, Numbers
-from evo_cpg.physics.water.fluid import Places, runs, wet_fraction
+from evo_cpg.physics.water.fluid import Places, over_patches, wet_fraction
 from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part, blocks
 
 # Local friction coefficients 0.664 Re^-1/2 (Blasius) and 0.0592 Re^-1/5 (Prandtl), and the power of
@@ -132,18 +133,9 @@ class ViscousDrag(ForceLaw):
         inputs = [velocity]
         if bodies.pose is not None:
             inputs += [bodies.pose, bodies.under_water[None]]
-        pieces = []
-        for patch in self.patches:
-            for run in runs(patch.bodies):
-                part = [x[:, run] for x in inputs]
-                pieces.append((run.start, *self._patch(bodies, patch, run, *part)))
-        batch, dtype = velocity.shape[2:], velocity.dtype
-        none = jnp.zeros((6, 1, *batch), dtype), jnp.zeros((3, 3, 3, 1, *batch), dtype)
-        wet = {body for patch in self.patches for body in patch.bodies}
-        pieces += [(body, *none) for body in range(velocity.shape[1]) if body not in wet]
-        _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
-        derivative = jnp.concatenate(derivatives, 3)
-        return (Part(jnp.concatenate(wrenches, 1), bodies.h * derivative),)
+        evaluate = functools.partial(self._patch, bodies)
+        wrench, derivative = over_patches(self.patches, inputs, evaluate)
+        return (Part(wrench, bodies.h * derivative),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> None:
         """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
