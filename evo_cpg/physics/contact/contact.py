@@ -149,12 +149,7 @@ class Contacts(NamedTuple):
         return jnp.minimum(sticking, other) - jnp.minimum(sticking, radius)
 
     def wrench(self, force: Float[Array, "3 p *n"], like: Wrench) -> Wrench:
-        """Return the wrenches of contact forces on all bodies, world axes.
-
-        Args:
-            force: force on every point.
-            like: wrenches of the bodies, for shapes and type.
-        """
+        """Return the wrenches of contact forces on all bodies, world axes, shaped as ``like``."""
         force = matvec_t(self.frame, force)
         bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), force.ndim - 2)
         on_bodies = Wrench(cross(self.offset, force), force)
@@ -190,12 +185,7 @@ class ContactLinearization(NamedTuple):
         return self.force - jnp.stack([xx * x + xy * y, xy * x + yy * y, self.normal * z])
 
     def inertia(self, contacts: Contacts, like: Inertia) -> Inertia:
-        """Return ``h sum J^T K J`` of every body: the inertias that linearized contacts add.
-
-        Args:
-            contacts: contacts of the step.
-            like: inertias of the bodies, for shapes and type.
-        """
+        """Return ``h sum J^T K J`` of every body, which the contacts add to its inertia."""
         turn = transpose(contacts.frame)
         xx, xy, yy = self.tangential
         none = jnp.zeros_like(xx)
@@ -210,13 +200,7 @@ class ContactLinearization(NamedTuple):
 
 
 def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Contacts:
-    """Return the contact points of every part and their target normal velocities.
-
-    Args:
-        contact_model: contact points of the creature.
-        kin: kinematics of the creature at the start of the step.
-        h: step, s.
-    """
+    """Return the contact points of every part and their target normal velocities."""
     bodies = np.array(contact_model.bodies)
     ground = contact_model.ground
     offset, material, gap, normal, curvature, ahead = contact_points(contact_model, kin, h)

@@ -87,14 +87,7 @@ def obstacle_points(
 
 
 def meeting_time(solids: Solids, ground: Ground, kin: Kinematics, h: float) -> Float[Array, "p *n"]:
-    """Return when each ellipsoid, or the mesh around it, meets its nearest obstacle in a step, s.
-
-    Args:
-        solids: parts with one ellipsoid at least.
-        ground: ground with one obstacle at least.
-        kin: kinematics of the creature.
-        h: step, s.
-    """
+    """Return when each ellipsoid, or the mesh around it, meets its nearest obstacle, s."""
     best = None
     for _, near in _near_obstacles(solids.ellipsoids, True, ground, kin, h):
         new = near.distance, near.time
@@ -258,12 +251,6 @@ def tangent_point(
     """Return the vector from an ellipsoid's centre to the point that a tangent plane touches.
 
     The second result is the point's surface-curvature acceleration along the normal, m/s^2.
-
-    Args:
-        axes: axes of the ellipsoid, as columns.
-        semi_axes: semi-axes, m.
-        normal: normal of the plane, towards the ellipsoid.
-        angular: angular velocity of the ellipsoid, rad/s.
     """
     stretched = semi_axes * matvec_t(axes, normal)
     length = jnp.sqrt(dot(stretched, stretched) + _FLOOR)
@@ -330,14 +317,7 @@ def nearest_to_box(
     semi_axes: Float[Array, "3 p *#n"],
     box: RoundedBoxes,
 ) -> tuple[Array, Array]:
-    """Return the gap to boxes without radius, m, and the unit vector from a box to the ellipsoid.
-
-    Args:
-        centre: centres of the ellipsoids, m.
-        axes: axes of the ellipsoids, as columns.
-        semi_axes: semi-axes of the ellipsoids, m.
-        box: the boxes.
-    """
+    """Return the gap to boxes without radius, m, and the unit vector from box to ellipsoid."""
     turned = t_matmul(axes, box.axes) / semi_axes[:, None]
     metric = t_matmul(turned, turned)
     here = matvec_t(box.axes, centre - box.centre)

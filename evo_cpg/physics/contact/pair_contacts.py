@@ -185,15 +185,7 @@ PairForces = FewPairForces | ManyPairForces
 def find_pair_contacts(
     tree: Tree, pairs: Pairs, kin: Kinematics, qd: Float[Array, "d *n"], h: float
 ) -> PairContacts:
-    """Find the nearest points of all pairs, and their separation velocities.
-
-    Args:
-        tree: the creature.
-        pairs: pairs of the creature's bodies.
-        kin: kinematics at the start of the step.
-        qd: joint rates at the start of the step, rad/s.
-        h: step, s.
-    """
+    """Find the nearest points of all pairs, and their separation velocities."""
     if pairs.looped:
         return ManyPairContacts(tree, pairs, kin, qd, h)
     where = separations(pairs, kin)

@@ -89,15 +89,7 @@ class Alike(NamedTuple):
     def boxes(
         self, centre: Array, axes: Array, half: Array, radius: Array, side: int
     ) -> RoundedBoxes:
-        """Return the boxes of the first or the second bodies of some of the pairs.
-
-        Args:
-            centre: centres of the boxes, m.
-            axes: axes of the boxes, as columns.
-            half: half extents, m.
-            radius: radii, m.
-            side: 0 for the first bodies, 1 for the second.
-        """
+        """Return the boxes of the first or the second bodies of some of the pairs."""
         order = np.array(self.turned[side])
         return RoundedBoxes(centre, take(axes, order), take(half, order, 0), radius)
 
@@ -326,13 +318,7 @@ class PointMotion(NamedTuple):
 
 
 def parting_acceleration(normal: Array, carried: Array, points: Iterable[PointMotion]) -> Array:
-    """Return the separation acceleration of points along their normals, m/s^2.
-
-    Args:
-        normal: unit vector from the first body to the second.
-        carried: fractions of the normal that turn with each body.
-        points: motion of the first body's point, and of the second body's point.
-    """
+    """Return the separation acceleration of points along their normals, m/s^2."""
     turning, both = jnp.zeros_like(normal), []
     for fraction, point in zip(carried, points, strict=True):
         turning = turning + fraction[None] * point.angular
@@ -375,13 +361,7 @@ def separations(pairs: Pairs, kin: Kinematics) -> Separation:
 def _one_by_one(
     run: Alike, chosen: list[np.ndarray], placed: tuple[Array, Array, Array, Array]
 ) -> list[Separation]:
-    """Return the separations of the pairs of a run, in a loop over the pairs.
-
-    Args:
-        run: kind of the pairs.
-        chosen: first and second body of each pair.
-        placed: centres, axes, half extents and radii of all bodies' boxes.
-    """
+    """Return the separations of the pairs of a run, in a loop over the pairs."""
 
     def look(carry: None, bodies: Array) -> tuple[None, list[Separation]]:
         boxes = []

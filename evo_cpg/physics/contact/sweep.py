@@ -75,12 +75,7 @@ class Outline(NamedTuple):
 def fast_from(
     margin: Float[Array, ""] | float, size: Float[Array, "p *#n"]
 ) -> Float[Array, "p *#n"]:
-    """Return the displacement in a step from which a part is fast, m.
-
-    Args:
-        margin: margin of the ground, m.
-        size: distance from the middle of the part to its end, m.
-    """
+    """Return the displacement in a step from which a part is fast, m."""
     return _FAST * jnp.minimum(margin, _SIZES * size)
 
 

@@ -172,13 +172,6 @@ def with_mean_products(
     before and after (trapezoidal rule) is of second order. The mean conserves momentum even if
     motors change velocities at once, as between commands. Products at the mean velocity would let a
     tree push off from nothing. The motion that predicts the final velocities may be inexact.
-
-    Args:
-        world: the creature and its environment.
-        h: step, s.
-        equations: equations of the step.
-        root: acceleration of the root's velocity.
-        qdd: joint accelerations, rad/s^2.
     """
     state, kin = equations.state, equations.kin
     velocity, rates = state.velocity + h * root, state.qd + h * qdd
@@ -246,14 +239,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
 
 
 def bias_of_mean(world: World, kin: Kinematics, moving: BodyMotion, h: float) -> Wrench:
-    """Return the change of the bias wrench by means of velocity products over a step, world axes.
-
-    Args:
-        world: the creature and its environment.
-        kin: kinematics at the start of the step.
-        moving: motion of the bodies at the end of the step, in the pose of the start.
-        h: step, s.
-    """
+    """Return the change of the bias wrench by mean velocity products in a step, world axes."""
     rotation, tree, start = kin.rotation, world.tree, world.bodies(kin, h)
     velocity, other = start.velocity, in_body_axes(rotation, moving.angular, moving.linear)
     end = start.moving(other)
@@ -299,13 +285,7 @@ def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6
 def gyroscopic_change(
     tree: Tree, angular: Float[Array, "3 b *n"], h: float
 ) -> Float[Array, "3 b *n"]:
-    """Return the mean of ``w x I w`` over a step minus its initial value, body axes, N m.
-
-    Args:
-        tree: the creature.
-        angular: w in body axes, rad/s.
-        h: step, s.
-    """
+    """Return the mean of ``w x I w`` over a step minus its initial value, body axes, N m."""
     own = central_inertia(tree)
     # Cramer's rule multiplies three moments of inertia. The scale keeps the product within float32.
     scale = toward_one(xp.trace(own)) ** 2

@@ -80,26 +80,14 @@ def tolerances(like: Array) -> tuple[float, float]:
 def full_step(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
 ) -> Float[Array, "v *n"]:
-    """Return the accelerations under the force laws linearized at an iterate.
-
-    Args:
-        problem: problem of the step.
-        radius: radii of the friction cones, N.
-        y: the iterate.
-    """
+    """Return the accelerations under the force laws linearized at an iterate."""
     return problem.motion(problem.linearized(radius, joint_part(y), problem.velocity(y)))
 
 
 def damped_step(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
 ) -> Iterate:
-    """Return the next iterate.
-
-    Args:
-        problem: problem of the step.
-        radius: radii of the friction cones, N.
-        y: the iterate.
-    """
+    """Return the next iterate."""
     velocity = problem.velocity(y)
     linear = problem.linearized(radius, joint_part(y), velocity)
     end = problem.motion(linear)

@@ -50,11 +50,7 @@ class Cone(NamedTuple):
         return cls(radius, radius, radius, jnp.zeros(radius.shape[1:], jnp.int32))
 
     def updated(self, allowed: Float[Array, "p *n"]) -> "Cone":
-        """Return the cones of the next round: ``L = mu f_n``, by Anderson's acceleration.
-
-        Args:
-            allowed: mu f_n with the normal forces of this round, N.
-        """
+        """Return the cones of the next round: ``L = mu f_n``, by Anderson's acceleration."""
         missed = allowed - self.radius
         change = missed - self.missed
         mixing = (missed * change).sum(0) / jnp.maximum((change * change).sum(0), _NONE)
@@ -89,11 +85,6 @@ def next_update(
     problem: StepProblem, outer: Outer, iterate: Iterate
 ) -> tuple[Outer, Bool[Array, "*n"], Bool[Array, "*n"]]:
     """Return the parameters after the first update that an iterate needs.
-
-    Args:
-        problem: problem with the present restitution and pair bias.
-        outer: the present parameters.
-        iterate: iterate of Newton's method.
 
     Returns:
         The parameters, whether the iterate is the step's solution, and whether the cones changed.

@@ -81,13 +81,7 @@ class Record(NamedTuple):
 
 
 def replay(problem: StepProblem, radius: Float[Array, "p *n"], record: Record) -> Answer:
-    """Return the solution by one Newton step under every cone and pair bias, for derivatives.
-
-    Args:
-        problem: problem of the step.
-        radius: radii of the first round of cones, N.
-        record: record of the search.
-    """
+    """Return the solution by one Newton step under every cone and pair bias, for derivatives."""
     start = problem.under(jnp.ones_like(record.restitution))
     end = problem.under(record.restitution)
     first, *further = record.cones

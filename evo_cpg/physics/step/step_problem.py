@@ -146,14 +146,7 @@ class StepProblem(NamedTuple):
         velocity: Float[Array, "3 p *n"] | None,
         pair_sums: Any = None,
     ) -> Linearization:
-        """Return the laws linearized at a motion.
-
-        Args:
-            radius: radii of the friction cones, N.
-            qdd: joint accelerations, rad/s^2.
-            velocity: velocities of the contact points, m/s, or None without ground.
-            pair_sums: `PairForces.sums` at this motion, or None to compute them.
-        """
+        """Return the laws linearized at a motion."""
         tree, equations = self.world.tree, self.equations
         state, motor = equations.state, equations.motor
         torque, derivative = linearized_torque(tree, motor, state, qdd, self.h)
@@ -225,10 +218,6 @@ class StepProblem(NamedTuple):
 
         Both are norms of generalized forces. Each force is divided by the root of its inertia, the
         diagonal of M. The norm is therefore one of accelerations, weighted with masses.
-
-        Args:
-            y: accelerations.
-            linear: laws linearized at y.
         """
         law = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
         if linear.contact is not None:

@@ -83,13 +83,6 @@ def solve_step(
     """Solve a step with contact or motors that have a largest torque.
 
     Steps with neither are solved at once, joint limits included (`equations.solve_at_once`).
-
-    Args:
-        world: the creature and its environment.
-        h: step, s.
-        state: state at the start of the step.
-        command: command to motors and muscles.
-        warmstart: result of the previous step, or None for a first step.
     """
     problem = _with_velocity_products(world, h, state, command)
     batch = state.q.shape[1:]

@@ -53,12 +53,7 @@ class World(eqx.Module):
         return f"World(gravity {self.gravity} m/s^2, {water}, {ground})"
 
     def bodies(self, kin: Kinematics, h: float) -> Bodies:
-        """Return the pose and motion of all bodies, as input of the force laws.
-
-        Args:
-            kin: kinematics of the bodies.
-            h: length of the physics step, s.
-        """
+        """Return the pose and motion of all bodies, as input of the force laws."""
         return bodies_in(self.tree, self.gravity, self.water, self.cells, h, kin)
 
     def law(self, kind: type[_Law]) -> _Law | None:

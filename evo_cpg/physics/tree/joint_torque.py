@@ -170,13 +170,7 @@ def limit_torque(
 def friction_torque(
     tree: Laws, rate: Float[Array, "d *n"], h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
-    """Return the torque of dry friction (N m), and its decrease per rate (N m s/rad).
-
-    Args:
-        tree: the creature, with dry friction.
-        rate: joint rates at the end of the step, rad/s.
-        h: step, s.
-    """
+    """Return the torque of dry friction (N m), and its decrease per rate (N m s/rad)."""
     assert tree.dry_friction is not None
     loss = expand_dims_like(tree.dry_friction.loss, rate)
     resistance = expand_dims_like(tree.dry_friction.inertia * (_STICKING / h), rate)
@@ -193,13 +187,6 @@ def linearized_torque(
     h: float,
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of motors, limits and friction, linearized at accelerations.
-
-    Args:
-        tree: the creature.
-        motor: commanded torque.
-        state: angles and rates at the start of the step.
-        qdd: accelerations, rad/s^2.
-        h: step, s.
 
     Returns:
         Torque at zero acceleration (N m), and its decrease per end-of-step rate (N m s/rad).
@@ -259,14 +246,7 @@ def expected_limit_torque(
 
 
 def motor_torque(tree: Laws, state: Coordinates, command: MotorCommand, h: float) -> MotorTorque:
-    """Return the commanded torque of motors and muscles.
-
-    Args:
-        tree: the creature.
-        state: joint angles and rates of the creature.
-        command: command to motors and muscles.
-        h: step, s.
-    """
+    """Return the commanded torque of motors and muscles."""
     rates = state.qd
     torque = expand_dims_like(tree.servo_gain, rates) * (command.target_rate - rates)
     stiffness = tree.servo_stiffness

@@ -80,14 +80,7 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
 def motion_of_bodies(
     tree: Tree, kin: Kinematics, velocity: Float[Array, "6 *n"], qd: Float[Array, "d *n"]
 ) -> BodyMotion:
-    """Return the motion of the bodies with other velocities of the root and the joints.
-
-    Args:
-        tree: the creature.
-        kin: kinematics with the poses of the bodies.
-        velocity: velocity of a free root, as in `State`.
-        qd: joint rates, rad/s.
-    """
+    """Return the motion of the bodies with other velocities of the root and the joints."""
     batch_ndim = qd.ndim - 1
     if tree.hanging is None:
         bodies = PerBody([root.motion(velocity)], batch_ndim)

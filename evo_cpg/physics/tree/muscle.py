@@ -114,11 +114,7 @@ def pull_of(
 
 
 def length_factor(length: Array) -> Array:
-    """Return fl, the force of an isometric muscle over its largest force.
-
-    Args:
-        length: length of the fibres over their optimal length.
-    """
+    """Return fl, the force of an isometric muscle over its largest force."""
     away = (length - 1.0) * (1.0 / _WIDTH)
     return jnp.exp(-away * away)
 

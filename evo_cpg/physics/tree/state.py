@@ -87,15 +87,7 @@ def integrate(
     qdd: Float[Array, "d *n"],
     h: float,
 ) -> State:
-    """Take a semi-implicit Euler step: the new velocities move the positions.
-
-    Args:
-        tree: the creature.
-        state: state at the start of the step.
-        acceleration: acceleration of a free root, rad/s^2 and m/s^2.
-        qdd: joint accelerations, rad/s^2.
-        h: step, s.
-    """
+    """Take a semi-implicit Euler step: the new velocities move the positions."""
     velocity, qd = state.velocity + h * acceleration, state.qd + h * qdd
     return dataclasses.replace(state, velocity=velocity, qd=qd).moved(tree, h)
 

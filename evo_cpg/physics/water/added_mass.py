@@ -107,13 +107,7 @@ class AddedMass(ForceLaw):
 
 
 def added_inertia(creature: Creature, tree: Tree, density: Number) -> Float[Numbers, "6 6 b"]:
-    """Return the inertia M of the water around each body, in the body's working frame.
-
-    Args:
-        creature: the animal.
-        tree: tree of the creature.
-        density: density of the water, kg/m^3.
-    """
+    """Return the inertia M of the water around each body, in the body's working frame."""
     shapes = {body.name: body.shape for body in creature.bodies}
     inertias = []
     for name, centre in zip(tree.names, tree.centre.T, strict=True):
@@ -161,13 +155,7 @@ def carried_water(
     velocity: Float[Array, "6 b *n"],
     stream: Float[Array, "3 #b *#n"],
 ) -> Float[Array, "6 b *n"]:
-    """Return the wrench of the carried water on bodies that do not accelerate, in body axes.
-
-    Args:
-        inertia: M of each body.
-        velocity: velocity of each body, angular, then linear.
-        stream: velocity of the water.
-    """
+    """Return the wrench of the carried water on bodies that do not accelerate, in body axes."""
     w, s = velocity[:3], jnp.broadcast_to(stream, velocity[3:].shape)
     v = velocity[3:] - s
     momentum = matvec(inertia, jnp.concatenate([w, v]))

@@ -193,13 +193,7 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
 def buoyancy(
     displaced: Displacement, up: Float[Array, "3 b *n"], specific_weight: Float[Array, ""] | float
 ) -> Float[Array, "6 b *n"]:
-    """Return the buoyancy wrench on each body, in body axes.
-
-    Args:
-        displaced: result of `displacement`.
-        up: upward unit vector in the axes of each body.
-        specific_weight: rho g of the water, N/m^3.
-    """
+    """Return the buoyancy wrench on each body in water of a weight rho g (N/m^3), body axes."""
     return specific_weight * jnp.concatenate(
         [cross(displaced.moment, up), displaced.volume[None] * up]
     )

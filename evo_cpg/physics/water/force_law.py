@@ -203,9 +203,6 @@ class ForceLaw(eqx.Module):
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench on every body, in body axes.
 
-        Args:
-            bodies: poses and motion of the bodies.
-
         Returns:
             The moment about each body's origin (N m), then the force (N). `Bodies.wrench_on`
             returns the wrench of a force at a centre of mass.

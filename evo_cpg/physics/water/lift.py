@@ -226,13 +226,7 @@ class PlateLift(ForceLaw):
 
 
 def per_sine(sine: Array, cosine: Array, aspect: Array) -> Array:
-    """Return C_N over the sine of the angle of attack, a number of order 1.
-
-    Args:
-        sine: sine of the angle of attack, 0 to 1.
-        cosine: cosine of the angle.
-        aspect: aspect ratio, span over mean chord.
-    """
+    """Return C_N over the sine of the angle of attack, a number of order 1."""
     potential = 2.0 * jnp.pi * aspect / (2.0 + jnp.sqrt(aspect * aspect + 4.0))
     attached = _SLOPE * potential * cosine + _VORTEX * sine
     nose = 1.0 / (1.0 - _NOSE + _NOSE * sine)

@@ -89,13 +89,7 @@ class Sections(NamedTuple):
 
 
 def sections(creature: Creature, chain: SlenderChain, density: Number) -> Sections:
-    """Return the sections of a chain.
-
-    Args:
-        creature: the animal.
-        chain: one of its chains.
-        density: density of the water, kg/m^3.
-    """
+    """Return the sections of a chain."""
     shapes = [creature.bodies[body].shape for body in chain.bodies]
     directions, masses, widths, sharp = [], [], [], []
     for shape, tangent, length in zip(shapes, chain.tangents, chain.lengths, strict=True):
@@ -126,14 +120,7 @@ def sections(creature: Creature, chain: SlenderChain, density: Number) -> Sectio
 def chain_inertia(
     tree: Tree, creature: Creature, chain: SlenderChain, found: Sections
 ) -> dict[int, Float[Numbers, "6 6"]]:
-    """Return M of each body of a chain in its working frame, by the body's index in the tree.
-
-    Args:
-        tree: tree of the creature.
-        creature: the animal.
-        chain: one of its chains.
-        found: sections of the chain.
-    """
+    """Return M of each body of a chain in its working frame, by the body's index in the tree."""
     inertias = {}
     for k, body in enumerate(chain.bodies):
         i = tree.names.index(creature.bodies[body].name)

@@ -301,11 +301,7 @@ _NODES = 60
 def ellipsoid_resistance(
     axes: Float[Numbers, " 3"],
 ) -> tuple[Float[Numbers, " 3"], Float[Numbers, " 3"]]:
-    """Return force over viscosity and velocity (m), torque over viscosity and rate (m^3).
-
-    Args:
-        axes: semi-axes, m.
-    """
+    """Return force over viscosity and velocity (m), torque over viscosity and rate (m^3)."""
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     # l = s^2 (x / (1 - x))^2 maps (0, 1) to (0, infinity) and leaves a smooth integrand.
     x = (nodes + 1) / 2
@@ -377,11 +373,6 @@ def point_coefficients(
     A point has the force ``-1/2 rho k A |v_n| v_n n``. The coefficient of a point with the normal n
     is ``1/k = sum_i n_i^2 / k_i``, so a point of a streamlined nose has the low drag of that
     direction. The three k_i are found by ``k_i <- k_i C_i S_i / sum_p k A |n_i|^3``.
-
-    Args:
-        normals: outward normals of the exposed points, along the axes of the shape.
-        areas: areas of the points, m^2.
-        coefficients: C of the shape along its axes.
     """
     squares = xp.square(normals)
     cubes = areas[:, None] * squares * xp.abs(normals)
