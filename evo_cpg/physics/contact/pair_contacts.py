@@ -2,9 +2,9 @@
 
 The contact of a pair couples two branches of the tree of bodies. In generalized coordinates the
 contact changes a few elements of the mass matrix (`evo_cpg.physics.step.step_problem`).
-`evo_cpg.physics.contact.pairs` has the contact law. Few pairs are unrolled here, because loops
-would take half as long again. `evo_cpg.physics.contact.many_pairs` loops over many pairs. Both
-have the members
+`evo_cpg.physics.contact.pairs` has the contact law. Few pairs are unrolled here, because a loop
+over ten pairs makes a whole trial take 1.6 times as long. `evo_cpg.physics.contact.many_pairs`
+loops over many pairs. Both have the members
 
 | `PairContacts` | |
 |---|---|

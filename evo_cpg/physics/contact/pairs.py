@@ -66,7 +66,7 @@ KINDS = {
 LARGEST_DRIFT = 2e-4
 
 # Largest number of pairs that are unrolled. `evo_cpg.physics.contact.many_pairs` loops over more
-# pairs. The animals of the studies have 45 at most, and keep their results to the last bit.
+# pairs. A trial of the quadruped with its 10 pairs takes 1.6 times as long with loops.
 _MOST_WRITTEN_OUT = 60
 
 # Largest sine of the angle between axes that count as parallel.
