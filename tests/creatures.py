@@ -186,6 +186,25 @@ def in_water(
     )
 
 
+def single(shape: Shape, density: float = 1000.0) -> Creature:
+    """Return a creature of one body."""
+    return Creature("single", (Body("b", shape, Material(density)),))
+
+
+def rolled(world: World, state: State, commands, h: float):
+    """Return states and efforts at every step, for commands or target rates with steps first."""
+
+    @quick_jit
+    def motion(state, commands):
+        def advance(s, command):
+            s, effort = step(world, s, command, h)
+            return s, (s, effort)
+
+        return jax.lax.scan(advance, state, commands)[1]
+
+    return jax.tree.map(np.asarray, motion(state, commands))
+
+
 def coast(world: World, state: State, seconds: float, h: float) -> State:
     """Return the motion with zero target rates of the motors, steps first."""
     rest = jnp.zeros_like(state.qd)

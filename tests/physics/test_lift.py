@@ -9,10 +9,10 @@ import pytest
 import scipy.optimize
 import yaml
 
-from creatures import AXES, coast, in_water, quick_jit, random_state
+from creatures import AXES, coast, in_water, quick_jit, random_state, single
 from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
-from evo_cpg.creature.shapes import Box, Ellipsoid, Shape, Sphere
+from evo_cpg.creature.shapes import Box, Ellipsoid, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.build import build_simulation
@@ -30,10 +30,6 @@ from measured_water import LIFT
 from tiny_run import CONFIG
 
 WATER, GRAVITY = 1000.0, 9.81
-
-
-def single(shape: Shape, density: float = WATER) -> Creature:
-    return Creature("single", (Body("b0", shape, Material(density)),))
 
 
 def lifted(creature: Creature, viscosity: float | None = None, **options) -> World:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import STRUCTURES, box_chain, quick_jit, random_creature
+from creatures import STRUCTURES, box_chain, coast, quick_jit, random_creature, single
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
@@ -56,10 +56,6 @@ def in_viscous_water(
         (law,),
         cells=() if surface is None else make_cells(creature, tree),
     )
-
-
-def single(shape: Shape, density: float = WATER) -> Creature:
-    return Creature("single", (Body("b", shape, Material(density)),))
 
 
 def capsule_chain(count: int, length: float, radius: float, motor: Actuator | None = None):
@@ -385,17 +381,8 @@ def test_drag_at_a_surface_is_that_of_the_part_under_water():
 def fall(shape: Shape, density: float, viscosity: float, seconds: float, h: float) -> np.ndarray:
     """Downward speeds (m/s) of a body that is released at rest."""
     world = in_viscous_water(single(shape, density), viscosity, gravity=GRAVITY)
-    rest = jnp.zeros(0)
-
-    @quick_jit
-    def run(state):
-        def advance(s, _):
-            s = step(world, s, rest, h)[0]
-            return s, s.velocity[5]
-
-        return jax.lax.scan(advance, state, None, round(seconds / h))[1]
-
-    return -np.asarray(run(resting_state(world.tree, dtype=jnp.float64)))
+    start = resting_state(world.tree, dtype=jnp.float64)
+    return -coast(world, start, seconds, h).velocity[:, 5]
 
 
 @pytest.mark.parametrize("viscosity", [100.0, 0.5, 0.003])
