@@ -15,7 +15,7 @@ from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import ObstaclePart
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.contact.terrain import Block, Boulder, Obstacle, Part, Plane
+from evo_cpg.physics.contact.terrain import Block, Boulder, GroundPart, Obstacle, Plane
 
 # Rules that combine the values of two materials. The factors 0.6 x 0.9 and 0.3 x 0.9 of Fukui 2003
 # suggest products for restitution. PhysX averages by default. Havok is believed to use the
@@ -61,7 +61,7 @@ class Ground(eqx.Module):
     dynamic_friction: Number = 0.8
     restitution_rule: Combination = eqx.field(static=True, default="multiply")
     friction_rule: Combination = eqx.field(static=True, default="geometric")
-    floor: Part = Plane()
+    floor: GroundPart = Plane()
     obstacles: tuple[Obstacle, ...] = ()
     margin: Number = 0.05
     stribeck_speed: Number = 0.01

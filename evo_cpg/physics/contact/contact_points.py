@@ -24,7 +24,7 @@ from evo_cpg.physics.contact.contact_model import CORNERS, ContactModel, Contact
 from evo_cpg.physics.contact.obstacles import meeting_time, obstacle_points, tangent_point
 from evo_cpg.physics.contact.separation import RoundedBoxes
 from evo_cpg.physics.contact.sweep import Moving, fast_from, moved, time_of_crossing
-from evo_cpg.physics.contact.terrain import Part, Plane, nearest
+from evo_cpg.physics.contact.terrain import GroundPart, Plane, nearest
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.per_body import take
 
@@ -223,7 +223,7 @@ def clearance(contact_model: ContactModel, kin: Kinematics) -> Float[Array, "p *
     return contact_points(contact_model, kin).gap
 
 
-def _surface(parts: tuple[Part, ...], point: Float[Array, "3 p *n"]) -> tuple[Array, Array]:
+def _surface(parts: tuple[GroundPart, ...], point: Float[Array, "3 p *n"]) -> tuple[Array, Array]:
     """Return the distance of points from the nearest part, and the part's normal."""
     gap, normal = nearest(parts, point)
     return gap, jnp.broadcast_to(normal, point.shape)

@@ -45,7 +45,7 @@ from evo_cpg.physics.contact.separation import (
     separation_of_lines,
     within,
 )
-from evo_cpg.physics.contact.sweep import Moving, Outline, moved, times_of_contact
+from evo_cpg.physics.contact.sweep import Moving, PartShapes, moved, times_of_contact
 from evo_cpg.physics.contact.terrain import Block, Boulder, Obstacle
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.per_body import take
@@ -130,13 +130,13 @@ def _near_obstacles(
     found = []
     for kind in (Block, Boulder):
         alike = [obstacle for obstacle in ground.obstacles if isinstance(obstacle, kind)]
-        nearest = _nearest(alike, placed, Outline(ellipsoids, corners), ground.margin, h)
+        nearest = _nearest(alike, placed, PartShapes(ellipsoids, corners), ground.margin, h)
         found += [(kind is Block, near) for near in nearest]
     return found
 
 
 def _nearest(
-    obstacles: list[Block | Boulder], parts: Moving, outline: Outline, margin: Number, h: float
+    obstacles: list[Block | Boulder], parts: Moving, outline: PartShapes, margin: Number, h: float
 ) -> list[_Near]:
     """Return the obstacles of one kind that are nearest to each part or overlap with it."""
     if not obstacles:

@@ -24,7 +24,7 @@ from evo_cpg.creature.algebra.linear import cross, dot, matvec, matvec_t
 from evo_cpg.creature.algebra.numerics import is_traced
 from evo_cpg.native.converge import while_each
 from evo_cpg.physics.contact.separation import RoundedBoxes, within
-from evo_cpg.physics.contact.terrain import Part, nearest
+from evo_cpg.physics.contact.terrain import GroundPart, nearest
 
 # A part is fast if it moves farther in a step than this fraction of the margin, or of `_SIZES`
 # times its own size. The rest of the margin is for parts that speed up within the step.
@@ -59,7 +59,7 @@ class Moving(NamedTuple):
     angular: Float[Array, "3 p *n"]
 
 
-class Outline(NamedTuple):
+class PartShapes(NamedTuple):
     """Whether parts are ellipsoids, and the meshes around these. Other parts are rounded boxes.
 
     Attributes:
@@ -103,7 +103,7 @@ def moved(parts: Moving, time: Float[Array, "p *n"]) -> Moving:
 
 def times_of_contact(
     parts: Moving,
-    outline: Outline,
+    outline: PartShapes,
     obstacles: RoundedBoxes,
     margin: Float[Array, ""] | float,
     h: float,
@@ -158,7 +158,7 @@ def times_of_contact(
 
 
 def time_of_crossing(
-    floor: tuple[Part, ...],
+    floor: tuple[GroundPart, ...],
     points: Float[Array, "3 p *n"],
     velocity: Float[Array, "3 p *n"],
     radius: Float[Array, "p *#n"] | float,
@@ -208,7 +208,7 @@ def _held(values: Any) -> Any:
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if is_traced(x) else x, values)
 
 
-def _reach(parts: Moving, outline: Outline) -> Float[Array, "p *n"]:
+def _reach(parts: Moving, outline: PartShapes) -> Float[Array, "p *n"]:
     """Return the distance from a part's centre to its farthest point, without its radius, m."""
     half = parts.at.half_extents
     if not outline.ellipsoids:
@@ -220,7 +220,7 @@ def _reach(parts: Moving, outline: Outline) -> Float[Array, "p *n"]:
 
 
 def _apart_along(
-    parts: RoundedBoxes, outline: Outline, obstacle: RoundedBoxes
+    parts: RoundedBoxes, outline: PartShapes, obstacle: RoundedBoxes
 ) -> tuple[Float[Array, "3 p *n"], Float[Array, "p *n"]]:
     """Return a direction from an obstacle to parts, and the gap along that direction, m.
 
@@ -255,7 +255,7 @@ def _apart_along(
     return best, gap
 
 
-def _extent(parts: RoundedBoxes, outline: Outline, normal: Array) -> Array:
+def _extent(parts: RoundedBoxes, outline: PartShapes, normal: Array) -> Array:
     """Return the extent of parts from their centres against a direction, m."""
     own = matvec_t(parts.axes, normal)
     if not outline.ellipsoids:

@@ -19,7 +19,7 @@ from evo_cpg.physics.step.step_problem import StepProblem
 from evo_cpg.physics.tree.root import joint_part
 
 
-class Answer(NamedTuple):
+class SolvedStep(NamedTuple):
     """The solution y, and the parameters of its problem (`Outer`)."""
 
     y: Float[Array, "v *n"]
@@ -60,7 +60,7 @@ class Visited(NamedTuple):
         return Visited(tuple(cones), tuple(biases), last)
 
 
-class Record(NamedTuple):
+class SearchRecord(NamedTuple):
     """Input of `replay`: the solutions of `Visited`, and the final parameters of `Outer`."""
 
     cones: tuple[Float[Array, "v *n"], ...]
@@ -69,7 +69,7 @@ class Record(NamedTuple):
     bias_updates: Int[Array, "*n"]
 
     @classmethod
-    def of(cls, visited: Visited, outer: Outer) -> "Record":
+    def of(cls, visited: Visited, outer: Outer) -> "SearchRecord":
         """Return the record of a finished search.
 
         Rounds that an individual did not need repeat the solution of its last round.
@@ -80,7 +80,7 @@ class Record(NamedTuple):
         return cls(tuple(cones), visited.biases, outer.restitution, outer.bias_updates)
 
 
-def replay(problem: StepProblem, radius: Float[Array, "p *n"], record: Record) -> Answer:
+def replay(problem: StepProblem, radius: Float[Array, "p *n"], record: SearchRecord) -> SolvedStep:
     """Return the solution by one Newton step under every cone and pair bias, for derivatives."""
     start = problem.under(jnp.ones_like(record.restitution))
     end = problem.under(record.restitution)
@@ -95,4 +95,4 @@ def replay(problem: StepProblem, radius: Float[Array, "p *n"], record: Record) -
         new = problem.pair_bias_at(joint_part(y))
         there = full_step(problem.under(record.restitution, new), cone.radius, point)
         y, bias = where_each(record.bias_updates >= k, (there, new), (y, bias))
-    return Answer(y, cone.radius, record.restitution, bias)
+    return SolvedStep(y, cone.radius, record.restitution, bias)

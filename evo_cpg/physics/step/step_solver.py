@@ -44,7 +44,7 @@ from evo_cpg.physics.step.equations import (
 )
 from evo_cpg.physics.step.newton import Iterate, damped_step
 from evo_cpg.physics.step.outer_updates import Cone, Outer, next_update
-from evo_cpg.physics.step.step_derivative import Answer, Record, Visited, replay
+from evo_cpg.physics.step.step_derivative import SearchRecord, SolvedStep, Visited, replay
 from evo_cpg.physics.step.step_problem import StepProblem
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.joint_torque import MotorCommand, clamp_torque
@@ -91,7 +91,7 @@ def solve_step(
     radius, start = warmstart.radius, problem.under(jnp.ones(batch, state.q.dtype))
     first = start.motion(start.linearized(radius, warmstart.qdd, warmstart.velocity))
     visited, none = Visited.first(problem, first), jnp.zeros(batch, jnp.int32)
-    template = Record(visited.cones, visited.biases, jnp.ones(batch, state.q.dtype), none)
+    template = SearchRecord(visited.cones, visited.biases, jnp.ones(batch, state.q.dtype), none)
     answer = implicit(
         functools.partial(_solve, problem, radius),
         functools.partial(replay, problem, radius),
@@ -144,7 +144,7 @@ def _with_velocity_products(
 
 def _solve(
     problem: StepProblem, radius: Float[Array, "p *n"], first: Float[Array, "v *n"]
-) -> tuple[Answer, Record]:
+) -> tuple[SolvedStep, SearchRecord]:
     """Iterate to the solution from a first iterate, with the first cone radii."""
     none, one = jnp.zeros(first.shape[1:], jnp.int32), jnp.ones(first.shape[1:], first.dtype)
 
@@ -163,8 +163,8 @@ def _solve(
     begin = _Search(first, outer, none, none > 0, Visited.first(problem, first))
     begin = updated(start, begin, Iterate(first, start.velocity(first)))
     end = while_each(lambda search: ~search.done, advance, begin)
-    answer = Answer(end.y, end.outer.cone.radius, end.outer.restitution, end.outer.bias)
-    return answer, Record.of(end.visited, end.outer)
+    answer = SolvedStep(end.y, end.outer.cone.radius, end.outer.restitution, end.outer.bias)
+    return answer, SearchRecord.of(end.visited, end.outer)
 
 
 def _solution(

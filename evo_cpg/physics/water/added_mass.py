@@ -28,7 +28,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.water.buoyancy import displacement
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part, blocks
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart, blocks
 
 # Points of the quadrature of Lamb's integrals: the error is 1e-9 for axes of 1 to 100.
 _NODES = 200
@@ -56,7 +56,7 @@ class AddedMass(ForceLaw):
         """Return the wrench on bodies that neither accelerate nor enter the water."""
         return carried_water(self.inertia(bodies), bodies.velocity, bodies.stream)
 
-    def parts(self, bodies: Bodies) -> tuple[Part, ...]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart, ...]:
         """Return the parts of the carried water and of the impact of water set in motion.
 
         The impact has no bounce: the water gets the velocity after the impact.
@@ -64,14 +64,14 @@ class AddedMass(ForceLaw):
         own, pose, displaced = self.inertia(bodies), bodies.pose, bodies.displaced
         steady = carried_water(own, bodies.velocity, bodies.stream)
         if pose is None or displaced is None:
-            return (Part(steady, None, own),)
+            return (WrenchPart(steady, None, own),)
         sinking = bodies.h * jnp.concatenate(
             [cross(pose[:3], bodies.velocity[:3]), bodies.kin.linear[2:]]
         )
         ahead = displacement(bodies.cells, pose + sinking).volume
         entering = self._entering(bodies, ahead - displaced.volume)
         impact = -(matvec(entering, bodies.relative) / bodies.h)
-        return Part(steady, None, own), Part(impact, blocks(entering))
+        return WrenchPart(steady, None, own), WrenchPart(impact, blocks(entering))
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench of the velocity products (`ForceLaw.averaged`)."""

@@ -118,7 +118,7 @@ class Cells(eqx.Module):
     triangles: Float[np.ndarray, "f 3 3"] | None = None
 
 
-class Displacement(NamedTuple):
+class DisplacedWater(NamedTuple):
     """Part of each body that is under water.
 
     Attributes:
@@ -158,7 +158,7 @@ def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
     return tuple(groups)
 
 
-def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Displacement:
+def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> DisplacedWater:
     """Return volume and first moment of the part of each body that is under water.
 
     Args:
@@ -187,11 +187,11 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
         parts = jnp.concatenate([fraction[None], fraction[None] * centre + moment])
         owner = group.volume[None] * (bodies == np.arange(pose.shape[1])[:, None])
         total = total + matmul_t(parts, expand_dims_like(owner, parts, parts.ndim))
-    return Displacement(total[0], total[1:])
+    return DisplacedWater(total[0], total[1:])
 
 
 def buoyancy(
-    displaced: Displacement, up: Float[Array, "3 b *n"], specific_weight: Float[Array, ""] | float
+    displaced: DisplacedWater, up: Float[Array, "3 b *n"], specific_weight: Float[Array, ""] | float
 ) -> Float[Array, "6 b *n"]:
     """Return the buoyancy wrench on each body in water of a weight rho g (N/m^3), body axes."""
     return specific_weight * jnp.concatenate(

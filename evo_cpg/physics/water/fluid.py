@@ -40,7 +40,7 @@ from evo_cpg.creature.algebra.numerics import MixedArray, Number, Numbers, smoot
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart
 
 # Decimals to which equal numbers are rounded, and tolerance for numbers to stay equal (m, m^2).
 _DECIMALS, _SAME = 9, 1e-9
@@ -53,7 +53,7 @@ _ACROSS = 0.9
 _LEAST_SLOPE = 0.1
 
 
-class Places(NamedTuple):
+class PointPlaces(NamedTuple):
     """Places of the points of a patch, for their depth.
 
     Attributes:
@@ -67,7 +67,7 @@ class Places(NamedTuple):
     extents: np.ndarray
 
 
-def wet_fraction(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[Array, "p kn"]:
+def wet_fraction(places: PointPlaces | None, pose: Float[Array, "4 k *n"]) -> Float[Array, "p kn"]:
     """Return the fraction under water of the patch around each point, a cubic in its depth.
 
     Raises:
@@ -114,11 +114,11 @@ def groups_of(
     return chosen(alike, still)
 
 
-def places_of(surface: Surface) -> Places:
+def places_of(surface: Surface) -> PointPlaces:
     """Return the places of surface points."""
     # Points without area have no force, so any extent serves.
     areas = xp.where(surface.areas > 0, surface.areas, 1.0)
-    return Places(surface.points, surface.normals, xp.sqrt(areas) / 2)
+    return PointPlaces(surface.points, surface.normals, xp.sqrt(areas) / 2)
 
 
 def velocity_rows(surface: Surface) -> list[Numbers]:
@@ -201,8 +201,8 @@ class Patch(NamedTuple):
     tangential: np.ndarray
     tangential_area: np.ndarray
     tangential_outer: np.ndarray
-    normal_places: Places | None = None
-    tangential_places: Places | None = None
+    normal_places: PointPlaces | None = None
+    tangential_places: PointPlaces | None = None
 
 
 class Drag(ForceLaw):
@@ -226,12 +226,12 @@ class Drag(ForceLaw):
         """Return the drag wrench on every body (`ForceLaw.wrench`)."""
         return self.parts(bodies)[0].wrench
 
-    def parts(self, bodies: Bodies) -> tuple[Part]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
         assert bodies.water is not None
         density = bodies.water.density
         wrench, derivative = drag(self, density, bodies.relative, bodies.pose)
-        return (Part(wrench, bodies.h * derivative),)
+        return (WrenchPart(wrench, bodies.h * derivative),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> None:
         """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""

@@ -29,7 +29,7 @@ from evo_cpg.creature.algebra.numerics import Number, xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.physics.water.buoyancy import Cells, Displacement, buoyancy, displacement
+from evo_cpg.physics.water.buoyancy import Cells, DisplacedWater, buoyancy, displacement
 from evo_cpg.physics.water.water import Water
 
 
@@ -65,7 +65,7 @@ class Bodies:
     velocity: Float[Array, "6 b *n"]
     stream: Float[Array, "3 #b *#n"]
     pose: Float[Array, "4 b *n"] | None
-    displaced: Displacement | None
+    displaced: DisplacedWater | None
 
     @property
     def relative(self) -> Float[Array, "6 b *n"]:
@@ -156,7 +156,7 @@ def blocks(m: Float[Array, "6 6 *rest"]) -> Float[Array, "3 3 3 *rest"]:
     return jnp.stack([m[:3, :3], m[:3, 3:], m[3:, 3:]])
 
 
-class Part(NamedTuple):
+class WrenchPart(NamedTuple):
     """Part of a law in the form of the implicit step: ``wrench - D (V_1 - V_0) - M A``.
 
     Attributes:
@@ -222,7 +222,7 @@ class ForceLaw(eqx.Module):
 
         return jax.vmap(along, out_axes=1)(jnp.asarray(np.eye(6), velocity.dtype))
 
-    def parts(self, bodies: Bodies) -> tuple[Part, ...]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart, ...]:
         """Return the parts of the law for the step, by default one, with ``D = -1/2 S_sym``."""
 
         def equations(kin: Kinematics) -> tuple[Array, Array]:
@@ -233,7 +233,7 @@ class ForceLaw(eqx.Module):
         # A separate program, so that a message names a law that native code does not support.
         name = f"{type(self).__name__}.wrench"
         found = fuse(equations, bodies.kin, batch_ndim=bodies.velocity.ndim - 2, name=name)
-        return (Part(*found),)
+        return (WrenchPart(*found),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"] | None:
         """Return the part of the wrench that a step averages over its start and its end.

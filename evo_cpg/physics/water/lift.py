@@ -61,7 +61,7 @@ from evo_cpg.creature.slender import LEAST_BODIES, slender_chains
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.per_body import spread, take
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart
 
 # Reduction of the potential slope, and vortex lift of a rectangular plate. Polhamus's 3.14 is for
 # deltas, and too large for rectangles.
@@ -167,14 +167,14 @@ class PlateLift(ForceLaw):
             moment = moment + matvec_t(flow.frame, own)
         return self._spread(bodies, jnp.concatenate([moment, force]))
 
-    def parts(self, bodies: Bodies) -> tuple[Part]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the lift with ``c w w^T`` as D, for the row w of the normal velocity."""
         row, c = self._resistance(bodies)
         angular, linear = row[:3], row[3:]
         pairs = ((angular, angular), (angular, linear), (linear, linear))
         outer = jnp.stack([c[None, None] * a[:, None] * b[None] for a, b in pairs])
         flat = self._spread(bodies, (bodies.h * outer).reshape(27, *c.shape))
-        return (Part(self.wrench(bodies), flat.reshape(3, 3, 3, *flat.shape[1:])),)
+        return (WrenchPart(self.wrench(bodies), flat.reshape(3, 3, 3, *flat.shape[1:])),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench of the derivatives that D leaves out (`ForceLaw.averaged`)."""

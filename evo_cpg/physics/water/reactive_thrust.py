@@ -64,7 +64,7 @@ from evo_cpg.creature.slender import LEAST_BODIES, SlenderChain, slender_chains
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.per_body import spread, take
 from evo_cpg.physics.water.added_mass import ellipsoid
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part, blocks
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart, blocks
 
 # Added mass of a rectangle over rho pi a^2, for thicknesses b/a (panel method).
 _THICKNESS = np.array([0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
@@ -212,13 +212,13 @@ class ReactiveThrust(ForceLaw):
         force = 0.5 * carried[None] * flow.tangent - flow.along[None] * flow.momentum
         return self._on_bodies(bodies, self._wrenches(force))
 
-    def parts(self, bodies: Bodies) -> tuple[Part]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the wrench, with half of ``u M_a`` as D (`ForceLaw.parts`)."""
         flow = self._flow(bodies)
         rows = jnp.stack([self._wrenches(flow.directions[:, k]) for k in range(2)])
         weights = 0.5 * bodies.h * flow.masses * flow.along[None]
         outer = (weights[:, None, None] * rows[:, :, None] * rows[:, None]).sum(0)
-        return (Part(self.wrench(bodies), self._on_bodies(bodies, blocks(outer))),)
+        return (WrenchPart(self.wrench(bodies), self._on_bodies(bodies, blocks(outer))),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench of ``t p^T - p t^T`` (`ForceLaw.averaged`)."""

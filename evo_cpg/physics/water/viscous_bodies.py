@@ -55,7 +55,7 @@ from evo_cpg.creature.slender import slender_chains
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.water.fluid import (
-    Places,
+    PointPlaces,
     groups_of,
     merge_alike,
     outer_products,
@@ -109,7 +109,7 @@ def make_viscous_drag(
         layout: "merged" merges equal bodies and points.
     """
     wetted: list[Wetted] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
-    places: list[Places] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
+    places: list[PointPlaces] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
     runs_along = [xp.zeros(2)] * tree.body_count
     mass = tree.rigid_mass
     for chain in slender_chains(creature):

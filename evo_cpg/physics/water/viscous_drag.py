@@ -36,8 +36,8 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.algebra.numerics import Number, Numbers
-from evo_cpg.physics.water.fluid import Places, over_patches, wet_fraction
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part, blocks
+from evo_cpg.physics.water.fluid import PointPlaces, over_patches, wet_fraction
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart, blocks
 
 # Local friction coefficients 0.664 Re^-1/2 (Blasius) and 0.0592 Re^-1/5 (Prandtl), and the power of
 # the weight of the transition.
@@ -103,7 +103,7 @@ class ViscousPatch(NamedTuple):
     outer: Float[Numbers, "27 p"]
     forward: Float[Numbers, " k"]
     backward: Float[Numbers, " k"]
-    places: Places | None
+    places: PointPlaces | None
 
 
 class ViscousDrag(ForceLaw):
@@ -127,7 +127,7 @@ class ViscousDrag(ForceLaw):
         """Return the drag wrench on every body (`ForceLaw.wrench`)."""
         return self.parts(bodies)[0].wrench
 
-    def parts(self, bodies: Bodies) -> tuple[Part]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
         velocity = bodies.relative
         inputs = [velocity]
@@ -135,7 +135,7 @@ class ViscousDrag(ForceLaw):
             inputs += [bodies.pose, bodies.under_water[None]]
         evaluate = functools.partial(self._patch, bodies)
         wrench, derivative = over_patches(self.patches, inputs, evaluate)
-        return (Part(wrench, bodies.h * derivative),)
+        return (WrenchPart(wrench, bodies.h * derivative),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> None:
         """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
