@@ -24,10 +24,7 @@ GRAVITY = 9.81
 
 @pytest.fixture(
     scope="module",
-    params=[
-        *(pytest.param(STRUCTURES[i], marks=pytest.mark.slow) for i in (1, 3)),
-        STRUCTURES[5],
-    ],
+    params=[*(pytest.param(STRUCTURES[i], marks=pytest.mark.slow) for i in (1, 3)), STRUCTURES[5]],
     ids=str,
 )
 def found(request):

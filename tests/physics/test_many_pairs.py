@@ -79,13 +79,7 @@ def one_step(world, state):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("shape", "axes"),
-    [
-        ("capsules", "z"),
-        ("boxes", "z"),
-        ("boxes", "yz"),
-        ("ellipsoids", "yz"),
-    ],
+    ("shape", "axes"), [("capsules", "z"), ("boxes", "z"), ("boxes", "yz"), ("ellipsoids", "yz")]
 )
 def test_loops_find_the_same_step(x64, loops, shape, axes):
     creature = clapper(LIMBS[shape], axes)

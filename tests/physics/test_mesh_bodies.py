@@ -260,8 +260,7 @@ def pair(first: Shape, second: Shape) -> Creature:
     )
     joint = dataclasses.replace(joint, actuator=Actuator(1.0))
     return Creature(
-        "pair",
-        (Body("a", first, Material(500.0)), Body("b", second, Material(500.0), joint)),
+        "pair", (Body("a", first, Material(500.0)), Body("b", second, Material(500.0), joint))
     )
 
 

@@ -232,9 +232,7 @@ def swim(segments: int, h: float, seconds: float = 12.0) -> Swim:
 
     def power(law, before, after):
         mean = dataclasses.replace(
-            before,
-            velocity=(before.velocity + after.velocity) / 2,
-            qd=(before.qd + after.qd) / 2,
+            before, velocity=(before.velocity + after.velocity) / 2, qd=(before.qd + after.qd) / 2
         )
         bodies = world.bodies(kinematics(world.tree, mean), h)
         return (world.law(law).wrench(bodies) * bodies.velocity).sum((0, 1))

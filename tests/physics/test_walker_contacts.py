@@ -186,13 +186,7 @@ def legged(legs, segments: int) -> World:
         parent, anchor = "torso", (x, y, -0.08)
         for segment in range(segments):
             joint = Joint(
-                parent,
-                anchor,
-                (0, 0, 0.12),
-                ((0.0, 1.0, 0.0),),
-                (-99.0,),
-                (99.0,),
-                damping=0.05,
+                parent, anchor, (0, 0, 0.12), ((0.0, 1.0, 0.0),), (-99.0,), (99.0,), damping=0.05
             )
             parent, anchor = f"{name}-{segment}", (0, 0, -0.12)
             bodies.append(Body(parent, Box((0.08, 0.08, 0.24)), flesh, joint))

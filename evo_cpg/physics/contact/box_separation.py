@@ -80,8 +80,11 @@ def _best_face(a: RoundedBoxes, b: RoundedBoxes) -> tuple[Array, Array, Array]:
     away, ours, theirs = b.centre - a.centre, a.axes, b.axes
     size, e, f = jnp.abs(t_matmul(ours, theirs)), a.half_extents, b.half_extents
     along, across = matvec_t(ours, away), matvec_t(theirs, away)
-    gap, normal = _largest(jnp.abs(along) - e - matvec(size, f), _pointing(ours, along))
-    other, its_normal = _largest(jnp.abs(across) - f - matvec_t(size, e), _pointing(theirs, across))
+    normals, its_normals = (
+        jnp.where(x < 0, -1.0, 1.0)[None] * axes for x, axes in ((along, ours), (across, theirs))
+    )
+    gap, normal = _largest(jnp.abs(along) - e - matvec(size, f), normals)
+    other, its_normal = _largest(jnp.abs(across) - f - matvec_t(size, e), its_normals)
     of_b = other > gap
     return jnp.where(of_b, other, gap), jnp.where(of_b[None], its_normal, normal), of_b
 
@@ -206,11 +209,6 @@ def _largest(gaps: Array, normals: Array) -> tuple[Array, Array]:
         more = gaps[k] > best
         best, normal = jnp.where(more, gaps[k], best), jnp.where(more[None], normals[:, k], normal)
     return best, normal
-
-
-def _pointing(axes: Array, along: Array) -> Array:
-    """Return axes as columns, each with the sign of the coordinate ``along``."""
-    return jnp.where(along < 0, -1.0, 1.0)[None] * axes
 
 
 def _corner(box: RoundedBoxes, direction: Array) -> Array:

@@ -192,13 +192,7 @@ class ContactPoints(NamedTuple):
 
 def make_contact_model(creature: Creature, tree: Tree, ground: Ground) -> ContactModel:
     """Return the contact points of a creature on a ground."""
-    found: dict[str, list] = {
-        "box": [],
-        "mesh": [],
-        "cylinder": [],
-        "ball": [],
-        "ellipsoid": [],
-    }
+    found: dict[str, list] = {"box": [], "mesh": [], "cylinder": [], "ball": [], "ellipsoid": []}
     every = creature.bodies_of(tree.names)
     for i, body in enumerate(every):
         for part in body.shape.floor_parts():

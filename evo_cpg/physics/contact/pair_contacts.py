@@ -162,7 +162,7 @@ class FewPairForces(NamedTuple):
     @property
     def torque(self) -> Float[Array, "d *n"]:
         """Joint torques of the forces, N m."""
-        return self._pushing(self.force)
+        return (self.contacts.jacobian * self.force[:, None]).sum(0)
 
     def power(self, change: Float[Array, "p *n"]) -> Float[Array, "*n"]:
         """Return the power of the forces at velocity changes of `FewPairContacts.change`, W."""
@@ -172,10 +172,8 @@ class FewPairForces(NamedTuple):
         """Return the torques of the linearized forces at zero acceleration, and ``h J^T K J``."""
         J, derivative = self.contacts.jacobian, self.derivative
         force = self.force + derivative * (self.velocity - self.contacts.unconstrained_velocity)
-        return self._pushing(force), t_matmul(self.contacts.h * derivative[:, None] * J, J)
-
-    def _pushing(self, force: Float[Array, "p *n"]) -> Float[Array, "d *n"]:
-        return (self.contacts.jacobian * force[:, None]).sum(0)
+        torque = (J * force[:, None]).sum(0)
+        return torque, t_matmul(self.contacts.h * derivative[:, None] * J, J)
 
 
 PairContacts = FewPairContacts | ManyPairContacts

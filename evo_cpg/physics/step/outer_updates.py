@@ -112,9 +112,10 @@ def next_update(
 
     # Pair bias.
     finished, bias, updates = cone_done & ~bounces, outer.bias, outer.bias_updates
-    if biases > 1:
-        new = problem.pair_bias_at(qdd)
-        change_bias = finished & (updates + 1 < biases) & problem.drifts(qdd, new)
+    pairs = problem.equations.pairs
+    if pairs is not None:
+        new = pairs.bias_at(qdd)
+        change_bias = finished & (updates + 1 < biases) & pairs.drifts(qdd, new)
         bias, updates = where_each(change_bias, (new, updates + 1), (bias, updates))
         finished = finished & ~change_bias
     cone = where_each(change_cone, cone.updated(allowed), cone)

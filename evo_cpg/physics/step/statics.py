@@ -121,7 +121,11 @@ def static_forces(
         moment, force = moment + cross(offset, force_on) @ owner, force + force_on @ owner
     # Moments about the world's origin add up over the bodies that a joint carries.
     about = moment + cross(kin.origin, force)
-    carried = _carried(tree)
+    # A table with 1 where a degree of freedom carries a body.
+    chains = np.eye(tree.body_count)
+    for i in range(1, tree.body_count):
+        chains[i] += chains[tree.parents[i]]
+    carried = chains[:, list(tree.dof_bodies)]
     joint = take(kin.origin, np.array(tree.dof_bodies, int))
     beyond = Wrench(about @ carried - cross(joint, force @ carried), force @ carried)
     on_joints = joints.torque_on_each(kin.axes, beyond)
@@ -130,14 +134,6 @@ def static_forces(
     if tree.hanging is not None:
         on_root = jnp.zeros_like(total), jnp.zeros_like(turning)
     return jnp.concatenate([*on_root, on_joints + joint_torque(tree, state.q)]), touch
-
-
-def _carried(tree: Tree) -> Float[np.ndarray, "b d"]:
-    """Return a table with 1 where a degree of freedom carries a body."""
-    chains = np.eye(tree.body_count)
-    for i in range(1, tree.body_count):
-        chains[i] += chains[tree.parents[i]]
-    return chains[:, list(tree.dof_bodies)]
 
 
 def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:

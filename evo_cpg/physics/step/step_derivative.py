@@ -90,9 +90,10 @@ def replay(problem: StepProblem, radius: Float[Array, "p *n"], record: SearchRec
     for k, point in enumerate(further, 1):
         cone = cone.updated(start.cone_radius(start.velocity(y)))
         y = full_step(end if k == len(further) else start, cone.radius, point)
-    bias = problem.pair_bias
+    bias, pairs = problem.pair_bias, problem.equations.pairs
     for k, point in enumerate(record.biases, 1):
-        new = problem.pair_bias_at(joint_part(y))
+        assert pairs is not None
+        new = pairs.bias_at(joint_part(y))
         there = full_step(problem.under(record.restitution, new), cone.radius, point)
         y, bias = where_each(record.bias_updates >= k, (there, new), (y, bias))
     return SolvedStep(y, cone.radius, record.restitution, bias)

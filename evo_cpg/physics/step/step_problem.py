@@ -42,12 +42,7 @@ from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.ball_limit import BallForce
 from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force, mass_matrix
 from evo_cpg.physics.tree.joint_torque import changes_overload, linearized_torque
-from evo_cpg.physics.tree.root import (
-    JOINTS,
-    joint_part,
-    plus_joint_diagonal,
-    plus_torque,
-)
+from evo_cpg.physics.tree.root import JOINTS, joint_part, plus_joint_diagonal, plus_torque
 from evo_cpg.physics.tree.spatial_algebra import Wrench
 from evo_cpg.physics.tree.tendon import TendonForce
 
@@ -328,16 +323,6 @@ class StepProblem(NamedTuple):
         """Velocity-product bias of the pairs (`pair_contacts.PairContacts`)."""
         pairs = self.equations.pairs
         return self.force[:0] if pairs is None else pairs.bias
-
-    def pair_bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "k *n"]:
-        """Return the velocity-product bias of the pairs at the joint rates after the step."""
-        pairs = self.equations.pairs
-        return self.force[:0] if pairs is None else pairs.bias_at(qdd)
-
-    def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "k *n"]) -> Bool[Array, "*n"]:
-        """Return for which individuals another velocity-product bias would move touching pairs."""
-        pairs = self.equations.pairs
-        return jnp.zeros(qdd.shape[1:], bool) if pairs is None else pairs.drifts(qdd, bias)
 
     def _square(self, force: Float[Array, "v *n"]) -> Float[Array, "*n"]:
         """Return the sum of squared generalized forces, each divided by its inertia in M."""

@@ -74,11 +74,7 @@ class _Search(NamedTuple):
 
 
 def solve_step(
-    world: World,
-    h: float,
-    state: State,
-    command: MotorCommand,
-    warmstart: Warmstart | None = None,
+    world: World, h: float, state: State, command: MotorCommand, warmstart: Warmstart | None = None
 ) -> StepSolution:
     """Solve a step with contact or motors that have a largest torque.
 
@@ -123,10 +119,7 @@ def coldstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmsta
 
 
 def _with_velocity_products(
-    world: World,
-    h: float,
-    state: State,
-    command: MotorCommand,
+    world: World, h: float, state: State, command: MotorCommand
 ) -> StepProblem:
     """Return the problem of a step.
 

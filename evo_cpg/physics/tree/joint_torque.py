@@ -180,11 +180,7 @@ def friction_torque(
 
 
 def linearized_torque(
-    tree: Laws,
-    motor: MotorTorque,
-    state: Coordinates,
-    qdd: Float[Array, "d *n"],
-    h: float,
+    tree: Laws, motor: MotorTorque, state: Coordinates, qdd: Float[Array, "d *n"], h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of motors, limits and friction, linearized at accelerations.
 
@@ -205,11 +201,7 @@ def linearized_torque(
 
 
 def changes_overload(
-    tree: Laws,
-    motor: MotorTorque,
-    state: Coordinates,
-    qdd: Float[Array, "d *n"],
-    h: float,
+    tree: Laws, motor: MotorTorque, state: Coordinates, qdd: Float[Array, "d *n"], h: float
 ) -> Bool[Array, "*n"]:
     """Return for which individuals accelerations overload other motors than zero acceleration.
 

@@ -97,10 +97,7 @@ class Bodies:
         return self.tree.names.index(name)
 
     def wrench_on(
-        self,
-        name: str,
-        force: Float[Array, "3 *n"],
-        moment: Float[Array, "3 *n"] | None = None,
+        self, name: str, force: Float[Array, "3 *n"], moment: Float[Array, "3 *n"] | None = None
     ) -> Float[Array, "6 b *n"]:
         """Return the wrench of a force on one body, and zero on the others.
 

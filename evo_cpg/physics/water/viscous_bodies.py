@@ -332,9 +332,7 @@ _NO_DRAG = 1e-12
 
 
 def form_drag_coefficients(
-    sizes: Float[Numbers, " 3"],
-    sharpness: Number,
-    bluntness: Float[Numbers, " 3"] | None = None,
+    sizes: Float[Numbers, " 3"], sharpness: Number, bluntness: Float[Numbers, " 3"] | None = None
 ) -> Float[Numbers, " 3"]:
     """Return C for flow along each axis of a shape.
 
