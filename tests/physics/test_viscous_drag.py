@@ -9,10 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import STRUCTURES, box_chain, coast, quick_jit, random_creature, single
+from creatures import STRUCTURES, box_chain, coast, quick_jit, random_creature, single, surfaces_of
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
-from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
@@ -41,13 +40,7 @@ def in_viscous_water(
 ) -> World:
     """A creature under water, with the default number of points."""
     tree = build_tree(creature)
-    form, skin = (
-        {
-            body.name: points
-            for body, points in zip(creature.bodies, outer_surfaces(creature, n), strict=True)
-        }
-        for n in (resolution, max(1, resolution // 2))
-    )
+    form, skin = surfaces_of(creature, resolution, max(1, resolution // 2))
     law = make_viscous_drag(creature, tree, form, skin, viscosity, surfacing=surface is not None)
     return World(
         tree,

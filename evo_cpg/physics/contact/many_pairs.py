@@ -41,6 +41,7 @@ from evo_cpg.physics.contact.pairs import (
     PointMotion,
     acceleration_field,
     parting_acceleration,
+    picking,
     placed_boxes,
 )
 from evo_cpg.physics.tree import joints, root
@@ -491,7 +492,7 @@ def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
         first, second = (np.array(x[start:stop], np.int32) for x in (pairs.first, pairs.second))
         count = run.count * KINDS[run.kind][1]
         stiffness = pairs.stiffness[points : points + count]
-        placed = centre, half, radius, kin.rotation, size, approach, margin
+        placed = (centre, kin.rotation, half, radius), size, approach, margin
         nearest = _nearest(run, first, second, placed, twists, h)
         paths = _paths(tree, first, second)
         watched = nearest.watched
@@ -517,12 +518,12 @@ def _nearest(
         run: the kind of the pairs.
         first: first body of each pair.
         second: second body of each pair.
-        placed: centres, half extents and radii of all bodies' boxes (m), rotations, radii of
-            bounding balls (m), distances that bodies move in this step (m), and margins (m).
+        placed: boxes of all bodies (`Alike.boxes`), radii of bounding balls (m), distances that
+            bodies move in this step (m), and margins (m).
         twists: twists of all bodies at the start of the step (`ManyPairContacts.twists`).
         h: step, s.
     """
-    centre, half, radius, rotation, size, approach, margin = placed
+    boxes, size, approach, margin = placed
     spin, linear = twists
     find, each = KINDS[run.kind]
     like = margin[0] + approach[0]
@@ -533,21 +534,12 @@ def _nearest(
     def round_(points: _Points, p: Array) -> tuple[_Points, None]:
         bodies = jnp.asarray(first)[p], jnp.asarray(second)[p]
         near = sum(_at(size + 2.0 * approach + margin, body) for body in bodies)
-        away = _at(centre, bodies[1], 1) - _at(centre, bodies[0], 1)
+        away = _at(boxes[0], bodies[1], 1) - _at(boxes[0], bodies[0], 1)
         close = dot(away, away) < near * near
 
         def look(points: _Points) -> _Points:
-            boxes = [
-                run.boxes(
-                    _at(centre, body, 1, True),
-                    _at(rotation, body, 2, True),
-                    _at(half, body, 1, True),
-                    _at(radius, body, 0, True),
-                    side,
-                )
-                for side, body in enumerate(bodies)
-            ]
-            found = find(*boxes)
+            own = zip((0, 1), bodies, strict=True)
+            found = find(*(run.boxes(boxes, picking(body), side) for side, body in own))
             gap = jnp.concatenate([one.gap for one in found])
             own = [[_at(x, body, 1, True) for x in (spin, linear)] for body in bodies]
             closing = jnp.concatenate([-_apart(one, own) for one in found])

@@ -14,7 +14,7 @@ Few pairs are unrolled (`evo_cpg.physics.contact.pair_contacts`), many are loope
 """
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -86,12 +86,18 @@ class Alike(NamedTuple):
     turned: tuple[tuple[int, int, int], tuple[int, int, int]]
     count: int
 
-    def boxes(
-        self, centre: Array, axes: Array, half: Array, radius: Array, side: int
-    ) -> RoundedBoxes:
-        """Return the boxes of the first or the second bodies of some of the pairs."""
+    def boxes(self, placed: tuple[Array, ...], pick: Callable, side: int) -> RoundedBoxes:
+        """Return the boxes of the first (side 0) or the second bodies (side 1) of some pairs.
+
+        Args:
+            placed: centres, axes as columns, half extents and radii of all bodies' boxes, m.
+            pick: function that picks bodies from an array along an axis.
+            side: place of the bodies in their pairs.
+        """
         order = np.array(self.turned[side])
-        return RoundedBoxes(centre, take(axes, order), take(half, order, 0), radius)
+        axes = zip(placed, (1, 2, 1, 0), strict=True)
+        centre, turned, half, radius = (pick(x, axis) for x, axis in axes)
+        return RoundedBoxes(centre, take(turned, order), take(half, order, 0), radius)
 
 
 class Pairs(eqx.Module):
@@ -333,47 +339,36 @@ def parting_acceleration(normal: Array, carried: Array, points: Iterable[PointMo
 def separations(pairs: Pairs, kin: Kinematics) -> Separation:
     """Return the separations at all points of all pairs, in the world frame."""
     centre, half, radius = placed_boxes(pairs, kin)
+    placed = centre, kin.rotation, half, radius
     found, start = [], 0
     for run in pairs.runs:
-        chosen = [
-            np.array(bodies[start : start + run.count]) for bodies in (pairs.first, pairs.second)
-        ]
+        bodies = [np.array(x[start : start + run.count]) for x in (pairs.first, pairs.second)]
         find, _ = KINDS[run.kind]
         if pairs.looped:
-            found += _one_by_one(run, chosen, (centre, kin.rotation, half, radius))
+            found += _one_by_one(run, bodies, placed)
         else:
-            sides = [
-                run.boxes(
-                    take(centre, own),
-                    take(kin.rotation, own, 2),
-                    take(half, own),
-                    take(radius, own, 0),
-                    side,
-                )
-                for side, own in enumerate(chosen)
-            ]
-            found += find(*sides)
+            picks = (lambda x, axis, own=own: take(x, own, axis) for own in bodies)
+            found += find(*(run.boxes(placed, pick, side) for side, pick in enumerate(picks)))
         start += run.count
     axis = 1 - kin.origin.ndim
     return jax.tree.map(lambda *parts: jnp.concatenate(parts, axis), *found)
 
 
+def picking(body: Array) -> Callable[[Array, int], Array]:
+    """Return a function that picks one body, whose index may be traced, and keeps its axis."""
+    return lambda x, axis: jax.lax.dynamic_index_in_dim(x, body, axis)
+
+
 def _one_by_one(
-    run: Alike, chosen: list[np.ndarray], placed: tuple[Array, Array, Array, Array]
+    run: Alike, bodies: list[np.ndarray], placed: tuple[Array, ...]
 ) -> list[Separation]:
     """Return the separations of the pairs of a run, in a loop over the pairs."""
 
-    def look(carry: None, bodies: Array) -> tuple[None, list[Separation]]:
-        boxes = []
-        for side in range(2):
-            own = (
-                jax.lax.dynamic_index_in_dim(x, bodies[side], axis)
-                for x, axis in zip(placed, (1, 2, 1, 0), strict=True)
-            )
-            boxes.append(run.boxes(*own, side=side))
+    def look(carry: None, pair: Array) -> tuple[None, list[Separation]]:
+        boxes = (run.boxes(placed, picking(pair[side]), side) for side in range(2))
         return carry, KINDS[run.kind][0](*boxes)
 
-    _, found = jax.lax.scan(look, None, jnp.asarray(np.stack(chosen, 1), jnp.int32))
+    _, found = jax.lax.scan(look, None, jnp.asarray(np.stack(bodies, 1), jnp.int32))
 
     def together(x: Array) -> Array:
         """Move the axis of pairs behind the components, in place of the one pair."""

@@ -26,7 +26,7 @@ from evo_cpg.physics.contact.pair_contacts import PairContacts, find_pair_contac
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import Accelerations, solve
 from evo_cpg.physics.tree.ball_limit import BallLaws, ball_laws
-from evo_cpg.physics.tree.generalized import generalized_force, mass_matrix
+from evo_cpg.physics.tree.generalized import generalized_equations
 from evo_cpg.physics.tree.joint_torque import (
     MotorCommand,
     MotorTorque,
@@ -38,8 +38,6 @@ from evo_cpg.physics.tree.kinematics import Kinematics, kinematics, motion_of_bo
 from evo_cpg.physics.tree.root import (
     JOINTS,
     joint_part,
-    plus_joint_diagonal,
-    plus_torque,
     root_part,
 )
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion, Inertia, Wrench, make_inertia, plus
@@ -189,9 +187,7 @@ def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations
     kin, inertia, bias = equations.kin, equations.inertia, equations.bias
     if equations.tendons is None and equations.balls is None:
         return solve(tree, kin, inertia, bias, torque, derivative, world.held)
-    matrix = plus_joint_diagonal(mass_matrix(tree, kin, inertia), derivative)
-    force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
-    force = plus_torque(force, torque)
+    matrix, force = generalized_equations(tree, kin, inertia, bias, torque, derivative)
     if equations.tendons is not None:
         matrix, force = equations.tendons.expected(h).added_to(matrix, force)
     if equations.balls is not None:

@@ -40,10 +40,14 @@ from evo_cpg.physics.step.equations import Equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.ball_limit import BallForce
-from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force, mass_matrix
+from evo_cpg.physics.tree.generalized import (
+    body_accelerations,
+    generalized_equations,
+    generalized_force,
+    mass_matrix,
+)
 from evo_cpg.physics.tree.joint_torque import changes_overload, linearized_torque
 from evo_cpg.physics.tree.root import JOINTS, joint_part, plus_joint_diagonal, plus_torque
-from evo_cpg.physics.tree.spatial_algebra import Wrench
 from evo_cpg.physics.tree.tendon import TendonForce
 
 # Fraction of the other forces (drag, springs, velocity products) in the norm of all forces. It
@@ -101,10 +105,14 @@ class StepProblem(NamedTuple):
     @classmethod
     def of(cls, world: World, h: float, equations: Equations) -> "StepProblem":
         """Return the problem of a step."""
-        tree, kin, bias = world.tree, equations.kin, equations.bias
-        mass = plus_joint_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
-        force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
-        force = plus_torque(force, equations.passive)
+        mass, force = generalized_equations(
+            world.tree,
+            equations.kin,
+            equations.inertia,
+            equations.bias,
+            equations.passive,
+            equations.derivative,
+        )
         if equations.tendons is not None:
             mass, force = equations.tendons.springs().added_to(mass, force)
         return cls(world, h, equations, mass, force)

@@ -69,6 +69,20 @@ def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Arra
     return jnp.concatenate([*on_root, *torques[::-1]])
 
 
+def generalized_equations(
+    tree: Tree,
+    kin: Kinematics,
+    inertia: Inertia,
+    bias: Wrench,
+    torque: Float[Array, "d *n"],
+    resistance: Float[Array, "d *#n"],
+) -> tuple[Float[Array, "v v *n"], Float[Array, "v *n"]]:
+    """Return the matrix and the force of the equation that `articulated.solve` solves."""
+    matrix = root.plus_joint_diagonal(mass_matrix(tree, kin, inertia), resistance)
+    force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
+    return matrix, root.plus_torque(force, torque)
+
+
 def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "v v *n"]:
     """Return the mass matrix of the inertias ``(3, 3, b, *n)`` of all bodies."""
     I_c = PerBody.of(inertia, inertia.linear.ndim - 3)
