@@ -82,8 +82,6 @@ class Contacts(NamedTuple):
     on these points, in the contact frame, in N.
 
     Attributes:
-        model: contact points of the creature.
-        h: step, s.
         offset: vector from the body's origin to the lowest point, world axes, m.
         unconstrained_velocity: mean over the step, with the accelerations of `Kinematics` alone.
         target_velocity: v*, far below any velocity if the point is out of reach.

@@ -44,13 +44,6 @@ class Ground(eqx.Module):
     """Material and shape of the ground.
 
     Attributes:
-        restitution: restitution of the ground's material.
-        static_friction: static friction of the ground's material.
-        dynamic_friction: dynamic friction of the ground's material.
-        restitution_rule: rule that combines the restitution of body and ground.
-        friction_rule: rule that combines the friction of body and ground.
-        floor: shape of the ground.
-        obstacles: obstacles on the ground.
         margin: distance from which points are checked for an impact within the next step, m. The
             margin does not hold bodies off the ground. Fast points are checked from farther away.
         stribeck_speed: sliding speed at which friction is halfway between static and dynamic, m/s.
@@ -104,9 +97,7 @@ class Solids(NamedTuple):
     points.
 
     Attributes:
-        boxes: boxes with sharp edges.
         lines: centre lines of capsules.
-        balls: spheres.
         ellipsoids: ellipsoids of bodies and within meshes.
         points: for each kind, the number of points that one part may touch with at the same time.
     """
@@ -136,13 +127,10 @@ class ContactModel(NamedTuple):
     `Solids`.
 
     Attributes:
-        ground: ground under the creature.
         bodies: index in the tree of each contact point's body.
         boxes: half edges, m, one column for the four contact points of each box.
         meshes: corners of each mesh, m. Shorter lists repeat the last corner.
         cylinders: half length and radius of each cylinder along x, m.
-        radii: radii of the balls, m.
-        semi_axes: semi-axes of the ellipsoids, m.
         solids: parts that may touch obstacles, or None without obstacles.
         centre: centre of each box, mesh and cylinder (once), ball and ellipsoid, body's working
             frame, m.

@@ -101,7 +101,6 @@ class _Run(NamedTuple):
         second: second body of each pair.
         stiffness: c h of each point, kg.
         paths: joint axes between the bodies.
-        points: nearest points in this step.
         near: 1 for each group of `_TOGETHER` points with one that counts, ``(groups, *n)``.
     """
 

@@ -63,18 +63,12 @@ class FewPairContacts(NamedTuple):
     along the normal is ``J qd``. A force f of the pair gives these joints the torques ``J^T f``.
 
     Attributes:
-        tree: the creature.
-        pairs: pairs of bodies of the creature.
-        kin: kinematics at the start of the step.
-        qd: joint rates at the start of the step, rad/s.
-        h: step, s.
         gap: gap of each contact, m.
         jacobian: J, m, with zeros for joints that are not between the bodies.
         unconstrained_velocity: mean over the step with zero joint accelerations, m/s.
         target_velocity: v*, m/s.
         bias: velocity-product bias, m/s^2: the acceleration along the normal at constant joint
             rates. `unconstrained_velocity` includes it.
-        where: the nearest points.
     """
 
     tree: Tree
@@ -138,7 +132,6 @@ class FewPairForces(NamedTuple):
     """Contact laws linearized at a velocity: ``f = force - derivative (v - velocity)``.
 
     Attributes:
-        contacts: contacts of the step.
         velocity: separation velocity of the linearization, m/s.
         force: force at this velocity, N.
         derivative: decrease of the force per velocity, N s/m.

@@ -79,7 +79,6 @@ class Alike(NamedTuple):
     Attributes:
         kind: a key of `KINDS`.
         turned: axes of the first and the second body that count as x, y and z.
-        count: number of pairs.
     """
 
     kind: str
@@ -144,7 +143,6 @@ class _NeutralPose(NamedTuple):
     """Boxes of a creature's bodies in the neutral pose. The numbers may be traced.
 
     Attributes:
-        tree: the creature.
         boxes: rounded boxes of its bodies.
         turned: rotations ``(b, 3, 3)`` of its bodies.
         centres: centres of the boxes, m.

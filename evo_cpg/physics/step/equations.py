@@ -50,7 +50,6 @@ class Equations(NamedTuple):
     """Equations of one step, which stay constant while the solver searches for the accelerations.
 
     Attributes:
-        state: state at the start of the step.
         kin, inertia, bias, passive, derivative: arguments of `solve`, without motors, joint limits
             and ground. The signs differ, because they are parts of two equations:
 

@@ -57,7 +57,6 @@ class _Bracket(NamedTuple):
         length: the latest length.
         derivative: derivative at the latest length.
         moved: end that moved last: 1 the upper, -1 the lower, 0 none.
-        evaluations: number of evaluations of the derivative.
         pair_sums: `PairForces.sums` at the latest length.
     """
 

@@ -63,7 +63,6 @@ class Outer(NamedTuple):
     """Parameters of a step problem that Newton's method keeps fixed.
 
     Attributes:
-        cone: friction cones.
         restitution: remaining fraction of the restitution, 0 to 1.
         bias: velocity-product bias of pairs (`evo_cpg.physics.contact.pair_contacts`).
         bias_updates: number of updates of the bias.

@@ -89,9 +89,6 @@ class StepProblem(NamedTuple):
     """Minimisation problem of a step.
 
     Attributes:
-        world: the creature and its environment.
-        h: step, s.
-        equations: equations of motion of this step.
         mass: M, ``(v, v, *n)``, kg, kg m and kg m^2.
         force: M y_free, ``(v, *n)``: moment (N m) and force (N) at the root, torques (N m).
     """

@@ -60,9 +60,6 @@ class _Search(NamedTuple):
 
     Attributes:
         y: the iterate, accelerations of root and joints.
-        outer: parameters of the current problem.
-        iterations: number of Newton iterations.
-        done: whether y is the solution.
         visited: intermediate solutions, for derivatives.
     """
 

@@ -26,9 +26,7 @@ class World(eqx.Module):
     """A creature and its environment, as `evo_cpg.physics.step.step` simulates them.
 
     Attributes:
-        tree: the creature.
         gravity: acceleration of gravity along -z, m/s^2.
-        water: the medium, or None on dry land.
         forces: force laws besides weight, buoyancy, joints and contact, in the order of their sum.
         contact_model: the contact points, or None without ground.
         cells: simple volumes that make up the bodies. Empty without a water surface.

@@ -53,11 +53,8 @@ class TendonLaws(NamedTuple):
     """Laws of the tendons in a step.
 
     Attributes:
-        tendons: the tendons.
-        lengths: lengths at the start of the step.
         passive: force of springs and dampers at the present rates.
         derivative: T of springs and dampers, with the armature.
-        motor: forces that the motors command.
     """
 
     tendons: Tendons
@@ -96,7 +93,6 @@ class TendonForce(NamedTuple):
     """Force of the tendons as ``force - resistance C qdd``.
 
     Attributes:
-        tendons: the tendons.
         force: force at zero joint acceleration.
         resistance: decrease of the force per acceleration of the length.
     """

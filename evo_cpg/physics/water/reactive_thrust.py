@@ -197,7 +197,6 @@ class ReactiveThrust(ForceLaw):
 
     Attributes:
         bodies: index of the body of each edge in the tree.
-        edges: the edges.
     """
 
     of_water: ClassVar[bool] = True

@@ -112,7 +112,6 @@ class ViscousDrag(ForceLaw):
     Attributes:
         viscosity: dynamic viscosity mu, Pa s.
         form_drag: factor of the form coefficients.
-        patches: the bodies.
         factor: factor of the whole drag.
     """
 
