@@ -238,6 +238,11 @@ def coast(world: World, state: State, seconds: float, h: float) -> State:
     return jax.tree.map(np.asarray, motion(state))
 
 
+def last(states: State) -> State:
+    """Return the last of several states, as JAX arrays."""
+    return jax.tree.map(lambda x: jnp.asarray(x[-1]), states)
+
+
 @quick_jit
 def accelerations(tree: Tree, state: State, tau):
     """Return the accelerations on dry land in two ways: by bodies, and by the mass matrix."""

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from benchmarks.mujoco_model import mujoco_model
-from creatures import STRUCTURES, coast, quick_jit, random_creature, random_state
+from creatures import STRUCTURES, coast, last, quick_jit, random_creature, random_state
 from evo_cpg.creature.algebra.rotation import integrate_quaternion, quaternion_to_matrix
 from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
@@ -158,7 +158,7 @@ def test_free_fall_is_exact():
 
 def after_steps(world: World, state: State, count: int) -> State:
     """Return the state after some steps without motors."""
-    return jax.tree.map(lambda x: x[-1], coast(world, state, count * H, H))
+    return last(coast(world, state, count * H, H))
 
 
 def test_motors_at_their_limits_do_not_change_the_momentum():

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from creatures import accelerations, coast, quick_jit, random_shape, random_state
+from creatures import accelerations, coast, last, quick_jit, random_shape, random_state
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, TorqueMotor
 from evo_cpg.creature.reach import keeps_apart
@@ -144,7 +144,7 @@ def drifting():
         for h in (1 / 1000, 1 / 2000):
             # Velocities are half a step behind the poses.
             moving = start.moved(tree, h / 2)
-            end = jax.tree.map(lambda x: x[-1], coast(world, moving, 0.1, h))
+            end = last(coast(world, moving, 0.1, h))
             ends.append(end.moved(tree, -h / 2))
         return creature, tree, start, ends
 

@@ -135,7 +135,7 @@ def reduced_inertia(creature: Creature) -> float:
     return first * second / (first + second)
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.003])
+@pytest.mark.parametrize("damping", [pytest.param(0.0, marks=pytest.mark.slow), 0.003])
 def test_spring_is_the_implicit_euler_oscillator(damping):
     """A spring and damper step by backward Euler: (q, qd)+ = (1 - h A)^-1 (q, qd).
 
@@ -196,7 +196,7 @@ def test_spring_frequency_equals_the_closed_form():
     assert measured == pytest.approx(omega, rel=1e-3)
 
 
-@pytest.mark.parametrize("gain", [1e-4, 0.05])
+@pytest.mark.parametrize("gain", [pytest.param(1e-4, marks=pytest.mark.slow), 0.05])
 def test_soft_limit_holds_a_constant_push(gain):
     """A joint under a constant torque tau rests tau / k beyond a limit of stiffness k.
 
@@ -254,7 +254,9 @@ def test_soft_limit_stops_a_swing(rotor):
     assert 0 < -rate.min() < 1.01 * speed / np.e**2
 
 
-@pytest.mark.parametrize("gear", [0.02, 1.0, 50.0])
+@pytest.mark.parametrize(
+    "gear", [0.02, *(pytest.param(gear, marks=pytest.mark.slow) for gear in (1.0, 50.0))]
+)
 def test_soft_limit_of_a_torque_motor_does_not_bounce(gear):
     """The stiffness that balances the motor has a damper. The joint keeps at most v / e^2."""
     speed = 6.0
@@ -321,7 +323,7 @@ def test_an_overloaded_dashpot_applies_its_limit(x64):
     assert fitted == pytest.approx(2 * limit / inertia, rel=0.01)
 
 
-@pytest.mark.parametrize("limit", [25.0, 2.5])
+@pytest.mark.parametrize("limit", [25.0, pytest.param(2.5, marks=pytest.mark.slow)])
 def test_a_limited_motor_adds_only_its_work(limit, x64):
     """The leg also turns about its length, where its inertia is small.
 

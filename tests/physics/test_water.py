@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, single
+from creatures import STRUCTURES, coast, in_water, last, quick_jit, random_creature, single
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.physics.water.fluid import Drag, drag
@@ -229,6 +229,6 @@ def test_neutral_spheres_reach_the_local_velocity():
     state = resting_state(world.tree, (3,), jnp.float64)
     position = state.position.at[2].set(jnp.asarray(heights))
     state = dataclasses.replace(state, position=position)
-    end = jax.tree.map(lambda x: x[-1], coast(world, state, 20.0, H))
+    end = last(coast(world, state, 20.0, H))
     np.testing.assert_allclose(end.velocity[4], 0.1 + 0.5 * heights, atol=0.01)
     np.testing.assert_allclose(end.position[2], heights, atol=1e-9)
