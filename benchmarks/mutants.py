@@ -42,16 +42,16 @@ class Mutant(NamedTuple):
 
 MUTANTS = (
     Mutant(
-        "native/converge.py",
+        "native/fuse.py",
         "jax.jvp(lambda p: replay(notes, *p), (replayed,), (changes,))[1]",
         "jax.tree.map(jnp.zeros_like, found)",
-        "native/test_loops.py physics/test_gradients.py",
+        "fusion/test_loops.py physics/test_gradients.py",
     ),
     Mutant(
-        "native/converge.py",
+        "native/fuse.py",
         "jnp.any(goes_on(x))",
         "jnp.all(goes_on(x))",
-        "native/test_loops.py",
+        "fusion/test_loops.py",
     ),
     Mutant(
         "creature/algebra/numerics.py",
@@ -219,7 +219,7 @@ MUTANTS = (
         "native/ldl.py",
         "left = left[:k, :k] - scaled[:, None] * row[None]",
         "left = left[:k, :k] - row[:, None] * row[None]",
-        "creature/algebra/test_ldl.py",
+        "spatial/test_ldl.py",
     ),
     Mutant(
         "physics/contact/flat_separation.py",
