@@ -45,13 +45,13 @@ MUTANTS = (
         "native/fuse.py",
         "jax.jvp(lambda p: replay(notes, *p), (replayed,), (changes,))[1]",
         "jax.tree.map(jnp.zeros_like, found)",
-        "fusion/test_loops.py physics/test_gradients.py",
+        "native/test_loops.py physics/test_gradients.py",
     ),
     Mutant(
         "native/fuse.py",
         "jnp.any(goes_on(x))",
         "jnp.all(goes_on(x))",
-        "fusion/test_loops.py",
+        "native/test_loops.py",
     ),
     Mutant(
         "creature/algebra/numerics.py",
@@ -219,7 +219,7 @@ MUTANTS = (
         "native/ldl.py",
         "left = left[:k, :k] - scaled[:, None] * row[None]",
         "left = left[:k, :k] - row[:, None] * row[None]",
-        "spatial/test_ldl.py",
+        "creature/algebra/test_ldl.py",
     ),
     Mutant(
         "physics/contact/flat_separation.py",
