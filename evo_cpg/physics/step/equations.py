@@ -20,7 +20,7 @@ from evo_cpg.creature.algebra.linear import (
 )
 from evo_cpg.creature.algebra.numerics import Numbers, is_traced, xp
 from evo_cpg.creature.tree import Tree
-from evo_cpg.native.frontend.symmetric_solve import solve_symmetric
+from evo_cpg.native.fuse import solve_symmetric
 from evo_cpg.physics.contact.contact import Contacts, find_contacts
 from evo_cpg.physics.contact.pair_contacts import PairContacts, find_pair_contacts
 from evo_cpg.physics.step.world import World
