@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.analysis.limit_cycle import parts
 from evo_cpg.control.couplings import explicit_weights
-from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix
+from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix, parts
 from evo_cpg.creature.tree import Tree
 
 # Axes count as perpendicular if the cosine of their angle is less.
@@ -24,7 +23,6 @@ class Chain(NamedTuple):
         name: name of the first degree of freedom, and number of followers.
         oscillators: oscillators from head to tail.
         part: all oscillators connected to the chain, directly or not, if neighbours are coupled.
-        places: indices of the chain's oscillators in ``part``.
         sides: sign for each pair of neighbours. 1: they inhibit opposite sides, and swing together
             except for the lag. -1: they inhibit the same side, and swing in opposition.
     """
@@ -32,7 +30,6 @@ class Chain(NamedTuple):
     name: str
     oscillators: tuple[int, ...]
     part: tuple[int, ...]
-    places: tuple[int, ...]
     sides: Float[np.ndarray, " gaps"]
 
 
@@ -57,7 +54,6 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
                 name=tree.dof_names[path[0]] + (f" + {len(path) - 1}" if path[1:] else ""),
                 oscillators=tuple(path),
                 part=part,
-                places=tuple(map(part.index, path)),
                 sides=np.array([links[b, a] for a, b in itertools.pairwise(path)]),
             )
         )

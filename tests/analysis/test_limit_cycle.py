@@ -8,14 +8,16 @@ from jax.flatten_util import ravel_pytree
 
 from creatures import box_chain
 from evo_cpg.analysis.gait import dominant_frequency, fourier_component
-from evo_cpg.analysis.limit_cycle import STEPS, NoRhythmError, limit_cycle, parts
+from evo_cpg.analysis.limit_cycle import STEPS, NoRhythmError, limit_cycle
 from evo_cpg.control.matsuoka import (
     CpgSettings,
     MatsuokaNetwork,
+    MatsuokaState,
     advance,
     build_network,
     initial_state,
     output,
+    parts,
 )
 from evo_cpg.creature.tree import build_tree
 
@@ -77,7 +79,8 @@ def test_multipliers_predict_the_decay_of_a_perturbation(joints, gain, weight, x
     values, vectors = np.linalg.eig(cycle.monodromy)
     slowest = int(np.abs(values - cycle.multipliers[0]).argmin())
     assert 1e-3 < np.abs(values[slowest]) < 1
-    flat, unflatten = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x[..., 0]), cycle.states))
+    first = MatsuokaState(*jnp.asarray(cycle.states[..., 0]))
+    flat, unflatten = ravel_pytree(first)
     along = np.linalg.inv(vectors)[slowest]
     push = 1e-3 * np.real(vectors[:, slowest])
     state, left = unflatten(flat + push), [abs(along @ push)]
