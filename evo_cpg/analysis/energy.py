@@ -16,19 +16,25 @@ The energy left over is an error of the simulator and vanishes with the step. A 
 on it. Momentum that no force explains is also an error of the simulator.
 
 All computations are in float64, from the states.
+
+`water_power` measures what a swimmer puts into the water. The net force on a free swimmer is zero
+on average, so a force law that pushes has to be told from laws that resist. **Thrust** is the force
+of reactive thrust alone, of the water that leaves the tail. **Power** is the energy that all laws
+of the water take from the body per time. Without reactive thrust, drag both pushes and resists, and
+thrust cannot be told apart. Such an animal needs a tow.
 """
 
 import dataclasses
 import functools
 import operator
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.analysis.along_time import along_time
 from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec
 from evo_cpg.creature.tendons import Tendons
 from evo_cpg.physics.contact.contact import find_contacts
@@ -43,11 +49,13 @@ from evo_cpg.physics.tree.joint_torque import (
     friction_torque,
     limit_torque,
 )
+from evo_cpg.physics.tree.joints import Subspace
 from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
 from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.state import State
 from evo_cpg.physics.tree.tendon import length_of, lengths_of, tendon_energy, torque_of
 from evo_cpg.physics.water.force_law import Bodies, body_velocity
+from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
 from evo_cpg.physics.water.weight import buoyancy_alone
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.snapshot import Snapshot
@@ -258,3 +266,85 @@ def _law_work(
 def _delayed(after: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Return the final state of the step before. The first step gets its own initial state."""
     return np.concatenate([before[..., :1], after[..., :-1]], -1)
+
+
+# Number of steps in a block. Arrays of surface points at all steps would need too much memory.
+_BLOCK = 1024
+
+
+def along_time(function: Callable, *steps: Any) -> Any:
+    """Return ``function(*steps)``, block by block: one program serves trials of any length.
+
+    Args:
+        function: function of each step alone. Time is the last axis of arguments and results.
+        steps: pytrees of arrays.
+    """
+    with jax.enable_x64(True):
+        exact = jax.tree.map(lambda x: np.asarray(x, np.float64), steps)
+        count = jax.tree.leaves(exact)[0].shape[-1]
+        program = jax.jit(function)
+        parts = []
+        for start in range(0, count, _BLOCK):
+            # The last block repeats the last step.
+            block = np.minimum(np.arange(start, start + _BLOCK), count - 1)
+            own = jax.tree.map(functools.partial(_part, block), exact)
+            parts.append(jax.device_get(program(*own)))
+    return jax.tree.map(lambda *x: np.concatenate(x, -1)[..., :count], *parts)
+
+
+def _part(block: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return values[..., block]
+
+
+class WaterPower(NamedTuple):
+    """Force and power at every control step.
+
+    Attributes:
+        thrust: force of reactive thrust on the whole body, world axes, N.
+        power: energy that the water takes from the body per time, W.
+    """
+
+    thrust: Float[np.ndarray, "t 3"]
+    power: Float[np.ndarray, " t"]
+
+
+def water_power(
+    world: World, frames: Mapping[str, Array | np.ndarray], h: float
+) -> WaterPower | None:
+    """Return thrust and power of a recorded trial, or None without reactive thrust.
+
+    Args:
+        world: world of the trial.
+        frames: ``full`` frames of one individual (`evo_cpg.simulation.recording.Recorder`).
+        h: duration of a physics step, s.
+    """
+    if world.law(ReactiveThrust) is None or "angular_velocity" not in frames:
+        return None
+    laws = [law for law in world.forces if law.of_water]
+
+    def of_step(position: Array, rotation: Array, velocity: Array, turning: Array) -> tuple:
+        lever = matvec(rotation, expand_dims_like(world.tree.centre, position))
+        still = jnp.zeros_like(position)
+        kin = Kinematics(
+            rotation=rotation,
+            origin=position - lever,
+            offset=still,
+            axes=Subspace(still[:, :0]),
+            angular=turning,
+            linear=velocity - cross(turning, lever),
+            bias_angular=still,
+            bias_linear=still,
+        )
+        bodies = world.bodies(kin, h)
+        thrust, power = jnp.zeros_like(position[:, 0]), jnp.zeros_like(position[0, 0])
+        for law in laws:
+            wrench = law.wrench(bodies)
+            power = power - (wrench * bodies.relative).sum((0, 1))
+            if isinstance(law, ReactiveThrust):
+                thrust = thrust + matvec(rotation, wrench[3:]).sum(1)
+        return thrust, power
+
+    names = ("position", "rotation", "velocity", "angular_velocity")
+    steps = [np.moveaxis(np.asarray(frames[name])[..., 0], 0, -1) for name in names]
+    thrust, power = along_time(of_step, *steps)
+    return WaterPower(thrust.T, power)

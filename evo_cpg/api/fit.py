@@ -97,12 +97,7 @@ def read_motion(path: Path) -> MeasuredMotion:
     if not np.isfinite(time).all() or time.min() < 0 or (np.diff(time) <= 0).any():
         raise UserError(f"{path}: time must begin at 0 or later and increase from row to row")
     root = next((name.removesuffix(_ROTATION) for name in names if name.endswith(_ROTATION)), None)
-    ends = (_ANGLE, _COMMAND)
-    seen = {
-        name.removesuffix(_ANGLE): column
-        for name, column in given.items()
-        if root is None or name.endswith(_ANGLE)
-    }
+    seen: dict[str, np.ndarray] = {}
     if root is not None:
         try:
             seen |= {axis: given[f"{root}.{axis}"] for axis in "xyz"}
@@ -110,9 +105,15 @@ def read_motion(path: Path) -> MeasuredMotion:
             xx, yx, zx, zy, zz = (given[f"{root}.rotation_{axes}"] for axes in turns)
         except KeyError as error:
             raise UserError(f"{path}: an exported motion must have the column {error}") from None
-        seen["roll"], seen["yaw"] = np.arctan2(zy, zz), np.arctan2(yx, xx)
-        seen["pitch"] = -np.arcsin(np.clip(zx, -1.0, 1.0))
-    data = {name: column for name, column in seen.items() if not name.endswith(ends)}
+        seen["roll"], seen["pitch"] = np.arctan2(zy, zz), -np.arcsin(np.clip(zx, -1.0, 1.0))
+        seen["yaw"] = np.arctan2(yx, xx)
+    # An export has more columns than a fit can use.
+    seen |= {
+        name.removesuffix(_ANGLE): column
+        for name, column in given.items()
+        if root is None or name.endswith(_ANGLE)
+    }
+    data = {name: column for name, column in seen.items() if not name.endswith(_COMMAND)}
     commands = {n.removesuffix(_COMMAND): c for n, c in given.items() if n.endswith(_COMMAND)}
     if not data or not all(np.isfinite(column).all() for column in commands.values()):
         raise UserError(

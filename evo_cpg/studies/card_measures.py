@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.analysis.allometry import running_cost
+from evo_cpg.analysis.animals import running_cost
+from evo_cpg.analysis.cycles import mean_phase, upward_crossings
 from evo_cpg.analysis.gait import fourier_component
 from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.analysis.laboratory.settings import Setting
-from evo_cpg.analysis.rhythm import mean_phase, upward_crossings
 from evo_cpg.simulation.recording import Recording
 
 Measure = Callable[[Sequence[Answer]], Sequence[float]]

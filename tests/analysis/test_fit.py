@@ -109,7 +109,7 @@ def test_intervals_hold_a_decaying_oscillation():
         wave = p[2] * jnp.exp(-p[1] * times)
         return jnp.stack([wave * jnp.cos(p[0] * times), wave / 2 * jnp.sin(p[0] * times)], 1)
 
-    held, _ = coverage(model, np.array([2.0, 0.3, 0.4]), [2.1, 0.33, 0.42], 0.02, 3)
+    held, _ = coverage(model, np.array([2.0, 0.3, 0.4]), [2.1, 0.33, 0.42], 0.02, 1)
     assert (held >= FEWEST).all() and (held <= MOST).all(), held
 
 

@@ -82,7 +82,7 @@ def test_multipliers_predict_the_decay_of_a_perturbation(joints, gain, weight, x
     first = MatsuokaState(*jnp.asarray(cycle.states[..., 0]))
     flat, unflatten = ravel_pytree(first)
     along = np.linalg.inv(vectors)[slowest]
-    push = 1e-3 * np.real(vectors[:, slowest])
+    push = 1e-4 * np.real(vectors[:, slowest])
     state, left = unflatten(flat + push), [abs(along @ push)]
     for _ in range(2 if abs(values[slowest]) > 0.1 else 1):
         _, state = simulate(network, tonic, gains, cycle.period, state, cycle.period / (8 * STEPS))

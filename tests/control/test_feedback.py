@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from evo_cpg.analysis.rhythm import frequency_of, upward_crossings
+from evo_cpg.analysis.cycles import frequency_of, upward_crossings
 from evo_cpg.control import matsuoka
 from evo_cpg.control.brain_cpg import (
     BrainCpgSettings,

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evo_cpg.analysis.rhythm import upward_crossings
+from evo_cpg.analysis.cycles import upward_crossings
 from evo_cpg.control.matsuoka import (
     TIME_CONSTANTS,
     CpgSettings,

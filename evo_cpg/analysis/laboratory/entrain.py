@@ -23,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.analysis.cycles import cycle_starts, frequency_of, mean_phase
 from evo_cpg.analysis.laboratory.bodies import Bodies
-from evo_cpg.analysis.rhythm import cycle_starts, frequency_of, mean_phase
 from evo_cpg.control import matsuoka
 from evo_cpg.control.controller import Observation
 from evo_cpg.native.fuse import fuse

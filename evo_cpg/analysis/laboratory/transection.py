@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.analysis.gait_numbers import Quantity
+from evo_cpg.analysis.cycles import cycle_starts, frequency_of, mean_phase
+from evo_cpg.analysis.gait_quantities import Quantity
 from evo_cpg.analysis.laboratory.bodies import joints_of
 from evo_cpg.analysis.laboratory.settings import NOTHING, Setting
-from evo_cpg.analysis.rhythm import cycle_starts, frequency_of, mean_phase
 from evo_cpg.control.couplings import axis_directions, axis_parents
 from evo_cpg.creature.tree import Tree
 from evo_cpg.simulation.recording import Recording
