@@ -16,7 +16,7 @@ from evo_cpg.creature.tree import Tree
 _SQUARE = 1e-6
 
 
-class Chain(NamedTuple):
+class OscillatorChain(NamedTuple):
     """Oscillators of one axis. Each is the child of the oscillator before it, which inhibits it.
 
     Attributes:
@@ -33,7 +33,7 @@ class Chain(NamedTuple):
     sides: Float[np.ndarray, " gaps"]
 
 
-def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
+def chains(tree: Tree, settings: CpgSettings) -> list[OscillatorChain]:
     """Return all maximal chains, the longest first, then in the order of the bodies."""
     down = CpgSettings(pair_weight=1.0, child_weight=0.0, opposite=settings.opposite)
     links = inhibition_matrix(tree, down) - np.eye(tree.dof_count)
@@ -50,7 +50,7 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
             path.insert(0, int(links[path[0]].nonzero()[0][0]))
         part = next(part for part in joined if path[0] in part)
         found.append(
-            Chain(
+            OscillatorChain(
                 name=tree.dof_names[path[0]] + (f" + {len(path) - 1}" if path[1:] else ""),
                 oscillators=tuple(path),
                 part=part,

@@ -23,6 +23,29 @@ from evo_cpg.simulation.foot_slip import Slip, slip_of_points
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
+# Duration (s) below which contacts and breaks are chatter, and its limit as a fraction of a stride.
+_CHATTER, _CHATTER_FRACTION = 0.05, 0.1
+# Difference below which coefficients of variation count as equal. Sampling alone causes a
+# difference.
+_AS_REGULAR = 0.05
+
+
+class Phases(NamedTuple):
+    """Touch-downs of all feet in the stride of a reference foot.
+
+    Attributes:
+        reference: index of the foot whose touch-downs begin the strides, or None if no foot touches
+            down twice.
+        phase: mean phase of each foot, a fraction of a stride from 0 to 1. NaN without touch-down
+            in these strides.
+        regularity: length of each foot's mean vector, from 0 (random phases) to 1 (equal phases).
+            NaN without touch-down in these strides.
+    """
+
+    reference: int | None
+    phase: Float[np.ndarray, " f"]
+    regularity: Float[np.ndarray, " f"]
+
 
 class Feet(NamedTuple):
     """Bodies that touch the ground, except the root.
@@ -167,30 +190,6 @@ def mean_slip(slip: Float[np.ndarray, " f"], load: Float[np.ndarray, " f"]) -> f
     """
     loaded = load > 0
     return float(np.average(slip[loaded], weights=load[loaded])) if loaded.any() else np.nan
-
-
-# Duration (s) below which contacts and breaks are chatter, and its limit as a fraction of a stride.
-_CHATTER, _CHATTER_FRACTION = 0.05, 0.1
-# Difference below which coefficients of variation count as equal. Sampling alone causes a
-# difference.
-_AS_REGULAR = 0.05
-
-
-class Phases(NamedTuple):
-    """Touch-downs of all feet in the stride of a reference foot.
-
-    Attributes:
-        reference: index of the foot whose touch-downs begin the strides, or None if no foot touches
-            down twice.
-        phase: mean phase of each foot, a fraction of a stride from 0 to 1. NaN without touch-down
-            in these strides.
-        regularity: length of each foot's mean vector, from 0 (random phases) to 1 (equal phases).
-            NaN without touch-down in these strides.
-    """
-
-    reference: int | None
-    phase: Float[np.ndarray, " f"]
-    regularity: Float[np.ndarray, " f"]
 
 
 def touching(

@@ -29,7 +29,7 @@ from evo_cpg.simulation.recording import Recording
 _PADDING = 8
 
 
-class Gait(NamedTuple):
+class JointGait(NamedTuple):
     """The rhythm of the joints about one axis, in the order of the degrees of freedom.
 
     Attributes:
@@ -76,7 +76,7 @@ def gait(
     axis: str | None = None,
     last: float = 0.5,
     signs: Float[np.ndarray, " d"] | None = None,
-) -> Gait:
+) -> JointGait:
     """Return frequency, amplitude and lag of the joints about one axis.
 
     Args:
@@ -96,7 +96,7 @@ def gait(
     frequency = dominant_frequency(angles, step)
     component = fourier_component(angles, step, float(np.median(frequency)))
     lag = np.rad2deg(np.angle(component[:-1] / component[1:]))
-    return Gait(axis, frequency, np.abs(component), lag)
+    return JointGait(axis, frequency, np.abs(component), lag)
 
 
 def ring_lags(

@@ -16,7 +16,7 @@ from evo_cpg.analysis.body_wave import BodyWave, body_wave
 from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.feet import Feet, contacts
 from evo_cpg.analysis.gait import PhaseLags, phase_lags
-from evo_cpg.analysis.gait_quantities import Motion, Quantity, quantities
+from evo_cpg.analysis.gait_quantities import Measurement, Quantity, quantities
 from evo_cpg.analysis.midline import (
     MidlineMotion,
     midline_chain,
@@ -155,7 +155,7 @@ def gait_numbers(
         peak_torque=np.abs(recording.torque).max(0, initial=0.0),
         rms_torque=np.sqrt(np.square(recording.torque).mean(0)),
     )
-    motion = Motion(
+    motion = Measurement(
         simulation=simulation,
         creature=creature,
         frames=frames,

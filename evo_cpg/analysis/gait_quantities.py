@@ -65,7 +65,7 @@ class Quantity(NamedTuple):
         return math.isfinite(self.value)
 
 
-class Motion(NamedTuple):
+class Measurement(NamedTuple):
     """What the numbers are computed from.
 
     Attributes:
@@ -118,7 +118,7 @@ class Motion(NamedTuple):
         return speed, stride.if_anywhere(speed, time, self.length)
 
 
-def quantities(motion: Motion) -> tuple[Quantity, ...]:
+def quantities(motion: Measurement) -> tuple[Quantity, ...]:
     """Return all numbers of a motion, with the ranges of animals."""
     world = motion.simulation.world
     middle = _middle(motion)
@@ -144,7 +144,7 @@ def quantities(motion: Motion) -> tuple[Quantity, ...]:
     return tuple(q if q.animals else q._replace(animals=animals_of(q.key)) for q in present)
 
 
-def _middle(motion: Motion) -> Float[np.ndarray, "n 3"]:
+def _middle(motion: Measurement) -> Float[np.ndarray, "n 3"]:
     """Return the path of the centre of mass in the last part of the trial, m."""
     tree, recording = motion.simulation.world.tree, motion.recording
     order = [tree.names.index(body.name) for body in motion.creature.bodies]
@@ -158,7 +158,7 @@ def _middle(motion: Motion) -> Float[np.ndarray, "n 3"]:
 
 
 def _whole_trial(
-    motion: Motion, middle: Float[np.ndarray, "n 3"]
+    motion: Measurement, middle: Float[np.ndarray, "n 3"]
 ) -> tuple[list[Quantity], float, float]:
     """Return the animal's size, speed and stride, its displacement (m) and its speed (m/s)."""
     recording, length, frequency = motion.recording, motion.length, motion.frequency
@@ -195,7 +195,7 @@ def _whole_trial(
 
 
 def _ground(
-    motion: Motion, feet: Feet, middle: Float[np.ndarray, "n 3"], speed: float
+    motion: Measurement, feet: Feet, middle: Float[np.ndarray, "n 3"], speed: float
 ) -> list[Quantity]:
     """Return the numbers of contacts, slip and walking, at a path speed (m/s) or NaN."""
     world, frequency = motion.simulation.world, motion.frequency
@@ -255,7 +255,7 @@ def _ground(
     return found
 
 
-def _hip_height(motion: Motion, limbs: LimbContacts) -> float:
+def _hip_height(motion: Measurement, limbs: LimbContacts) -> float:
     """Return the mean height of the limbs' first joints above the floor, m."""
     ground, recording = motion.simulation.world.ground, motion.recording
     assert ground is not None
@@ -285,7 +285,7 @@ def _recovery(
     return math.nan if cycles is None else float(stride.recovery(*cycles.values.T))
 
 
-def _midline(motion: Motion) -> list[Quantity]:
+def _midline(motion: Measurement) -> list[Quantity]:
     """Return the numbers of the wave along the midline."""
     found = motion.midline
     count = speed = travelling = lag = tail = relative = fitted = math.nan
@@ -315,7 +315,7 @@ def _midline(motion: Motion) -> list[Quantity]:
 
 
 def _water(
-    motion: Motion, water: Water, middle: Float[np.ndarray, "n 3"], dry: bool
+    motion: Measurement, water: Water, middle: Float[np.ndarray, "n 3"], dry: bool
 ) -> list[Quantity]:
     """Return the numbers of swimming."""
     simulation, midline, frequency = motion.simulation, motion.midline, motion.frequency
@@ -387,7 +387,7 @@ def drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float[
     return np.concatenate([np.zeros((1, 3)), np.cumsum(carried, 0)[:-1]])
 
 
-def _is_dry(motion: Motion, chain: SlenderChain) -> bool:
+def _is_dry(motion: Measurement, chain: SlenderChain) -> bool:
     """Return whether the midline's bodies are out of the water in over half of the samples."""
     level, recording = motion.simulation.world.water_level, motion.recording
     if math.isinf(level):
@@ -401,7 +401,7 @@ def _is_dry(motion: Motion, chain: SlenderChain) -> bool:
     return bool((centre + np.array(deepest) < level).mean() < 0.5)
 
 
-def _effort(motion: Motion, distance: float, speed: float, swims: bool) -> list[Quantity]:
+def _effort(motion: Measurement, distance: float, speed: float, swims: bool) -> list[Quantity]:
     """Return power, energy, cost of transport, torques, and the work of muscles."""
     recording, world, power = motion.recording, motion.simulation.world, motion.power
     mass, muscles = float(motion.creature.mass), world.tree.muscles

@@ -152,7 +152,7 @@ class LimitCycle(NamedTuple):
             return np.rad2deg(np.angle(np.roll(component, 1) / component))
 
 
-class Rest(NamedTuple):
+class Equilibrium(NamedTuple):
     """An equilibrium.
 
     Attributes:
@@ -240,7 +240,7 @@ class Flow:
             product = expm(self.matrix(0.0, middle) * (end - begin)) @ product
         return product
 
-    def equilibrium(self, state: np.ndarray) -> Rest | None:
+    def equilibrium(self, state: np.ndarray) -> Equilibrium | None:
         """Return the equilibrium in which the neurons fire that fire in a state, if there is one.
 
         None also if nearly parallel modes leave the distance from it undetermined.
@@ -259,9 +259,9 @@ class Flow:
             return None
         order = np.argsort(-np.real(rates))
         margin = np.where(self.driven, np.abs(x), np.inf)
-        return Rest(still, rates[order].astype(complex), shapes[:, order], margin, firing)
+        return Equilibrium(still, rates[order].astype(complex), shapes[:, order], margin, firing)
 
-    def decays_to(self, state: np.ndarray) -> Rest | None:
+    def decays_to(self, state: np.ndarray) -> Equilibrium | None:
         """Return the equilibrium that a state certainly decays to, or None if this is uncertain.
 
         Certain: it is stable, and no mode of the distance can bring a potential across zero.
@@ -432,7 +432,7 @@ def close(flow: Flow, state: Float[np.ndarray, " k"], period: float) -> Orbit | 
     return None
 
 
-def _rest_words(flow: Flow, rest: Rest, time: float) -> str:
+def _rest_words(flow: Flow, rest: Equilibrium, time: float) -> str:
     """Return the message for a network at rest, with advice."""
     if rest.firing.all():
         how = "All neurons fire evenly. Couple the oscillators, or increase pair_weight"

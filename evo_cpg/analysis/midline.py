@@ -275,8 +275,10 @@ def swimming(
         found |= dict(zip(names, numbers, strict=True))
     tail, size = found["tail_amplitude"], np.nan if length is None else length
     nu = np.nan if viscosity is None else viscosity
-    found["strouhal"] = stride.strouhal_number(frequency, tail, speed)
-    found["slip"] = stride.slip(speed, found["wave_speed"])
-    found["reynolds"] = stride.reynolds_number(speed, size, nu)
-    found["swimming_number"] = stride.swimming_number(frequency, tail, size, nu)
+    found |= {
+        "strouhal": float(stride.strouhal_number(frequency, tail, speed)),
+        "slip": float(stride.slip(speed, found["wave_speed"])),
+        "reynolds": float(stride.reynolds_number(speed, size, nu)),
+        "swimming_number": float(stride.swimming_number(frequency, tail, size, nu)),
+    }
     return found

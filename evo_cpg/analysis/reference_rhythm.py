@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.analysis.chains import Chain
+from evo_cpg.analysis.chains import OscillatorChain
 from evo_cpg.analysis.limit_cycle import (
     LimitCycle,
     NoRhythmError,
@@ -70,7 +70,7 @@ class Rhythm(NamedTuple):
 def rhythm(
     tree: Tree,
     settings: CpgSettings,
-    chain: Chain,
+    chain: OscillatorChain,
     gain: float,
     tonic_input: float | None = None,
     near: LimitCycle | None = None,
@@ -101,7 +101,7 @@ def rhythm(
 def reference_rhythm(
     tree: Tree,
     settings: CpgSettings,
-    chain: Chain,
+    chain: OscillatorChain,
     gain: float,
     frequency: float | None = None,
     lag: float | None = None,
@@ -155,7 +155,12 @@ def reference_rhythm(
 
 
 def _with_lag(
-    tree: Tree, settings: CpgSettings, chain: Chain, gain: float, lag: float, hold_gain: bool
+    tree: Tree,
+    settings: CpgSettings,
+    chain: OscillatorChain,
+    gain: float,
+    lag: float,
+    hold_gain: bool,
 ) -> Rhythm:
     """Return the rhythm with the given mean lag, by bisection along lines in the box."""
     names = ("parent_weight", "child_weight") if lag >= 0 else ("child_weight", "parent_weight")

@@ -4,8 +4,8 @@ The exported model (`evo_cpg.io.models.mjcf_export`) starts in the champion's in
 are two modes of driving it:
 
 - The recorded commands of the champion's controller, step by step.
-- The controller in the loop, with the sensor readings of MuJoCo's animal (`Brain`). A controller
-  that corrects itself needs this mode if contacts differ. Tables name it "own senses".
+- The controller in the loop, with the sensor readings of MuJoCo's animal (`ControllerInLoop`). A
+  controller that corrects itself needs this mode if contacts differ. Tables name it "own senses".
 
 Both programs solve the same equations of motion. They differ in these points:
 
@@ -122,7 +122,7 @@ class Opinion(NamedTuple):
         return float(np.arctan2(y, x))
 
 
-class Brain:
+class ControllerInLoop:
     """A champion's controller, with the senses of an animal in another simulator.
 
     Args:
@@ -197,7 +197,7 @@ def second_opinion(
     creature: Creature,
     steps: PhysicsSteps,
     hard: bool = False,
-    brain: Brain | None = None,
+    brain: ControllerInLoop | None = None,
 ) -> Opinion:
     """Simulate the trial in MuJoCo, and return its outcome.
 

@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.analysis.fit import Fit, fit
+from evo_cpg.analysis.fit import Fit
+from evo_cpg.analysis.fit import fit as fit_model
 from evo_cpg.api.progress import working
 from evo_cpg.control.commanded import Commanded
 from evo_cpg.errors import UserError, nearest
@@ -143,7 +144,7 @@ def commanded(recording: MeasuredMotion, simulation: Simulation) -> tuple[Comman
     return Commanded(tree=tree, rates=rates), late
 
 
-def fit_motion(
+def fit(
     config: Path | str,
     data: Path | str,
     keys: Sequence[str],
@@ -314,7 +315,7 @@ def _search(
                 "values. Leave it out, or start elsewhere, KEY=VALUE"
             )
         try:
-            result = fit(
+            result = fit_model(
                 lambda x: program(jnp.asarray(x)), recording.data, start, positive, wrapped
             )
         except FloatingPointError:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evo_cpg.analysis.chains import Chain, chains
+from evo_cpg.analysis.chains import OscillatorChain, chains
 from evo_cpg.analysis.limit_cycle import (
     LimitCycle,
     NoRhythmError,
@@ -75,7 +75,7 @@ class FoundRhythm(NamedTuple):
         changes: changed keys of ``controller.cpg``. The middle of the new range of b is the new b.
     """
 
-    chain: Chain
+    chain: OscillatorChain
     present: CpgSettings
     present_gain: float
     before: Rhythm | str
@@ -205,7 +205,7 @@ def oscillators_of(experiment: Experiment) -> Oscillators:
     return found
 
 
-def _chain(experiment: Experiment, settings: CpgSettings, joint: str | None) -> Chain:
+def _chain(experiment: Experiment, settings: CpgSettings, joint: str | None) -> OscillatorChain:
     """Return the longest chain, or the longest chain through an oscillator."""
     names = experiment.world.tree.dof_names
     if joint is not None and joint not in names:

@@ -130,14 +130,13 @@ def _show(shown: "Rhythms") -> None:
 
 def _numbers(cycle: "LimitCycle") -> tuple[str, str, str, str]:
     """Return frequency (Hz), amplitudes, size of the largest multiplier, and recovery time (s)."""
-    digits = 5 if cycle.frequency >= 1 else 4
-    swing = cycle.amplitude
-    size, recovery = abs(cycle.multipliers[0]), f"{cycle.recovery_time:.3g}"
-    stability = f"{size:.3g}", recovery if cycle.stable else "unstable"
-    if size != size:
-        stability = "unknown", "unknown"
+    digits, swing = 5 if cycle.frequency >= 1 else 4, cycle.amplitude
+    frequency = f"{cycle.frequency:#.{digits}g}"
     amplitude = f"{swing.min():.2g} to {swing.max():.2g}"
-    return f"{cycle.frequency:#.{digits}g}", amplitude, *stability
+    size, recovery = abs(cycle.multipliers[0]), f"{cycle.recovery_time:.3g}"
+    if size != size:
+        return frequency, amplitude, "unknown", "unknown"
+    return frequency, amplitude, f"{size:.3g}", recovery if cycle.stable else "unstable"
 
 
 def _show_found(result: "FoundRhythm") -> None:

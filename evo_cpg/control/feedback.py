@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.control.afferent import Gain, Weight
 from evo_cpg.control.limb_load import Load, LoadFeedback, build_load
-from evo_cpg.control.stretch import Stretch, StretchFeedback, build_stretch
+from evo_cpg.control.stretch import StretchFeedback, StretchSense, build_stretch
 from evo_cpg.creature.algebra.numerics import Number
 from evo_cpg.creature.tree import Tree
 
@@ -60,7 +60,7 @@ class Feedback(eqx.Module):
     """
 
     gene_count: int = eqx.field(static=True)
-    stretch: tuple[Stretch, ...]
+    stretch: tuple[StretchSense, ...]
     load: tuple[Load, ...]
     limit: Number
     unit: Number

@@ -1,4 +1,4 @@
-"""Stretch of the body's two sides, felt by the oscillators.
+"""StretchSense of the body's two sides, felt by the oscillators.
 
 The extensor of an oscillator pulls its joint to positive angles. At an angle q > 0 the extensor's
 side of the joint is short, and the flexor's side is stretched:
@@ -48,7 +48,7 @@ from evo_cpg.creature.tree import Tree
 
 @dataclasses.dataclass(frozen=True)
 class StretchFeedback:
-    """Stretch of joints, which enters their oscillators and those of neighbours.
+    """StretchSense of joints, which enters their oscillators and those of neighbours.
 
     Attributes:
         joints: degrees of freedom that are sensed, and whose oscillators receive the feedback. They
@@ -82,7 +82,7 @@ class StretchFeedback:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 
 
-class Stretch(eqx.Module):
+class StretchSense(eqx.Module):
     """One `StretchFeedback` on a creature's tree.
 
     Attributes:
@@ -119,7 +119,7 @@ class Stretch(eqx.Module):
 
 def build_stretch(
     tree: Tree, settings: StretchFeedback, number: int, gain: MakeGain, control_step: float
-) -> Stretch:
+) -> StretchSense:
     """Build one sense of stretch for a creature's tree.
 
     Args:
@@ -134,7 +134,7 @@ def build_stretch(
     """
     offsets, rows = _spread(tree, settings, number)
     gains = gain(settings.angle_weight), gain(settings.rate_weight)
-    return Stretch(*gains, offsets, rows, make_delay(settings.delay, control_step))
+    return StretchSense(*gains, offsets, rows, make_delay(settings.delay, control_step))
 
 
 def _spread(

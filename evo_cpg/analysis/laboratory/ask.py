@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.gait_numbers import gait_numbers
-from evo_cpg.analysis.laboratory.bodies import Bodies, build_bodies, joints_of
+from evo_cpg.analysis.laboratory.bodies import Variants, build_bodies, joints_of
 from evo_cpg.analysis.laboratory.entrain import (
     bend,
     entrained_range,
@@ -245,7 +245,7 @@ _STRAIGHT = 16.0
 
 def _prepared(
     subject: Subject, settings: list[Setting], seconds: float | None, is_towed: bool
-) -> Bodies:
+) -> Variants:
     """Return the animals of all settings, without noise, in their first situation."""
 
     def prepared(simulation: Simulation) -> Simulation:
@@ -267,7 +267,7 @@ def _prepared(
 
 
 def _genes(
-    subject: Subject, bodies: Bodies, settings: Sequence[Setting]
+    subject: Subject, bodies: Variants, settings: Sequence[Setting]
 ) -> Float[np.ndarray, "g n"]:
     """Return the genes of all settings."""
     tree = bodies.common.world.tree

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.analysis.cycles import cycle_starts, frequency_of, mean_phase
-from evo_cpg.analysis.laboratory.bodies import Bodies
+from evo_cpg.analysis.laboratory.bodies import Variants
 from evo_cpg.control import matsuoka
 from evo_cpg.control.controller import Observation
 from evo_cpg.native.fuse import fuse
@@ -61,7 +61,7 @@ class Locking(NamedTuple):
 
 
 def bend(
-    bodies: Bodies,
+    bodies: Variants,
     genes: Float[np.ndarray, "g n"],
     bent: Float[np.ndarray, "d n"],
     frequency: Float[np.ndarray, " n"],
