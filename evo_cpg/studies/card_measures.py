@@ -27,7 +27,7 @@ _LAST = 0.5
 _BURST = 0.1
 # Largest difference from the lag of the intact animal at which the lag has returned, cycles.
 _RETURNED = 0.1
-# Reynolds number where the two laws of Gazzola et al. 2014 meet (`analysis.allometry`).
+# Reynolds number where the two laws of Gazzola et al. 2014 meet (`analysis.animals`).
 _TURBULENT = 3600.0
 # Least Reynolds number of the laminar law in its source: larvae.
 _LARVAE = 10.0
