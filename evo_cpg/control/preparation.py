@@ -22,8 +22,8 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.control.brain_cpg import BrainCpg, Decoded
 from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.control.feedback import StretchSense
 from evo_cpg.control.matsuoka import MatsuokaState, Oscillators
-from evo_cpg.control.stretch import StretchSense
 from evo_cpg.creature.algebra.linear import expand_dims_like, of_each
 from evo_cpg.creature.algebra.numerics import Numbers
 

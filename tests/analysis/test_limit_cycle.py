@@ -83,7 +83,7 @@ def test_multipliers_predict_the_decay_of_a_perturbation(joints, gain, weight, x
     # One individual is pushed, and one is not, because the orbit closes to 1e-6 only.
     state = MatsuokaState(*jnp.asarray(np.stack([flat + push, flat], -1).reshape(2, 2, joints, 2)))
     left = [abs(along @ push)]
-    drives = tonic[..., None], gains[..., None]
+    drives = [np.repeat(each[..., None], 2, -1) for each in (tonic, gains)]
     for _ in range(2 if abs(values[slowest]) > 0.1 else 1):
         _, state = simulate(network, *drives, cycle.period, state, cycle.period / (8 * STEPS))
         pushed, free = np.stack([state.potential, state.adaptation]).reshape(-1, 2).T

@@ -17,10 +17,15 @@ from evo_cpg.control.brain_cpg import (
 )
 from evo_cpg.control.controller import Observation
 from evo_cpg.control.couplings import CouplingError
-from evo_cpg.control.feedback import FeedbackSettings, build_feedback, feel, first_memory
-from evo_cpg.control.limb_load import LoadFeedback
+from evo_cpg.control.feedback import (
+    FeedbackSettings,
+    LoadFeedback,
+    StretchFeedback,
+    build_feedback,
+    feel,
+    first_memory,
+)
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaState
-from evo_cpg.control.stretch import StretchFeedback
 
 H = 1 / 60
 FREE = 100.0  # A limit that no test reaches.

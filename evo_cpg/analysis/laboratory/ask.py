@@ -19,6 +19,15 @@ from evo_cpg.analysis.laboratory.entrain import (
     rest_frequency,
     steps_of,
 )
+from evo_cpg.analysis.laboratory.measures import (
+    cut_numbers,
+    cut_of,
+    flume_notes,
+    ground_speed,
+    held,
+    straight_drag,
+    tow_numbers,
+)
 from evo_cpg.analysis.laboratory.settings import (
     CORD,
     NERVES,
@@ -37,14 +46,6 @@ from evo_cpg.analysis.laboratory.surgery import (
     require_felt,
     sides_of,
 )
-from evo_cpg.analysis.laboratory.tow import (
-    flume_notes,
-    ground_speed,
-    held,
-    straight_drag,
-    tow_numbers,
-)
-from evo_cpg.analysis.laboratory.transection import cut_numbers, cut_of
 from evo_cpg.analysis.laboratory.trials import record_all
 from evo_cpg.control.matsuoka import parts
 from evo_cpg.control.preparation import Preparation

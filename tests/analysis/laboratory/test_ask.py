@@ -11,8 +11,8 @@ from swimmer import FORWARDS, SWIMMER, subject
 import evo_cpg as evo
 from evo_cpg.analysis.laboratory.ask import Answer, ask
 from evo_cpg.analysis.laboratory.bodies import config_of
+from evo_cpg.analysis.laboratory.measures import flume_notes
 from evo_cpg.analysis.laboratory.settings import LabError
-from evo_cpg.analysis.laboratory.tow import flume_notes
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.schema.task import ReachLightConfig
