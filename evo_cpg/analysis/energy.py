@@ -36,7 +36,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec
-from evo_cpg.creature.tendons import Tendons
 from evo_cpg.physics.contact.contact import find_contacts
 from evo_cpg.physics.contact.pair_contacts import find_pair_contacts
 from evo_cpg.physics.step.step import needs_iteration
@@ -120,7 +119,12 @@ def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
         steps: physics steps of the trial.
         h: duration of a physics step, s.
     """
-    previous = jax.tree.map(_delayed, steps.after, steps.before)
+    # The final state of the step before. The first step gets its own initial state.
+    previous = jax.tree.map(
+        lambda after, before: np.concatenate([before[..., :1], after[..., :-1]], -1),
+        steps.after,
+        steps.before,
+    )
 
     def entries(steps: PhysicsSteps, previous: State) -> tuple[Array, ...]:
         return _entries(world, steps, previous, h)
@@ -143,7 +147,15 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
     if tree.dry_friction is not None:
         braking = braking + friction_torque(tree, after.qd, h)[0]
     if tree.tendons is not None:
-        braking = braking + _tendon_braking(tree.tendons, after, h)
+        pulling = length_of(tree.tendons, after.qd)
+        force = -expand_dims_like(tree.tendons.damping, pulling) * pulling
+        if tree.tendons.dry_friction is not None:
+            force = force + friction_torque(tree.tendons, pulling, h)[0]
+        braking = braking + torque_of(tree.tendons, force, len(after.q))
+    limbs = jnp.zeros_like(kin.origin[0, 0])
+    if world.pairs is not None:
+        pairs = find_pair_contacts(tree, world.pairs, kin, rate, h)
+        limbs = h * (steps.pair_force * pairs.parting(rate)).sum(0)
     contact = _ground_work(world, steps.contact_force, kinematics(tree, before), kin, h)
     lift, friction, push_out, ground = contact
     at = [world.bodies(each, h) for each in (first.kinematics, kin, last.kinematics)]
@@ -158,7 +170,7 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
         h * (_limit_torques(world, before, after, h) * rate).sum(0),
         lift,
         friction,
-        _limb_work(world, steps, kin, rate, h),
+        limbs,
         water,
         own,
         mechanical_energy(first) - mechanical_energy(earlier),
@@ -181,15 +193,6 @@ def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
         + 0.5 * (armature * state.qd**2 + stiffness * stretch**2).sum(0)
     )
     return energy if tree.tendons is None else energy + tendon_energy(tree.tendons, state)
-
-
-def _tendon_braking(tendons: Tendons, after: State, h: float) -> Float[Array, "d t"]:
-    """Return the torques of the tendons' dampers and dry friction, N m."""
-    rate = length_of(tendons, after.qd)
-    force = -expand_dims_like(tendons.damping, rate) * rate
-    if tendons.dry_friction is not None:
-        force = force + friction_torque(tendons, rate, h)[0]
-    return torque_of(tendons, force, len(after.q))
 
 
 def _limit_torques(world: World, before: State, after: State, h: float) -> Float[Array, "d t"]:
@@ -234,15 +237,6 @@ def _ground_work(
     return h * lift.sum(0), h * friction.sum(0), push_out, force
 
 
-def _limb_work(
-    world: World, steps: PhysicsSteps, kin: Kinematics, rate: Array, h: float
-) -> Float[Array, " t"]:
-    if world.pairs is None:
-        return jnp.zeros_like(kin.origin[0, 0])
-    contacts = find_pair_contacts(world.tree, world.pairs, kin, rate, h)
-    return h * (steps.pair_force * contacts.parting(rate)).sum(0)
-
-
 def _law_work(
     world: World, first: Bodies, middle: Bodies, last: Bodies
 ) -> tuple[Float[Array, " t"], Float[Array, " t"], Float[Array, "3 b t"], Float[Array, "3 t"]]:
@@ -261,11 +255,6 @@ def _law_work(
     water, others = (middle.h * (wrench * velocity).sum((0, 1)) for wrench in (flow + lift, own))
     driven, buoyed = (matvec(middle.kin.rotation, x[3:]) for x in (flow + own, lift))
     return water, others, driven, buoyed.sum(1)
-
-
-def _delayed(after: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the final state of the step before. The first step gets its own initial state."""
-    return np.concatenate([before[..., :1], after[..., :-1]], -1)
 
 
 # Number of steps in a block. Arrays of surface points at all steps would need too much memory.

@@ -17,7 +17,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.contact.contact_points import contact_points
 from evo_cpg.physics.contact.pairs import Pairs, make_pairs, separations
 from evo_cpg.physics.step.world import World
-from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
+from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.tendon import torque_of
 from evo_cpg.simulation.physics_steps import PhysicsSteps
@@ -92,7 +92,12 @@ def excursions(
 
     def depths(steps: PhysicsSteps) -> tuple[Array, Array, Array]:
         kin = kinematics(world.tree, steps.after)
-        return _clearance(world, kin), _gaps(every, kin), _swims(world, steps)
+        clearance = apart = kin.origin[0, :0]
+        if world.contact_model is not None:
+            clearance = contact_points(world.contact_model, kin).gap
+        if every is not None:
+            apart = separations(every, kin).gap
+        return clearance, apart, _swims(world, steps)
 
     clearance, apart, swims = along_time(depths, steps)
     overlap, overlapping = _deepest_overlap(every, world, creature, steps, apart)
@@ -153,17 +158,6 @@ def displacement(
     if light is None:
         return float(np.linalg.norm((last - first)[:2]))
     return float(np.linalg.norm(light - first) - np.linalg.norm(light - last))
-
-
-def _clearance(world: World, kin: Kinematics) -> Float[Array, "p t"]:
-    """Return the height of the contact points above the ground, m."""
-    if world.contact_model is None:
-        return kin.origin[0, :0]
-    return contact_points(world.contact_model, kin).gap
-
-
-def _gaps(pairs: Pairs | None, kin: Kinematics) -> Float[Array, "k t"]:
-    return kin.origin[0, :0] if pairs is None else separations(pairs, kin).gap
 
 
 def in_water(world: World, steps: PhysicsSteps) -> Bool[np.ndarray, " t"]:
@@ -332,8 +326,12 @@ def gaps(
             reach = reach - shape.height(sign * normals @ turn)
         return reach
 
+    # Unit vectors spread evenly along a spiral.
+    height = 1.0 - (2.0 * np.arange(_DIRECTIONS) + 1.0) / _DIRECTIONS
+    turn, radius = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(_DIRECTIONS), np.sqrt(1.0 - height**2)
+    sphere = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), height])
     count = len(offset)
-    spread = np.broadcast_to(_on_sphere(_DIRECTIONS), (count, _DIRECTIONS, 3))
+    spread = np.broadcast_to(sphere, (count, _DIRECTIONS, 3))
     best, most = _best(spread, apart(spread))
     angle = np.full(count, _FIRST)
     around = 2 * np.pi * np.arange(_AROUND) / _AROUND
@@ -367,11 +365,3 @@ def _across(normals: Float[np.ndarray, "t 3"]) -> tuple[np.ndarray, np.ndarray]:
     first = np.cross(normals, least)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return first, np.cross(normals, first)
-
-
-def _on_sphere(count: int) -> Float[np.ndarray, "n 3"]:
-    """Return unit vectors spread evenly along a spiral."""
-    height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
-    radius = np.sqrt(1.0 - height**2)
-    return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), height])

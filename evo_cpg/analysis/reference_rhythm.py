@@ -115,8 +115,9 @@ def reference_rhythm(
         settings: present settings.
         chain: chain with the lag and the frequency.
         gain: present b.
-        frequency: reference frequency, Hz, or None to leave ``time_scale`` unchanged.
-        lag: reference mean lag of the chain, degrees, or None to leave b and couplings unchanged.
+        frequency: reference frequency, Hz, positive, or None to leave ``time_scale`` unchanged.
+        lag: reference mean lag of the chain, -180 to 180 degrees, or None to leave b and couplings
+            unchanged.
         hold_gain: whether to solve for the couplings only.
         tonic_input: u, or None for the largest one. Only the amplitude depends on it.
 
@@ -124,16 +125,9 @@ def reference_rhythm(
         NoRhythmError: the network rests with the present settings, or with the settings found.
         RhythmSearchError: the search found neither a rhythm nor rest.
         UnreachableRhythmError: the lag is out of reach. The message states the reachable range.
-        ValueError: a frequency, lag or b is outside its range.
     """
-    if not 0 < gain < np.inf:
-        raise ValueError(f"an adaptation gain must be a positive number, got {gain:g}")
-    if frequency is not None and not 0 < frequency < np.inf:
-        raise ValueError(f"a frequency must be a positive number of Hz, got {frequency:g}")
     if lag is None:
         found = rhythm(tree, settings, chain, gain, tonic_input)
-    elif not -180 < lag < 180:
-        raise ValueError(f"a lag must lie between -180 and 180 degrees, got {lag:g}")
     elif len(chain.oscillators) < 2:
         raise UnreachableRhythmError(
             f"the longest chain through {chain.name} has a single oscillator, so it has no lag. "

@@ -155,22 +155,6 @@ def test_networks_that_never_oscillate_raise():
         reference_rhythm(body(1), CpgSettings(), pair, 5.5, lag=30.0)
 
 
-@pytest.mark.parametrize(
-    ("target", "words"),
-    [
-        ({"frequency": -1.0}, "positive number of Hz, got -1"),
-        ({"frequency": np.nan}, "positive number of Hz, got nan"),
-        ({"lag": 400.0}, "between -180 and 180 degrees, got 400"),
-        ({"lag": np.nan}, "between -180 and 180 degrees, got nan"),
-        ({"gain": 0.0}, "adaptation gain must be a positive number, got 0"),
-    ],
-)
-def test_invalid_targets_raise(target, words):
-    tree, settings = body(3), CpgSettings()
-    with pytest.raises(ValueError, match=words):
-        reference_rhythm(tree, settings, chains(tree, settings)[0], **{"gain": 5.5} | target)
-
-
 def test_chains_follow_the_axes_longest_first():
     tree = body(4, "yz")
     found = chains(tree, CpgSettings())
