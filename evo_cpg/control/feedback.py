@@ -50,7 +50,6 @@ Samples before the start of the trial count as 0.
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -124,10 +123,6 @@ class Gain(eqx.Module):
         assert genes is not None and self.gene is not None
         share = jax.nn.sigmoid(genes[self.gene])
         return of_each(self.low + (self.high - self.low) * share, values) * values
-
-
-# Builds the gain of a weight, with the next free gene.
-MakeGain = Callable[[Weight], Gain]
 
 
 class Delay(eqx.Module):
@@ -250,26 +245,6 @@ class StretchSense(eqx.Module):
         return spread(self.offsets, self.rows, angle + self.rate_weight.times(joint_rate, genes))
 
 
-def build_stretch(
-    tree: Tree, settings: StretchFeedback, number: int, gain: MakeGain, control_step: float
-) -> StretchSense:
-    """Build one sense of stretch for a creature's tree.
-
-    Args:
-        tree: the creature.
-        settings: settings.
-        number: index of the settings in their list, for messages.
-        gain: builds the gain of a weight.
-        control_step: time between two samples, s.
-
-    Raises:
-        CouplingError: the creature lacks a joint that the settings name.
-    """
-    offsets, rows = _spread(tree, settings, number)
-    gains = gain(settings.angle_weight), gain(settings.rate_weight)
-    return StretchSense(*gains, offsets, rows, make_delay(settings.delay, control_step))
-
-
 def _spread(
     tree: Tree, settings: StretchFeedback, number: int
 ) -> tuple[tuple[int, ...], Float[Numbers, "k o"]]:
@@ -342,15 +317,6 @@ class Limbs(eqx.Module):
     bodies: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     limb: tuple[int, ...] = eqx.field(static=True)
 
-    def loads(self, load: Float[Array, "b *n"]) -> Float[Array, "l *n"]:
-        """Return the load of each limb from the load of each body."""
-        return jnp.stack([load[np.array(own)].sum(0) for own in self.bodies])
-
-    def of_oscillators(self, values: Float[Array, "l *n"]) -> Float[Array, "o *n"]:
-        """Return the value of each oscillator's limb, 0 for oscillators without a limb."""
-        padded = jnp.concatenate([values, jnp.zeros_like(values[:1])])
-        return padded[np.array(self.limb)]
-
 
 class Load(eqx.Module):
     """One `LoadFeedback` on a creature's tree.
@@ -376,30 +342,12 @@ class Load(eqx.Module):
             genes: genes of the feedback, or None if no weight evolves.
             load: load of each body.
         """
-        own = self.limbs.loads(load)
+        own = jnp.stack([load[np.array(bodies)].sum(0) for bodies in self.limbs.bodies])
         others = own.sum(0, keepdims=True) - own
         felt = self.weight.times(own, genes) + self.neighbour_weight.times(others, genes)
-        return self.limbs.of_oscillators(felt)
-
-
-def build_load(
-    tree: Tree, settings: LoadFeedback, number: int, gain: MakeGain, control_step: float
-) -> Load:
-    """Build one sense of load for a creature's tree.
-
-    Args:
-        tree: the creature.
-        settings: settings.
-        number: index of the settings in their list, for messages.
-        gain: builds the gain of a weight.
-        control_step: time between two samples, s.
-
-    Raises:
-        CouplingError: limbs or joints do not fit the creature.
-    """
-    limbs = find_limbs(tree, settings.limbs, settings.joints, ("feedback", "load", number))
-    gains = gain(settings.weight), gain(settings.neighbour_weight)
-    return Load(limbs, *gains, make_delay(settings.delay, control_step))
+        # Oscillators without a limb feel 0.
+        padded = jnp.concatenate([felt, jnp.zeros_like(felt[:1])])
+        return padded[np.array(self.limbs.limb)]
 
 
 def find_limbs(
@@ -511,10 +459,22 @@ def build_feedback(
         return Gain(*weight, next(genes)) if isinstance(weight, tuple) else Gain(weight)
 
     stretch = tuple(
-        build_stretch(tree, one, i, gain, control_step) for i, one in enumerate(settings.stretch)
+        StretchSense(
+            gain(one.angle_weight),
+            gain(one.rate_weight),
+            *_spread(tree, one, i),
+            make_delay(one.delay, control_step),
+        )
+        for i, one in enumerate(settings.stretch)
     )
     load = tuple(
-        build_load(tree, one, i, gain, control_step) for i, one in enumerate(settings.load)
+        Load(
+            find_limbs(tree, one.limbs, one.joints, ("feedback", "load", i)),
+            gain(one.weight),
+            gain(one.neighbour_weight),
+            make_delay(one.delay, control_step),
+        )
+        for i, one in enumerate(settings.load)
     )
     limit = settings.limit * max_tonic_input
     return Feedback(next(genes), stretch, load, limit, max_tonic_input)

@@ -13,11 +13,12 @@ from jaxtyping import Float
 from evo_cpg.analysis.gait_numbers import gait_numbers
 from evo_cpg.analysis.laboratory.bodies import Variants, build_bodies, joints_of
 from evo_cpg.analysis.laboratory.entrain import (
+    CYCLES,
+    REST,
     bend,
     entrained_range,
     locking,
     rest_frequency,
-    steps_of,
 )
 from evo_cpg.analysis.laboratory.measures import (
     cut_numbers,
@@ -209,7 +210,8 @@ def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
     columns = [(i, ratio) for i in range(len(settings)) for ratio in ratios]
     which = [i for i, _ in columns]
     frequency = np.array([ratio * rest[i] for i, ratio in columns])
-    steps = steps_of(frequency, h)
+    # Rest and bending of the slowest cord.
+    steps = math.ceil((REST + (CYCLES + 1) / frequency.min()) / h)
     outputs = bend(bodies.at(which), genes[:, which], bent[:, which], frequency, steps)
     rows, notes = [], []
     for number, (i, ratio) in enumerate(columns):
