@@ -15,7 +15,7 @@ def test_rhythms_of_the_library_scale_with_the_time_scale():
     cycle = shown.groups[0].cycle
     assert cycle is not None and cycle.stable
     found = evo.find_rhythm(experiment, frequency=2 * cycle.frequency, gain=4.0)
-    assert found.changes == {"time_scale": pytest.approx(0.5, rel=1e-4)}
+    assert found.changes["time_scale"] == pytest.approx(0.5, rel=1e-4)
     with pytest.raises(UserError, match="--lag"):
         evo.find_rhythm(experiment, lag=200.0)
 
