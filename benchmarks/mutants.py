@@ -516,7 +516,7 @@ MUTANTS = (
         "api/test_audit.py",
     ),
     Mutant(
-        "analysis/overlap.py",
+        "analysis/excursions.py",
         "turns, (1.0, -1.0), strict=True",
         "turns, (1.0, 1.0), strict=True",
         "analysis/test_overlap.py",

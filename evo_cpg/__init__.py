@@ -15,10 +15,12 @@ if TYPE_CHECKING:
     from evo_cpg.api.analyse import analyse, gait_numbers
     from evo_cpg.api.environment import Environment, EnvironmentState
     from evo_cpg.api.experiment import Experiment, Trials
+    from evo_cpg.api.fit import fit
     from evo_cpg.api.lab import lab
     from evo_cpg.api.load import load
     from evo_cpg.api.progress import show_progress
     from evo_cpg.api.record import Record
+    from evo_cpg.api.rhythm import find_rhythm, rhythm
     from evo_cpg.api.training import Trained, train
     from evo_cpg.control.controller import Command, Controller, Observation
     from evo_cpg.evolution.strategy import Evaluation, Strategy
@@ -50,9 +52,12 @@ _HOMES = {
     "Transition": "simulation.task",
     "Trials": "api.experiment",
     "analyse": "api.analyse",
+    "find_rhythm": "api.rhythm",
+    "fit": "api.fit",
     "lab": "api.lab",
     "gait_numbers": "api.analyse",
     "load": "api.load",
+    "rhythm": "api.rhythm",
     "show_progress": "api.progress",
     "train": "api.training",
 }
@@ -71,6 +76,9 @@ __all__ = [  # noqa: RUF022 - in the order of the reference in docs/api.md
     "lab",
     "Answer",
     "gait_numbers",
+    "rhythm",
+    "find_rhythm",
+    "fit",
     "show_progress",
     "Task",
     "Transition",

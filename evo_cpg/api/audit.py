@@ -14,7 +14,7 @@ import numpy as np
 from evo_cpg.analysis.energy import Ledger, ledger
 from evo_cpg.analysis.excursions import Excursions, displacement, excursions
 from evo_cpg.analysis.second_opinion import (
-    Brain,
+    ControllerInLoop,
     DivergedError,
     Opinion,
     own_opinion,
@@ -207,7 +207,7 @@ def _opinions(
         Our opinion and MuJoCo's, the names of those in which the animal diverged, and the reasons.
     """
     simulation, creature = experiment.simulation, experiment.creature
-    modes: list[tuple[bool, Brain | None]] = [(False, None)]
+    modes: list[tuple[bool, ControllerInLoop | None]] = [(False, None)]
     if simulation.world.contact_model is not None:
         modes.append((True, None))
         if simulation.controller.uses_senses:
@@ -259,12 +259,12 @@ def _key(program: str) -> str:
     return program.lower().replace(", ", "_").replace(" ", "_")
 
 
-def _brain(experiment: ExperimentParts, champion: Champion) -> Brain:
+def _brain(experiment: ExperimentParts, champion: Champion) -> ControllerInLoop:
     """Return the brain that drives the champion in its first trial."""
     keys, numbers = champion_keys(experiment, champion), situation_numbers(experiment)
     own = None if keys is None else keys[:, :1]
     first = None if numbers is None else jnp.asarray(numbers[:1])
-    return Brain(experiment.simulation, champion.genes, own, first)
+    return ControllerInLoop(experiment.simulation, champion.genes, own, first)
 
 
 def compile_first_look(

@@ -10,10 +10,10 @@ import jax
 import numpy as np
 from jaxtyping import Bool
 
+from evo_cpg.analysis.limit_cycle import resting
 from evo_cpg.cli.errors import warn
 from evo_cpg.control.couplings import uncoupled
 from evo_cpg.control.matsuoka import MatsuokaNetwork, parts
-from evo_cpg.control.rest import resting
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.water.added_mass import AddedMass
 from evo_cpg.physics.water.reactive_thrust import ReactiveThrust

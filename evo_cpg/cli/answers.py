@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evo_cpg.analysis.laboratory.ask import Answer, ask
-from evo_cpg.analysis.laboratory.columns import shown_columns
+from evo_cpg.analysis.laboratory.ask import Answer, ask, shown_columns
 from evo_cpg.analysis.laboratory.settings import KNOBS
 from evo_cpg.api.display import working
 from evo_cpg.api.lab import subject_of

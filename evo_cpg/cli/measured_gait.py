@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Sequence
 
-from evo_cpg.analysis.quantity import Quantity
+from evo_cpg.analysis.gait_quantities import Quantity
 from evo_cpg.cli.tables import show_table
 
 # Width of the lines below the table, characters.

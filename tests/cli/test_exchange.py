@@ -11,8 +11,8 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
+from evo_cpg.api.fit import read_motion
 from evo_cpg.cli import building
-from evo_cpg.cli.measured_motion import read_motion
 from evo_cpg.io.load import load_config
 from evo_cpg.simulation.situation import Situation, starting_pose
 from evo_cpg.training.run_folder import RunFolder
@@ -210,11 +210,11 @@ def test_an_exported_table_is_a_measured_motion(exported):
         arrays = dict(file)
     measured = read_motion(exported / "motion.csv")
     assert measured.columns == ("x", "y", "z", "roll", "pitch", "yaw", "segment1.z")
-    assert list(measured.targets) == ["segment1.z"]
+    assert list(measured.commands) == ["segment1.z"]
     seen = dict(zip(measured.columns, measured.data.T, strict=True))
     np.testing.assert_allclose(seen["segment1.z"], arrays["segment1.z.angle"], atol=1e-7)
     np.testing.assert_allclose(
-        measured.targets["segment1.z"], arrays["segment1.z.target_rate"], atol=1e-6
+        measured.commands["segment1.z"], arrays["segment1.z.target_rate"], atol=1e-6
     )
     turn = Rotation.from_euler("ZYX", np.stack([seen[n] for n in ("yaw", "pitch", "roll")], 1))
     given = np.stack([[arrays[f"head.rotation_{a}{b}"] for b in "xyz"] for a in "xyz"])

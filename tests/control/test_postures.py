@@ -264,13 +264,6 @@ def test_single_precision_is_kept(quadruped, wide):
         np.testing.assert_allclose(command.target_angle, angle, rtol=0, atol=3e-7)
 
 
-def test_controller_passes_through_jit_as_an_argument(quadruped):
-    genes = quadruped.random_genes(jax.random.key(4), (), float)
-    found = eqx.filter_jit(lambda c: c.decode(genes))(quadruped)
-    np.testing.assert_array_equal(found, quadruped.decode(genes))
-    assert hash(PostureSettings()) == hash(PostureSettings(period=1 / 3))
-
-
 def test_creature_without_joints_is_refused(grow):
     with pytest.raises(ValueError, match="a creature with at least one joint"):
         build_posture_controller(grow({"stone": (None, "")}), PostureSettings(), 1 / 60)

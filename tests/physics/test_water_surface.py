@@ -10,7 +10,7 @@ import pytest
 import scipy.stats
 
 from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, random_state, single
-from evo_cpg.analysis.rhythm import upward_crossings
+from evo_cpg.analysis.cycles import upward_crossings
 from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree

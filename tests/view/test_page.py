@@ -11,8 +11,7 @@ import synthetic
 from matplotlib.colors import to_hex, to_rgb
 from scipy.spatial.transform import Rotation
 
-from evo_cpg.analysis.feet import Feet
-from evo_cpg.analysis.footfalls import Phases
+from evo_cpg.analysis.feet import Feet, Phases
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Boulder, Plane
 from evo_cpg.training.crowd_motion import CrowdMotion

@@ -65,7 +65,7 @@ _SLIDING_POWERS = {
 }
 
 
-class Bodies(NamedTuple):
+class Variants(NamedTuple):
     """The animal of each setting.
 
     Attributes:
@@ -83,14 +83,14 @@ class Bodies(NamedTuple):
         whole = isinstance(self.simulation, BatchedSimulation)
         return self.simulation[number] if whole else self.simulation  # pyright: ignore
 
-    def at(self, numbers: Sequence[int]) -> "Bodies":
+    def at(self, numbers: Sequence[int]) -> "Variants":
         """Return the animals of some settings, which may repeat."""
         creatures = [self.creatures[number] for number in numbers]
         simulation = self.simulation
         if isinstance(simulation, BatchedSimulation):
             values = tuple(each[..., np.asarray(numbers)] for each in simulation.values)
             simulation = simulation._replace(values=values)
-        return Bodies(simulation, creatures, self.common)
+        return Variants(simulation, creatures, self.common)
 
 
 def build_bodies(
@@ -99,7 +99,7 @@ def build_bodies(
     settings: Sequence[Setting],
     folders: Sequence[Path],
     prepared: Callable[[Simulation], Simulation],
-) -> Bodies:
+) -> Variants:
     """Build the animals of all settings.
 
     Args:
@@ -128,14 +128,14 @@ def build_bodies(
         for setting in settings
     )
     if not joints and all(each == config for each in configs):
-        return Bodies(common, [first.creature] * len(settings), common)
+        return Variants(common, [first.creature] * len(settings), common)
     if not joints and all(each == configs[0] for each in configs):
         same = build_experiment(configs[0], source)
         simulation = edit(same.simulation, 0)
-        return Bodies(simulation, [same.creature] * len(settings), simulation)
+        return Variants(simulation, [same.creature] * len(settings), simulation)
     batched = batch_of_configs(config, configs, source, edit)
     creatures = [build_creature(each, source) for each in configs]
-    return Bodies(batched, creatures, batched.common)
+    return Variants(batched, creatures, batched.common)
 
 
 def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> ExperimentConfig:

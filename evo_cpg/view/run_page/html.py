@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evo_cpg.analysis.quantity import Quantity
+from evo_cpg.analysis.gait_quantities import Quantity
 
 
 class Html(str):

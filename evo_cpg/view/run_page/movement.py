@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers
-from evo_cpg.analysis.quantity import Quantity
+from evo_cpg.analysis.gait_quantities import Quantity
 from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.plots import joint_signals_figure, path_figure
