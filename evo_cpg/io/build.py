@@ -24,14 +24,13 @@ from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import METRICS, Mapped
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.io.errors import ConfigError, Key, KeyProblem, nearest, under
-from evo_cpg.io.lines import located
+from evo_cpg.io.load import located
 from evo_cpg.io.own_checks import check_own_forces, check_own_returns, check_own_strategy
-from evo_cpg.io.own_classes import require_code
-from evo_cpg.io.schema.choice import CustomConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.section import CustomConfig
 from evo_cpg.io.schema.world import WaterConfig
 from evo_cpg.io.situations import build_situations, require_light
-from evo_cpg.io.trust import code_folders
+from evo_cpg.io.trust import code_folders, require_code
 from evo_cpg.native.engine import Engine, target, using
 from evo_cpg.native.unsupported import Unsupported
 from evo_cpg.physics.contact.contact_model import make_contact_model

@@ -10,10 +10,10 @@ import inspect
 import re
 from typing import Any
 
+from evo_cpg.io.schema.audit import Limits
 from evo_cpg.io.schema.evolution import MapSection
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.ground import ReliefFileConfig
-from evo_cpg.io.schema.limits import Limits
 from evo_cpg.io.schema.section import Section
 from evo_cpg.io.schema.shape import MeshFileConfig
 

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from evo_cpg.io.own_classes import own_parts
-from evo_cpg.io.schema.choice import CustomConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.section import CustomConfig
+from evo_cpg.io.trust import own_parts
 
 _SOURCE = "the source of "
 # First words of changes that leave every individual's fitness as it is. `changes_of_fitness` lists

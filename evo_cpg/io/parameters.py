@@ -24,7 +24,7 @@ from evo_cpg.creature.surface import PointLayout
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import ConfigError, KeyProblem
 from evo_cpg.io.keys import parts_of
-from evo_cpg.io.lines import located
+from evo_cpg.io.load import located
 from evo_cpg.io.numbers import number_at, number_keys, with_numbers
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.traced_build import Building, Built, values_of

@@ -14,9 +14,8 @@ from evo_cpg.creature.algebra.numerics import Number, Triple, as_vector, is_trac
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.creature import Creature, length_of, lowest_along, lowest_height, neutral_pose
 from evo_cpg.io.errors import Key, KeyProblem
-from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.experiment import ExperimentConfig, SituationConfig
 from evo_cpg.io.schema.task import DEFAULT_LIGHT
-from evo_cpg.io.schema.trial import SituationConfig
 from evo_cpg.native.jax_internals import quick_jit
 from evo_cpg.physics.contact.contact_points import clearance
 from evo_cpg.physics.contact.terrain import Plane, nearest

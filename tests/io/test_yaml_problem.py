@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.load import load_config
-from evo_cpg.io.yaml_problem import syntax_problem
-from evo_cpg.io.yaml_text import parse_yaml
+from evo_cpg.io.yaml_text import parse_yaml, syntax_problem
 
 TEXT = """name: tiny
 creature:

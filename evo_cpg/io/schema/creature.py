@@ -25,15 +25,25 @@ from evo_cpg.creature.creature import (
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import NoShape, Shape
 from evo_cpg.io.errors import Key, KeyProblem, nearest
-from evo_cpg.io.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
-from evo_cpg.io.schema.frames import moved, opposed, reflected, unit
+from evo_cpg.io.schema.copies import (
+    SIDES,
+    Copy,
+    Entry,
+    MirrorAxis,
+    copies,
+    copies_named,
+    moved,
+    opposed,
+    reflected,
+    unit,
+)
 from evo_cpg.io.schema.joint import JointConfig
-from evo_cpg.io.schema.names import PrintedName
 from evo_cpg.io.schema.section import (
     Finite,
     Fraction,
     NotNegative,
     Positive,
+    PrintedName,
     Section,
     Vector,
     pattern,

@@ -8,14 +8,15 @@ from pydantic import Field, Tag, field_validator, model_validator
 from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.algebra.numerics import Number, Triple, xp
 from evo_cpg.creature.creature import Creature, length_of
-from evo_cpg.io.schema.choice import CustomConfig, by_type
 from evo_cpg.io.schema.section import (
+    CustomConfig,
     Finite,
     NotNegative,
     OpenSection,
     Positive,
     Section,
     Vector,
+    by_type,
 )
 from evo_cpg.io.schema.typical import Direction
 from evo_cpg.simulation.reach_light import ReachLight

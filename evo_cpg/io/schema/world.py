@@ -5,9 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from evo_cpg.io.schema.choice import CustomConfig
 from evo_cpg.io.schema.ground import GroundConfig
-from evo_cpg.io.schema.section import Finite, NotNegative, Positive, Section, Vector
+from evo_cpg.io.schema.section import CustomConfig, Finite, NotNegative, Positive, Section, Vector
 from evo_cpg.io.schema.typical import GRAVITY, LIQUID, VISCOSITY
 from evo_cpg.physics.water.fluid import DragLaw
 from evo_cpg.physics.water.water import Current, Vortex, Water
