@@ -1,6 +1,6 @@
 """Warnings about values of a configuration that are allowed but probably unintended.
 
-The plausible range of a single field is metadata of the field (`evo_cpg.io.schema.typical`). A rule
+The plausible range of a single field is metadata of the field (`evo_cpg.io.schema.section`). A rule
 compares several fields. It is a function that takes a `Case` and yields a key and a problem for
 each unintended value. Its line in `RULES`, at the end of this file, makes it work.
 """
@@ -21,8 +21,7 @@ from evo_cpg.io.schema.copies import copies_named
 from evo_cpg.io.schema.creature import BodyConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.joint import JointConfig
-from evo_cpg.io.schema.section import CustomConfig
-from evo_cpg.io.schema.typical import ROUNDING, SOLID, TURN, Direction, TypicalRange
+from evo_cpg.io.schema.section import ROUNDING, SOLID, TURN, CustomConfig, Direction, TypicalRange
 from evo_cpg.simulation.judge import WILDEST_SPEED
 
 # Range of the longest edge of a body, from the limb of a small insect to a whale, m.

@@ -1,6 +1,6 @@
 """Numbers of a configuration as differentiable parameters of a trial.
 
-The simulation is built from traced numbers (see `evo_cpg.io.traced_build`). The result is
+The simulation is built from traced numbers (see `evo_cpg.io.numbers`). The result is
 exact at all values with unchanged decisions. Elements that no parameter changes remain constants
 of the compiled program (see `Inputs`).
 
@@ -21,13 +21,12 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.decisions import all_hold
 from evo_cpg.creature.algebra.numerics import TABLES, is_number, is_traced
 from evo_cpg.creature.surface import PointLayout
-from evo_cpg.io.build import build_experiment
+from evo_cpg.io.build import CommonPlan, build_experiment
 from evo_cpg.io.errors import ConfigError, KeyProblem
 from evo_cpg.io.keys import parts_of
 from evo_cpg.io.load import located
-from evo_cpg.io.numbers import number_at, number_keys, with_numbers
+from evo_cpg.io.numbers import Building, Built, number_at, number_keys, values_of, with_numbers
 from evo_cpg.io.schema.experiment import ExperimentConfig
-from evo_cpg.io.traced_build import Building, Built, values_of
 from evo_cpg.native.jax_internals import Tracer
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
@@ -201,9 +200,9 @@ def parametrise(
             found = changes()
         except KeyProblem:
             # Merged surfaces may separate, which reorders their points.
-            building = Building(config, layout="separate")
+            building = Building(config, CommonPlan("separate"))
             found = changes()
-            experiment = build_experiment(config, source, folders, layout="separate")
+            experiment = build_experiment(config, source, folders, CommonPlan("separate"))
         followed = _followed(building, config, found)
         for key in found:
             if key not in followed:
@@ -244,7 +243,7 @@ def all_parameters(
     wet = {i for i, (path, _) in enumerate(paths) if _PATCHES in path}
     layouts: tuple[PointLayout, ...] = ("merged", "separate") if surfaces else ("merged",)
     for layout in layouts:
-        building = Building(config, layout)
+        building = Building(config, CommonPlan(layout))
         changes = {}
         for key in number_keys(config):
             if key in found or key in infinite:

@@ -39,6 +39,7 @@ from evo_cpg.io.schema.copies import (
 )
 from evo_cpg.io.schema.joint import JointConfig
 from evo_cpg.io.schema.section import (
+    Direction,
     Finite,
     Fraction,
     NotNegative,
@@ -51,7 +52,6 @@ from evo_cpg.io.schema.section import (
 from evo_cpg.io.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
 from evo_cpg.io.schema.shape import ShapeConfig
 from evo_cpg.io.schema.tendon import TendonConfig
-from evo_cpg.io.schema.typical import Direction
 
 Color = Annotated[
     str, *pattern(r"^#[0-9a-fA-F]{6}$", "must be '#' and six hexadecimal digits, such as '#ff8800'")

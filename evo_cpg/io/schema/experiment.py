@@ -10,6 +10,7 @@ from evo_cpg.io.schema.creature import CreatureConfig
 from evo_cpg.io.schema.evolution import EvolutionConfig, RealEvolutionConfig
 from evo_cpg.io.schema.section import (
     Count,
+    Direction,
     Finite,
     NotNegative,
     OpenSection,
@@ -18,7 +19,6 @@ from evo_cpg.io.schema.section import (
     pattern,
 )
 from evo_cpg.io.schema.task import LightConfig, ReachLightConfig, TaskConfig
-from evo_cpg.io.schema.typical import Direction
 from evo_cpg.io.schema.world import WorldConfig
 from evo_cpg.native.engine import EngineName, InstructionSet
 

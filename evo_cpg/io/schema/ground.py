@@ -7,6 +7,7 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from evo_cpg.creature.algebra.numerics import Number, xp
 from evo_cpg.io.schema.section import (
+    Direction,
     Finite,
     Fraction,
     NotNegative,
@@ -15,7 +16,6 @@ from evo_cpg.io.schema.section import (
     Vector,
     by_type,
 )
-from evo_cpg.io.schema.typical import Direction
 from evo_cpg.physics.contact.contact_model import Combination, Ground
 from evo_cpg.physics.contact.terrain import (
     Axis,

@@ -9,8 +9,15 @@ from evo_cpg.creature.algebra.numerics import Number, Triple, as_vector, xp
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.creature import NO_LIMIT, Actuator, AxisKind, Joint, Muscle, TorqueMotor
 from evo_cpg.io.schema.copies import MirrorAxis, moved, opposed, reflected, unit
-from evo_cpg.io.schema.section import Finite, NotNegative, Positive, Section, Vector, by_type
-from evo_cpg.io.schema.typical import Direction
+from evo_cpg.io.schema.section import (
+    Direction,
+    Finite,
+    NotNegative,
+    Positive,
+    Section,
+    Vector,
+    by_type,
+)
 
 # Largest number of axes of a joint, with which a body moves freely.
 _MOST_AXES = 6
