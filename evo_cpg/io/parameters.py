@@ -102,16 +102,13 @@ class Parameters:
         Raises:
             ConfigError: the simulation is differentiated with respect to a value at a kink.
         """
-        given = {
-            key: _undifferentiated(value, self._refusal(key)) if key in self.kinks else value
-            for key, value in zip(self.keys, values, strict=True)
-        }
+        given = dict(zip(self.keys, values, strict=True))
+        for key, reason in self.kinks.items():
+            refusal = ConfigError(self.source, parts_of(key), reason)
+            given[key] = _undifferentiated(given[key], refusal)
         leaves = self.building.traced(self.config, given)
         changed = values_of(leaves, self.inputs, values.dtype)
         return self.inputs.put(self.experiment.simulation, changed)
-
-    def _refusal(self, key: str) -> ConfigError:
-        return ConfigError(self.source, parts_of(key), self.kinks[key])
 
     def require(self, values: Float[np.ndarray, " k"]) -> None:
         """Check that `simulation` is valid at other values.
@@ -287,7 +284,9 @@ def _change(
     for place, leaf in enumerate(building.own.leaves):
         if not is_number(leaf):
             continue
-        accuracy = _SEARCHED if _is_searched(building, place) else 0.0
+        first = getattr(building.own.paths[place][0], "name", None)
+        searched = first == "situations" and building.own.choices.searched
+        accuracy = _SEARCHED if searched else 0.0
         moves, smooth = _moves(leaf, [other.leaves[place] for other in others], both, accuracy)
         if not smooth:
             problem = (
@@ -391,12 +390,6 @@ def _finite(building: Building, config: ExperimentConfig, changes: dict[str, Cha
         return all(np.isfinite(slope).all() for slope in slopes)
 
     return _passing(list(changes), is_finite)
-
-
-def _is_searched(building: Building, place: int) -> bool:
-    """Return whether a leaf depends on a search."""
-    begins = getattr(building.own.paths[place][0], "name", None) == "situations"
-    return begins and bool(building.own.choices.searched)
 
 
 def _undifferentiated(value: Array, refusal: ConfigError) -> Array:
