@@ -22,6 +22,7 @@ from evo_cpg.creature.algebra.numerics import is_traced
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.io.errors import Key, KeyProblem
 from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.section import CustomConfig
 from evo_cpg.io.trust import own_parts
 from evo_cpg.native.engine import Engine, using
 from evo_cpg.native.jax_internals import quick_jit
@@ -146,15 +147,15 @@ def check_own_forces(config: ExperimentConfig, world: World) -> None:
         KeyProblem: a force law fails, returns a wrong type or shape, mixes individuals, or is
             infinite or NaN at rest.
     """
-    count = len(config.world.forces)
-    if not count:
-        return
-    shape = 6, world.tree.body_count
-    results: Results = {}
+    given = config.world.forces
+    shape, results = (6, world.tree.body_count), Results()
     laws = [
         _Methods(law, ("world", "forces", i), results=results)
-        for i, law in enumerate(world.forces[-count:])
+        for i, law in enumerate(world.forces[len(world.forces) - len(given) :])
+        if isinstance(given[i], CustomConfig)
     ]
+    if not laws:
+        return
 
     def go(state: State) -> Results:
         results.clear()
