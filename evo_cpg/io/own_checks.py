@@ -359,8 +359,8 @@ def _is_like(model: Any, exact: bool = False) -> Test:
 
     def test(value: Any) -> str | None:
         leaves, structure = jax.tree.flatten(value)
-        wanted, expected = jax.tree.flatten(model)
-        kinds = [(_type_of(x), jnp.shape(x)) for x in wanted]
+        model_leaves, expected = jax.tree.flatten(model)
+        kinds = [(_type_of(x), jnp.shape(x)) for x in model_leaves]
         found = [
             (_type_of(x) if exact or not is_real(x) else kind, getattr(x, "shape", ()))
             for x, (kind, _) in zip(leaves, kinds, strict=False)
