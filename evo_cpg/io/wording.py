@@ -87,10 +87,11 @@ class Allowed:
             elif kind == "array":
                 items = (option.get("prefixItems") or [option.get("items", {})])[0]
                 inner = self._options(items, None)
-                plural = _TYPES.get(inner[0].get("type", ""), ("", "entries"))[1]
+                entries = "entries"
+                if len(inner) == 1:
+                    named = ", ".join(map(repr, inner[0].get("enum", [])))
+                    entries = named or _TYPES.get(inner[0].get("type", ""), ("", entries))[1]
                 count = option.get("minItems") if "prefixItems" in option else None
-                entries = plural if len(inner) == 1 else "entries"
-                entries = ", ".join(map(repr, inner[0].get("enum", []))) or entries
                 choices.append(f"a list of {entries if count is None else f'{count} {entries}'}")
             elif kind == "object" and kinds:
                 kinds += ["module:Class"] * (_kind_of(option) is None)

@@ -143,10 +143,7 @@ def test_every_command_rejects_an_invalid_config(refused, tmp_path, command):
         ("creature.materials.body.density=-1", "body.density: -1: must be greater than 0"),
         ("creature.bodies.1.repeat=0", "repeat: 0: must be greater than or equal to 1"),
         ("creature.bodies.1.joint.parent=hed", "'hed' does not exist: did you mean 'head'?"),
-        (
-            "evolution.population=8",
-            "elites: must be fewer than the population of 8, got 20. Set evolution.elites=1, or a ",
-        ),
+        ("evolution.population=8", "elites: must be fewer than the population of 8"),
         (
             "evolution={elites: 400}",
             ": evolution: elites: must be fewer than the population of 200",

@@ -132,63 +132,28 @@ def test_missing_evosax_is_reported_with_its_installation(monkeypatch):
         build(CONFIG, "evolution={type: evosax, algorithm: Sep_CMA_ES}")
 
 
+MAP = "evolution={type: map_elites, axes: [{name: speed, range: [0, 1]%s"
+
+
 @pytest.mark.parametrize(
     ("path", "settings", "words"),
     [
-        (CONFIG, ["evolution.islands={count: 3}"], "200 cannot be divided equally among 3 islands"),
-        (CONFIG, ["evolution.islands={count: 10}"], "each of 10 islands gets 20 .* at least 21"),
-        (CONFIG, ["evolution.islands={count: 5, migrants: 40}"], "fewer than the 40 individuals"),
-        (
-            CONFIG,
-            ["evolution.islands={count: 5}", "evolution.learning={every: 2}"],
-            "learning: cannot be combined with islands",
-        ),
-        (WALKER, ["evolution={type: bits, islands: {count: 3}}"], "each of 3 islands gets 5 of"),
-        (
-            CONFIG,
-            ["evolution={type: map_elites, axes: [{name: sped, range: [0, 1]}]}"],
-            r"axes\.0\.name: 'sped' is not a measure: did you mean 'speed'\?.*distance",
-        ),
-        (
-            CONFIG,
-            ["evolution={type: map_elites, axes: [{name: speed, range: [1, 1]}]}"],
-            "range: must rise, got 1 to 1",
-        ),
-        (
-            CONFIG,
-            [f"evolution={{type: map_elites, axes: {AXES}}}"],
-            r"axes\.1\.name: 'duty_factor' is undefined without ground",
-        ),
-        (
-            CONFIG,
-            ["evolution={type: map_elites, axes: [{name: speed, range: [0, 1], cells: 1000}, "
-             "{name: power, range: [0, 1], cells: 1000}]}"],
-            "at most 100000 cells, got 1000000",
-        ),
-        (
-            CONFIG,
-            ["evolution={type: map_elites, axes: [{name: speed, range: [0, 1]}, "
-             "{name: speed, range: [0, 1]}]}"],
-            "axes: names must be unique, got speed, speed",
-        ),
-        (
-            CONFIG,
-            ["measures=[speed, power, gait]"],
-            r"measures\.2: 'gait' is not a measure: valid here",
-        ),
-        (CONFIG, ["measures=[energy]"], "'energy' is not a measure"),
-        (
-            WALKER,
-            ["measures=[airborne]", "task={type: walk}"],
-            "'airborne' is already a term of the task",
-        ),
-        (
-            WALKER,
-            ["measures=[cost_of_transport]", "world.gravity=0"],
-            "'cost_of_transport' is undefined without gravity",
-        ),
+        (CONFIG, ["evolution.islands={count: 3}"], "200 .* 3 islands"),
+        (CONFIG, ["evolution.islands={count: 10}"], "20 individuals.* 21"),
+        (CONFIG, ["evolution.islands={count: 5, migrants: 40}"], "migrants: .* 40"),
+        (CONFIG, ["evolution.islands={count: 5}", "evolution.learning={every: 2}"], "learning: "),
+        (WALKER, ["evolution={type: bits, islands: {count: 3}}"], "count: .* 5 .* 8"),
+        (CONFIG, [MAP.replace("speed", "sped") % "}]}"], r"axes\.0\.name: 'sped' .* 'speed'\?"),
+        (CONFIG, [MAP.replace("[0, 1]", "[1, 1]") % "}]}"], "range: "),
+        (CONFIG, [f"evolution={{type: map_elites, axes: {AXES}}}"], r"axes\.1\.name: .* ground"),
+        (CONFIG, [MAP % ", cells: 1000}, {name: power, range: [0, 1], cells: 1000}]}"], "1000000"),
+        (CONFIG, [MAP % "}, {name: speed, range: [0, 1]}]}"], "axes: .* speed, speed"),
+        (CONFIG, ["measures=[speed, power, gait]"], r"measures\.2: 'gait'"),
+        (CONFIG, ["measures=[energy]"], "'energy'"),
+        (WALKER, ["measures=[airborne]", "task={type: walk}"], "'airborne' .* term"),
+        (WALKER, ["measures=[cost_of_transport]", "world.gravity=0"], "without gravity"),
     ],
-)  # fmt: skip
+)
 def test_invalid_evolution_and_measures_are_rejected(path, settings, words):
     with pytest.raises(ConfigError, match=words):
         build(path, *settings)
