@@ -45,8 +45,17 @@ _ROUNDING = 1e-9
 
 def number_keys(config: ExperimentConfig) -> tuple[str, ...]:
     """Return the keys of all real numbers, except in `_OUTSIDE` sections and `_LONG` lists."""
+
+    def found(place: Any, key: str) -> Iterator[str]:
+        if isinstance(place, float):
+            yield key
+        elif isinstance(place, (dict, list)):
+            for name, inner in place.items() if isinstance(place, dict) else enumerate(place):
+                if name not in _LONG:
+                    yield from found(inner, f"{key}.{name}")
+
     data = config.model_dump(mode="json", exclude=set(_OUTSIDE))
-    return tuple(".".join(key) for key, _ in _numbers(data, ()))
+    return tuple(key.removeprefix(".") for key in found(data, ""))
 
 
 def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> float:
@@ -57,14 +66,19 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     """
     parts = parts_of(key)
     place, known = follow(config.model_dump(mode="json"), parts)
-    if known < len(parts):
-        problem = f"does not exist: {_hint(config, key)}"
-    elif isinstance(place, float):
+    if known == len(parts) and isinstance(place, float):
         return place
+    keys = number_keys(config)
+    near = [other for other in keys if other.startswith(f"{key}.")]
+    near += difflib.get_close_matches(key, keys, n=3, cutoff=0.6)
+    near += [other for other in keys if other.rpartition(".")[2] == key.rpartition(".")[2]]
+    hint = f"did you mean {', '.join(dict.fromkeys(near[:4]))}?" if near else "see docs/config.md"
+    if known < len(parts):
+        problem = f"does not exist: {hint}"
     elif isinstance(place, int) and not isinstance(place, bool):
         problem = f"is a whole number ({place}), and only real numbers can vary"
     elif isinstance(place, (dict, list)):
-        problem = f"is a section or a list, not a number: {_hint(config, key)}"
+        problem = f"is a section or a list, not a number: {hint}"
     else:
         problem = f"is {place!r}, not a number"
     raise ConfigError(source, parts, problem)
@@ -157,26 +171,6 @@ def _sections(place: Any, key: str) -> Iterator[tuple[BaseModel, list[str]]]:
         place = inside(place, name)
 
 
-def _numbers(place: Any, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
-    if isinstance(place, float):
-        yield key, place
-    elif isinstance(place, (dict, list)):
-        parts = place.items() if isinstance(place, dict) else enumerate(place)
-        for name, inner in parts:
-            if name not in _LONG:
-                yield from _numbers(inner, (*key, str(name)))
-
-
-def _hint(config: ExperimentConfig, key: str) -> str:
-    """Return a hint with the most similar keys of numbers: below this key, or by spelling."""
-    keys = number_keys(config)
-    near = [other for other in keys if other.startswith(f"{key}.")]
-    last = key.rsplit(".", 1)[-1]
-    near += difflib.get_close_matches(key, keys, n=3, cutoff=0.6)
-    near += [other for other in keys if other.rsplit(".", 1)[-1] == last]
-    return f"did you mean {', '.join(dict.fromkeys(near[:4]))}?" if near else "see docs/config.md"
-
-
 class Built(NamedTuple):
     """A simulation built from known numbers.
 
@@ -212,10 +206,21 @@ class Built(NamedTuple):
             Undecidable: a traced leaf has another shape.
         """
         moving = dict(zip(inputs.places, inputs.elements, strict=True))
-        return [
-            _is_same(leaf, own, moving.get(place, np.array([], int)))
-            for place, (leaf, own) in enumerate(zip(leaves, self.leaves, strict=True))
-        ]
+        conditions: list[Condition] = []
+        for place, (leaf, own) in enumerate(zip(leaves, self.leaves, strict=True)):
+            if not (is_traced(leaf) or is_number(leaf)):
+                conditions.append(np.array_equal(leaf, own))
+                continue
+            if np.shape(leaf) != np.shape(own):
+                raise Undecidable("the shape of an array would change")
+            rest = np.delete(np.arange(np.size(own)), moving.get(place, np.array([], int)))
+            found, known = xp.ravel(leaf)[rest], np.ravel(own)[rest]
+            slack = np.abs(own, where=np.isfinite(own), out=np.zeros(np.shape(own)))
+            slack = _ROUNDING * slack.max(initial=0.0)
+            # Infinities are equal, but their difference is NaN.
+            with np.errstate(invalid="ignore"):
+                conditions.append(((found == known) | (abs(found - known) <= slack)).all())
+        return conditions
 
 
 class Building:
@@ -285,18 +290,3 @@ def values_of(leaves: list[Any], inputs: Inputs, dtype: jnp.dtype) -> list[Array
         jnp.asarray(leaves[place], dtype).reshape(-1)[elements]
         for place, elements in zip(inputs.places, inputs.elements, strict=True)
     ]
-
-
-def _is_same(leaf: Any, own: Any, moving: np.ndarray) -> Condition:
-    """Return whether a leaf equals another one, except at elements that may differ."""
-    if not (is_traced(leaf) or is_number(leaf)):
-        return np.array_equal(leaf, own)
-    if np.shape(leaf) != np.shape(own):
-        raise Undecidable("the shape of an array would change")
-    rest = np.delete(np.arange(np.size(own)), moving)
-    found, known = xp.ravel(leaf)[rest], np.ravel(own)[rest]
-    slack = np.abs(own, where=np.isfinite(own), out=np.zeros(np.shape(own)))
-    slack = _ROUNDING * slack.max(initial=0.0)
-    # Infinities are equal, but their difference is NaN.
-    with np.errstate(invalid="ignore"):
-        return ((found == known) | (abs(found - known) <= slack)).all()

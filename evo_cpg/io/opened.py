@@ -5,7 +5,7 @@ import functools
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -183,10 +183,11 @@ def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
         ``config``, by keys of one or two parts (``seed``, ``evolution.population``), and ``code``,
         by module.
     """
-    parts = {
-        key: hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
-        for key, value in _by_key(config.model_dump(mode="json"))
-    }
+    parts = {}
+    for name, section in config.model_dump(mode="json").items():
+        for key, value in (section if isinstance(section, dict) else {"": section}).items():
+            digest = hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+            parts[f"{name}.{key}".rstrip(".")] = digest
     return {"config": parts, "code": _code_digests(own_parts(config).values())}
 
 
@@ -210,23 +211,12 @@ def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
         now: current fingerprint.
     """
     found = []
-    for kind, form in (("config", "{}"), ("code", _SOURCE + "{}")):
+    for kind, prefix in (("config", ""), ("code", _SOURCE)):
         old = before.get(kind) if isinstance(before, dict) else None
-        if not isinstance(old, dict):
-            continue
-        names = {*old, *now[kind]}
-        found += [
-            form.format(name) for name in sorted(names) if old.get(name) != now[kind].get(name)
-        ]
+        if isinstance(old, dict):
+            names = sorted({*old, *now[kind]})
+            found += [prefix + name for name in names if old.get(name) != now[kind].get(name)]
     return found
-
-
-def _by_key(sections: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the values of a configuration by keys of one or two parts."""
-    for name, section in sections.items():
-        inner = section if isinstance(section, dict) else {"": section}
-        for key, value in inner.items():
-            yield f"{name}.{key}".rstrip("."), value
 
 
 def _code_digests(parts: Iterable[CustomConfig]) -> dict[str, str]:

@@ -61,7 +61,11 @@ def build_situations(
         x, y = settings.start if entry.start is None else entry.start
         turn = entry.start_heading_deg
         heading = xp.deg2rad(settings.start_heading_deg if turn is None else turn)
-        same = chosen(functools.partial(_same_start, begins, x, y, heading))
+        given = (x, y, heading)
+        known = [(*begin.start_position[:2], begin.start_heading) for begin in begins]
+        same = chosen(
+            lambda given=given, known=known: known.index(given) if given in known else None
+        )
         if same is not None:
             begin = begins[same]
         else:
@@ -125,14 +129,6 @@ def _require_resolved(creature: Creature, place: Triple, h: Number, start: Key) 
                 f"move wrongly in steps of {h:.2g} s. Allowed: less than {most:g} m from the "
                 f"origin. Subtract about {here:.6g} m from the world's {axis} coordinates",
             )
-
-
-def _same_start(begins: list[Situation], x: float, y: float, heading: float) -> int | None:
-    """Return the index of an earlier situation with the same place and heading, or None."""
-    for i, begin in enumerate(begins):
-        if (*begin.start_position[:2], begin.start_heading) == (x, y, heading):
-            return i
-    return None
 
 
 def require_light(config: ExperimentConfig, task: Task) -> None:

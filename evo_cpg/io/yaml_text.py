@@ -89,8 +89,14 @@ class _Loader(_SafeLoader):
                 continue
             seen.add(id(one))
             if isinstance(one, yaml.MappingNode):
-                _require_different(key for key, _ in one.value)
-                left += [each for pair in one.value for each in pair]
+                names = set()
+                for key, value in one.value:
+                    if isinstance(key, yaml.ScalarNode) and key.value in names:
+                        raise yaml.constructor.ConstructorError(
+                            None, None, f"the key {key.value!r} is given twice", key.start_mark
+                        )
+                    names.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
+                    left += [key, value]
             else:
                 left += one.value
         return super().construct_document(node)
@@ -195,18 +201,6 @@ def _require_shallow(text: str) -> None:
 
 def _refused(event: yaml.Event, problem: str) -> yaml.YAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
-
-
-def _require_different(keys: Any) -> None:
-    seen = set()
-    for key in keys:
-        if not isinstance(key, yaml.ScalarNode):
-            continue
-        if key.value in seen:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"the key {key.value!r} is given twice", key.start_mark
-            )
-        seen.add(key.value)
 
 
 # Largest length of the line that a message about invalid YAML quotes.
