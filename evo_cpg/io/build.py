@@ -122,10 +122,6 @@ def _build_strategy(config: ExperimentConfig, simulation: Simulation) -> Strateg
 def require_genes(experiment: ExperimentParts, source: Path | str) -> None:
     """Check that the controller has genes.
 
-    Args:
-        experiment: experiment built from a configuration.
-        source: file of the configuration, for messages.
-
     Raises:
         ConfigError: the controller has no genes.
     """

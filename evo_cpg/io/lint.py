@@ -162,10 +162,6 @@ Found = Iterator[tuple[Key, str]]
 def lint(config: ExperimentConfig, source: Path | str) -> list[LintWarning]:
     """Return warnings about probably unintended values, at most one for each key.
 
-    Args:
-        config: the configuration.
-        source: file of the configuration, for messages.
-
     Raises:
         ConfigError: its bodies do not form one tree.
     """

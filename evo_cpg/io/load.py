@@ -61,10 +61,6 @@ def located(source: Path | str, data: Any = None) -> Iterator[None]:
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
     """Read and check a configuration file.
 
-    Args:
-        path: YAML file.
-        overrides: texts ``key.path=value`` with a YAML value, applied in order.
-
     Raises:
         ConfigError: the configuration is invalid. The message is worded for the user.
     """
@@ -76,11 +72,6 @@ def complete_config(
     data: dict[str, Any], source: Path, overrides: Sequence[str] = ()
 ) -> ExperimentConfig:
     """Check the contents of a configuration file and of the files that it names.
-
-    Args:
-        data: contents of the file.
-        source: path of the file, to whose folder other files are relative.
-        overrides: texts ``key.path=value`` with a YAML value, applied in order.
 
     Raises:
         ConfigError: the configuration is invalid. The message is worded for the user.

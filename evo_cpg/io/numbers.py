@@ -89,11 +89,6 @@ def with_numbers(
 ) -> ExperimentConfig:
     """Return a configuration with other numbers.
 
-    Args:
-        config: the configuration.
-        numbers: values by key.
-        source: file of the configuration.
-
     Raises:
         ConfigError: the numbers are not allowed.
     """
@@ -127,10 +122,6 @@ def are_checked_alone(config: ExperimentConfig, keys: Sequence[str]) -> bool:
     """Return whether only the fields' own checks, and no section's check, use some numbers.
 
     The checks run with traced numbers: a check that uses one fails.
-
-    Args:
-        config: a checked configuration.
-        keys: keys of the numbers.
     """
 
     def check(numbers: list[Array]) -> None:
@@ -151,12 +142,7 @@ def are_checked_alone(config: ExperimentConfig, keys: Sequence[str]) -> bool:
 
 
 def put_numbers(config: ExperimentConfig, numbers: Mapping[str, Number]) -> ExperimentConfig:
-    """Return a configuration with other, unchecked numbers, which may be traced.
-
-    Args:
-        config: the configuration.
-        numbers: values by key.
-    """
+    """Return a configuration with other, unchecked numbers, which may be traced."""
     for key, number in numbers.items():
         config = put(config, parts_of(key), number)
     return config

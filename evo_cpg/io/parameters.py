@@ -113,9 +113,6 @@ class Parameters:
     def require(self, values: Float[np.ndarray, " k"]) -> None:
         """Check that `simulation` is valid at other values.
 
-        Args:
-            values: values of the parameters.
-
         Raises:
             ConfigError: the values are not allowed, or change the layout of the simulation.
         """

@@ -163,14 +163,7 @@ def _length(creature: Creature) -> Number:
 
 
 def out_of_reach(creature: Creature, world: World, start: Triple, light: Triple) -> str | None:
-    """Return why a light cannot be reached, or None if it may be reached.
-
-    Args:
-        creature: the creature.
-        world: the world around it.
-        start: position of its root at the start, m.
-        light: position of the light, m.
-    """
+    """Return why a light cannot be reached, or None if it may be reached."""
     where = "({:g}, {:g}, {:g})".format(*light)
     if world.ground is not None:
         solid = (world.ground.floor, *world.ground.obstacles)

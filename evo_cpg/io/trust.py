@@ -63,10 +63,6 @@ def is_trusted() -> bool:
 def beside(source: Path, name: str) -> Path:
     """Return the path of a file that a configuration names.
 
-    Args:
-        source: the configuration file.
-        name: name of the file in the configuration.
-
     Raises:
         KeyProblem: the file lies outside the configuration's folder, and is not trusted.
     """
@@ -92,11 +88,6 @@ def beside(source: Path, name: str) -> Path:
 
 def named_file(source: Path, name: str, suffixes: Sequence[str]) -> Path:
     """Return the path of a file that a configuration names, if it can be read.
-
-    Args:
-        source: the configuration file.
-        name: name of the file in the configuration.
-        suffixes: allowed suffixes.
 
     Raises:
         KeyProblem: the file has another suffix, is missing, too large, a folder or not trusted.
