@@ -17,7 +17,7 @@ from evo_cpg.creature.self_collision import PlanPairs, SelfCollision
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import METRICS, Mapped
+from evo_cpg.evolution.map_elites import Mapped
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.io.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.io.load import located
@@ -110,8 +110,7 @@ def _build_strategy(config: ExperimentConfig, simulation: Simulation) -> Strateg
     strategy = given.build(simulation.genome, population)
     mapped = bool(given.axes and (islands or not strategy.map_axes))
     if isinstance(given, CustomConfig):
-        where, metrics = " on each island" if islands else "", METRICS if mapped else ()
-        check_own_strategy(strategy, population, simulation, config.trial_count, metrics, where)
+        check_own_strategy(config, strategy, population, simulation, mapped)
     if islands:
         strategy = Islands(
             given.population, strategy, islands.count, islands.every, islands.migrants

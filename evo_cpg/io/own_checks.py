@@ -19,6 +19,7 @@ from jaxtyping import Array
 
 from evo_cpg.control.controller import Command
 from evo_cpg.creature.algebra.numerics import is_traced
+from evo_cpg.evolution.map_elites import METRICS
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.io.errors import Key, KeyProblem
 from evo_cpg.io.schema.experiment import ExperimentConfig
@@ -245,33 +246,30 @@ def _random(shapes: Any, changed: Sequence[int] = ()) -> Any:
 
 
 def check_own_strategy(
+    config: ExperimentConfig,
     strategy: Strategy,
     population: int,
     simulation: Simulation,
-    trials: int,
-    metrics: tuple[str, ...],
-    where: str,
+    mapped: bool,
 ) -> None:
     """Check a user's own strategy in two traced generations: only types and shapes.
 
     Args:
+        config: configuration that names the strategy.
         strategy: strategy on one island.
         population: population that it was requested to have.
         simulation: simulation of a trial.
-        trials: number of trials of each individual.
-        metrics: names of the metrics that a map adds to metrics.csv.
-        where: ``on each island`` if there are several islands.
+        mapped: whether a map adds its own columns to metrics.csv.
 
     Raises:
         KeyProblem: the strategy fails, or returns a wrong type or shape.
     """
     own = _Methods(strategy, ())
     if strategy.population != population:
-        kind = type(strategy).__name__
-        problem = f"{population}{where}: {kind} has another population, {strategy.population}"
+        problem = f"{population}: {type(strategy).__name__} has another one, {strategy.population}"
         raise KeyProblem(("population",), problem)
     names = (*term_names(simulation.task), *simulation.measures.names)
-    taken = {*TABLE_COLUMNS, *metrics, *(f"best_{name}" for name in names)}
+    taken = {*TABLE_COLUMNS, *(METRICS if mapped else ()), *(f"best_{name}" for name in names)}
 
     def are_new(names: Any) -> str | None:
         if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
@@ -292,7 +290,7 @@ def check_own_strategy(
         draw, kept = jax.random.key(0), None
         _, kept = own.call("ask", draw, own.call("init", draw, random), test=is_generation)
         terms = dict.fromkeys(names, fitness)
-        in_trials = jnp.tile(fitness, (trials, 1))
+        in_trials = jnp.tile(fitness, (config.trial_count, 1))
         worth = Evaluation(fitness, terms, descriptors(simulation, terms), in_trials)
         updated = own.call("tell", draw, kept, random, worth)
         _, kept = own.call("ask", draw, updated, test=is_generation)
