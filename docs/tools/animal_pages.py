@@ -129,7 +129,7 @@ def config_digest(name: str) -> str:
 
 def _digest(config: Any) -> str:
     """Return the digest of all values of a configuration but its name and its number of runs."""
-    from evo_cpg.io.fingerprint import fingerprint
+    from evo_cpg.io.opened import fingerprint
 
     parts = fingerprint(config)["config"]
     values = json.dumps(

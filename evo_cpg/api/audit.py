@@ -25,8 +25,8 @@ from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.models.refusals import ExchangeError
+from evo_cpg.io.schema.audit import Limits
 from evo_cpg.io.schema.experiment import ExperimentConfig
-from evo_cpg.io.schema.limits import Limits
 from evo_cpg.native.engine import Engine, described
 from evo_cpg.physics.contact.pairs import make_pairs
 from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps

@@ -30,10 +30,9 @@ from evo_cpg.api.training import begin_run, reopen_run
 from evo_cpg.files import make_folder, write_table, write_text
 from evo_cpg.io.build import build_experiment, require_genes
 from evo_cpg.io.errors import ConfigError
-from evo_cpg.io.fingerprint import fingerprint
 from evo_cpg.io.keys import parts_of
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.opened import Opened, fingerprint
 from evo_cpg.io.settings import Setting, is_folder_name
 from evo_cpg.system import name_of, named, resolved
 from evo_cpg.training.checkpoint import Checkpoint

@@ -18,9 +18,8 @@ from evo_cpg.api.machine import machine_changes, machine_fingerprint, warn_of_gp
 from evo_cpg.api.progress import Generations, working
 from evo_cpg.api.warm_start import Start
 from evo_cpg.io.build import require_genes
-from evo_cpg.io.fingerprint import changes, changes_of_fitness, fingerprint
 from evo_cpg.io.load import dump_config
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.opened import Opened, changes, changes_of_fitness, fingerprint
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.shipped import shipped_name
 from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement

@@ -54,8 +54,8 @@ def _refine(
     from evo_cpg.api.training import now
     from evo_cpg.cli.building import build
     from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_of, open_and_build, replayed
-    from evo_cpg.io.fingerprint import fingerprint
     from evo_cpg.io.load import dump_config
+    from evo_cpg.io.opened import fingerprint
     from evo_cpg.io.parameters import parametrise
     from evo_cpg.training.refine import Refinement, Round, compile_refinement
     from evo_cpg.training.run_folder import refinements

@@ -36,11 +36,11 @@ def _add_setting(error: Any) -> None:
     command = error.ctx and error.ctx.command
     if not any(parameter.name == "overrides" for parameter in getattr(command, "params", ())):
         return
-    from evo_cpg.io.allowed import Allowed
     from evo_cpg.io.schema.experiment import ExperimentConfig
+    from evo_cpg.io.wording import Allowed
 
     name = error.option_name.lstrip("-").replace("-", "_")
-    allowed = Allowed(ExperimentConfig, {}, frozenset())
+    allowed = Allowed(ExperimentConfig, {})
     sections = allowed.keys(())
     keys = [name] * (name in sections)
     keys += [f"{section}.{name}" for section in sections if name in allowed.keys((section,))]

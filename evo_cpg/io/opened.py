@@ -1,21 +1,34 @@
-"""Run folder with its built experiment, and with one of its champions or elites."""
+"""Run folder with its built experiment and one of its champions, and the digests of a run."""
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxtyping import Array
 
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.section import CustomConfig
+from evo_cpg.io.trust import own_parts
 from evo_cpg.simulation.recording import Recording, as_recording
 from evo_cpg.system import named
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
+
+_SOURCE = "the source of "
+# First words of changes that leave every individual's fitness as it is. `changes_of_fitness` lists
+# the exceptions.
+_HARMLESS = (
+    *("name", "seed", "runs", "creature.name", "evolution.", "audit.", "measures", "engine"),
+    *("instruction_set", _SOURCE),
+)
 
 
 class Replay(NamedTuple):
@@ -161,3 +174,57 @@ def class_folders(folder: RunFolder) -> list[Path]:
     """Return the folder of a user's classes: the folder of the run's original config file."""
     origin = folder.read_meta().get("config")
     return [named(origin).parent] if isinstance(origin, str) else []
+
+
+def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
+    """Return SHA-256 digests of a configuration and of the user's own code, after its import.
+
+    Returns:
+        ``config``, by keys of one or two parts (``seed``, ``evolution.population``), and ``code``,
+        by module.
+    """
+    parts = {}
+    for name, section in config.model_dump(mode="json").items():
+        for key, value in (section if isinstance(section, dict) else {"": section}).items():
+            digest = hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+            parts[f"{name}.{key}".rstrip(".")] = digest
+    return {"config": parts, "code": _code_digests(own_parts(config).values())}
+
+
+def changes_of_fitness(before: Any, config: ExperimentConfig) -> list[str]:
+    """Return the changes that may change fitness, or an elite's place on its map."""
+    parts = [part for key, part in own_parts(config).items() if key != ("evolution",)]
+    harmful = ["evolution.axes", *(_SOURCE + module for module in _code_digests(parts))]
+    harmful += [f"audit.{name}" for name in ("disqualify", *config.audit.disqualify)]
+    if not config.noise.silent:
+        # The seed determines the noise with which an individual was evaluated.
+        harmful.append("seed")
+    found = changes(before, fingerprint(config))
+    return [each for each in found if each in harmful or not each.startswith(_HARMLESS)]
+
+
+def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Return the differences between two fingerprints: configuration keys, then modules.
+
+    Args:
+        before: earlier fingerprint, in which missing kinds are ignored.
+        now: current fingerprint.
+    """
+    found = []
+    for kind, prefix in (("config", ""), ("code", _SOURCE)):
+        old = before.get(kind) if isinstance(before, dict) else None
+        if isinstance(old, dict):
+            names = sorted({*old, *now[kind]})
+            found += [prefix + name for name in names if old.get(name) != now[kind].get(name)]
+    return found
+
+
+def _code_digests(parts: Iterable[CustomConfig]) -> dict[str, str]:
+    """Return SHA-256 digests of the files of the user's own classes, by module."""
+    digests = {}
+    for part in parts:
+        name = part.type.partition(":")[0]
+        file = getattr(sys.modules[name], "__file__", None)
+        if file and file.endswith(".py") and Path(file).is_file():
+            digests[name] = hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    return digests

@@ -268,7 +268,7 @@ def test_lint_reports_no_falling_if_a_law_may_hold_the_creature(glider):
         ),
         (
             {"type": "plate:Wrong", "options": {"body": "fluke", "area": 1}},
-            r"Wrong.wrench must return 6 x 2 numbers, shape \(6, 2, 7\)",
+            r"Wrong.wrench must return float32\[6, 2, 7\]",
         ),
         (
             {"type": "plate:Broken", "options": {"body": "fluke", "area": 1}},

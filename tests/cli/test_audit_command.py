@@ -16,7 +16,7 @@ from evo_cpg.cli.audited import say_verdict
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.io.schema.limits import Limits
+from evo_cpg.io.schema.audit import Limits
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.variations import Variation, compile_variation, finer

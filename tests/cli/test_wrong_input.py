@@ -143,10 +143,7 @@ def test_every_command_rejects_an_invalid_config(refused, tmp_path, command):
         ("creature.materials.body.density=-1", "body.density: -1: must be greater than 0"),
         ("creature.bodies.1.repeat=0", "repeat: 0: must be greater than or equal to 1"),
         ("creature.bodies.1.joint.parent=hed", "'hed' does not exist: did you mean 'head'?"),
-        (
-            "evolution.population=8",
-            "elites: must be fewer than the population of 8, got 20. Set evolution.elites=1, or a ",
-        ),
+        ("evolution.population=8", "elites: must be fewer than the population of 8"),
         (
             "evolution={elites: 400}",
             ": evolution: elites: must be fewer than the population of 200",
@@ -330,37 +327,18 @@ def test_preview_of_invalid_size_or_place_is_rejected(refused):
         ("my_tasks:Jump", {"hieght": 2}, "cannot be built with these options (Jump.__init__()"),
         ("my_tasks:Jump", {"height": -2}, "height must not be negative, got -2"),
         ("my tasks:Jump", {}, "task.type: 'my tasks:Jump': must be a module and a class"),
-        (
-            "my_tasks:Forgets",
-            {},
-            "task.type: Forgets.update must return the tally with unchanged structure, shapes and "
-            "types, float32[7], got float32[1, 7]",
-        ),
+        ("my_tasks:Forgets", {}, "task.type: Forgets.update must return float32[7], got float32[1"),
         ("my_tasks:Nameless", {}, "task.type: Nameless.terms must return a dict by name, not"),
-        (
-            "my_tasks:Wholesale",
-            {},
-            "task.type: Wholesale.fitness must return one number, shape (7,) with 7 individuals on "
-            "the last axis, got float32[]",
-        ),
-        (
-            "my_tasks:Unreal",
-            {},
-            "task.type: Unreal.fitness must return real numbers, got complex64[7]",
-        ),
+        ("my_tasks:Wholesale", {}, "Wholesale.fitness must return float32[7], got float32[]"),
+        ("my_tasks:Unreal", {}, "Unreal.fitness must return float32[7], got complex64[7]"),
         ("my_tasks:Ranked", {}, "task.type: Ranked.fitness fails at line 51 of my_tasks.py ("),
-        ("my_tasks:Listed", {}, "Listed.descriptors must return a dict by name, not ['float32[7]"),
+        ("my_tasks:Listed", {}, "Listed.descriptors must return a dict by name, not [float32[7]"),
         (
             "my_tasks:Described",
             {},
             "task.type: Described.descriptors fails at line 59 of my_tasks.py (KeyError: 'energy')",
         ),
-        (
-            "my_tasks:Worded",
-            {},
-            "Worded.descriptors must return one number for the descriptor 'jump', shape (7,) with "
-            "7 individuals on the last axis, got 'high'",
-        ),
+        ("my_tasks:Worded", {}, "Worded.descriptors must return {jump: float32[7]}, got {jump: "),
         ("my_tasks:Measured", {}, "Measured.scales must return a dict by name, not float32[]"),
         (
             "my_tasks:Lost",
@@ -384,8 +362,7 @@ def test_invalid_task_of_ones_own_is_rejected(
     [
         (
             "creature.sensors=[{type: 'my_tasks:Numb'}]",
-            "creature.sensors.0.type: Numb.sense must return 2 numbers, shape (2, 7) with 7 "
-            "individuals on the last axis, got float32[3, 7]",
+            "creature.sensors.0.type: Numb.sense must return float32[2, 7], got float32[3, 7]",
         ),
         (
             "creature.sensors=[{type: 'my_tasks:Jump'}]",
@@ -395,11 +372,7 @@ def test_invalid_task_of_ones_own_is_rejected(
         ("creature.sensors=[{type: velocty}]", "'velocty' is not known. Allowed: 'velocity', or m"),
         ("creature.sensors=[{body: head}]", "creature.sensors.0.type: is missing and has no de"),
         ("creature.sensors=[{type: velocity, body: hed}]", "did you mean 'head'?"),
-        (
-            "controller={type: 'my_tasks:Stiff'}",
-            "controller.type: Stiff.act must return 27 numbers for its target_rate, shape (27, 7) "
-            "with 7 individuals on the last axis, got float32[1, 7]",
-        ),
+        ("controller={type: 'my_tasks:Stiff'}", "controller.type: Stiff.act must return {"),
     ],
 )
 def test_invalid_sensor_or_controller_of_ones_own_is_rejected(

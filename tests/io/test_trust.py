@@ -11,9 +11,8 @@ import yaml
 
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import ConfigError
-from evo_cpg.io.files import LARGEST
 from evo_cpg.io.load import load_config
-from evo_cpg.io.trust import VARIABLE, trusting
+from evo_cpg.io.trust import LARGEST, VARIABLE, trusting
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from tiny_run import CONFIG, REPOSITORY
 

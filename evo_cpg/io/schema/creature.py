@@ -25,15 +25,26 @@ from evo_cpg.creature.creature import (
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import NoShape, Shape
 from evo_cpg.io.errors import Key, KeyProblem, nearest
-from evo_cpg.io.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
-from evo_cpg.io.schema.frames import moved, opposed, reflected, unit
+from evo_cpg.io.schema.copies import (
+    SIDES,
+    Copy,
+    Entry,
+    MirrorAxis,
+    copies,
+    copies_named,
+    moved,
+    opposed,
+    reflected,
+    unit,
+)
 from evo_cpg.io.schema.joint import JointConfig
-from evo_cpg.io.schema.names import PrintedName
 from evo_cpg.io.schema.section import (
+    Direction,
     Finite,
     Fraction,
     NotNegative,
     Positive,
+    PrintedName,
     Section,
     Vector,
     pattern,
@@ -41,7 +52,6 @@ from evo_cpg.io.schema.section import (
 from evo_cpg.io.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
 from evo_cpg.io.schema.shape import ShapeConfig
 from evo_cpg.io.schema.tendon import TendonConfig
-from evo_cpg.io.schema.typical import Direction
 
 Color = Annotated[
     str, *pattern(r"^#[0-9a-fA-F]{6}$", "must be '#' and six hexadecimal digits, such as '#ff8800'")

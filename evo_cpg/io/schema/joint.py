@@ -8,11 +8,16 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from evo_cpg.creature.algebra.numerics import Number, Triple, as_vector, xp
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.creature import NO_LIMIT, Actuator, AxisKind, Joint, Muscle, TorqueMotor
-from evo_cpg.io.schema.choice import by_type
-from evo_cpg.io.schema.copies import MirrorAxis
-from evo_cpg.io.schema.frames import moved, opposed, reflected, unit
-from evo_cpg.io.schema.section import Finite, NotNegative, Positive, Section, Vector
-from evo_cpg.io.schema.typical import Direction
+from evo_cpg.io.schema.copies import MirrorAxis, moved, opposed, reflected, unit
+from evo_cpg.io.schema.section import (
+    Direction,
+    Finite,
+    NotNegative,
+    Positive,
+    Section,
+    Vector,
+    by_type,
+)
 
 # Largest number of axes of a joint, with which a body moves freely.
 _MOST_AXES = 6

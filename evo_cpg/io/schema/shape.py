@@ -11,8 +11,7 @@ from evo_cpg.creature.cylinder import Cylinder
 from evo_cpg.creature.loft import LoftSection, Piece, loft
 from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
-from evo_cpg.io.schema.copies import MirrorAxis
-from evo_cpg.io.schema.frames import reflected
+from evo_cpg.io.schema.copies import MirrorAxis, reflected
 from evo_cpg.io.schema.section import NotNegative, Positive, Section, Vector
 
 Size = tuple[Positive, Positive, Positive]

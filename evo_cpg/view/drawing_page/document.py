@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 from evo_cpg.errors import UserError
 from evo_cpg.files import require_place, write_text
 from evo_cpg.io.errors import ConfigError, KeyProblem
-from evo_cpg.io.files import require_small
 from evo_cpg.io.load import read_yaml
-from evo_cpg.io.trust import beside
+from evo_cpg.io.trust import beside, require_small
 from evo_cpg.io.yaml_text import parse_yaml
 from evo_cpg.view.drawing_page.autosave import Autosave
 from evo_cpg.view.drawing_page.blank import blank

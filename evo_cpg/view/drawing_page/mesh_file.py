@@ -6,8 +6,8 @@ from pathlib import Path
 
 from evo_cpg.files import write_whole
 from evo_cpg.io.errors import KeyProblem
-from evo_cpg.io.files import LARGEST
 from evo_cpg.io.named_files import MESH_SUFFIXES, read_mesh
+from evo_cpg.io.trust import LARGEST
 from evo_cpg.view.drawing_page.document import DrawingError
 
 # Longest name before the suffix, bytes.

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from evo_cpg.io.schema.copies import MirrorAxis
-from evo_cpg.io.schema.frames import reflected
+from evo_cpg.io.schema.copies import MirrorAxis, reflected
 from evo_cpg.io.schema.section import Vector
 from evo_cpg.view.drawing_page.document import Data, DrawingError
 from evo_cpg.view.drawing_page.lookup import Posed, bodies, posed, tidy

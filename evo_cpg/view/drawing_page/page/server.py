@@ -6,7 +6,7 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs
 
-from evo_cpg.io.files import LARGEST
+from evo_cpg.io.trust import LARGEST
 from evo_cpg.view.drawing_page.page.document import page
 from evo_cpg.view.drawing_page.session import Session
 from evo_cpg.view.run_page.server import PageHandler, PageServer
