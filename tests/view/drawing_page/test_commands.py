@@ -14,7 +14,7 @@ from evo_cpg.view.drawing_page.document import Document, DrawingError
 from evo_cpg.view.drawing_page.lookup import posed
 from evo_cpg.view.drawing_page.problems import problems
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 
 # Sixty lists, each in another.
 DEEP = json.loads("[" * 60 + "]" * 60)

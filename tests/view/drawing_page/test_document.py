@@ -12,7 +12,7 @@ from evo_cpg.view.drawing_page.document import Document, DrawingError, Texts
 from evo_cpg.view.drawing_page.problems import problems
 from evo_cpg.view.drawing_page.yaml_edit import equal
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 
 
 def do(document: Document, command: str, **given):

@@ -21,7 +21,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(chromium.found() is None, reason="needs Chromium"),
 ]
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 FINISHED = "document.getElementById('run-state').textContent.startsWith('finished')"
 
 

@@ -158,7 +158,7 @@ def test_comments_are_lost_only_with_consent(server):
     document = server.session.document
     document.save()
     text = document.path.read_text()
-    text = text.replace("  water: {density: 1000}", "  water: # salt\n    density: 1025")
+    text = text.replace("  water: {density: 1000}", "  water:\n    density: 1025 # salt")
     document.path.write_text(text)
     server.session.__init__(Document.open(document.path))
     edit = {"command": "set_water", "given": {"on": False}}

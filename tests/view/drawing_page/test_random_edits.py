@@ -18,7 +18,7 @@ from evo_cpg.view.drawing_page.document import Document
 from evo_cpg.view.drawing_page.problems import problems
 from evo_cpg.view.drawing_page.session import Session
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 # Largest number of bodies that an edit may leave, so that simulations compile in seconds.
 LARGEST = 16
 # Their controllers name parts by patterns. A renamed part leaves an animal that is refused.
