@@ -23,10 +23,6 @@ from evo_cpg.view.run_page.viewer_data import packed, piece_data, skin_data
 def scene(data: Data, source: Path) -> dict[str, Any]:
     """Return the drawing of a document.
 
-    Args:
-        data: data of the document.
-        source: file of the document.
-
     Raises:
         KeyProblem: the creature is wrong.
     """

@@ -1,4 +1,4 @@
-"""Change the data of a YAML text, and keep the rest of the text.
+"""ProposedEdit the data of a YAML text, and keep the rest of the text.
 
 `with_data` gives the text without its comments to ruamel.yaml, which keeps anchors, brackets and
 number formats, and changes the values that differ. The lines that ruamel.yaml then writes

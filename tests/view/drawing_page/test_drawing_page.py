@@ -13,9 +13,8 @@ import trimesh
 import chromium
 from evo_cpg.io.load import load_config
 from evo_cpg.view.drawing_page.document import Document
-from evo_cpg.view.drawing_page.problems import problems
 from evo_cpg.view.drawing_page.server import drawing_server
-from evo_cpg.view.drawing_page.session import Session
+from evo_cpg.view.drawing_page.session import Session, problems
 from evo_cpg.view.run_page.server import PageServer
 
 pytestmark = [
