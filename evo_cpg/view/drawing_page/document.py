@@ -135,7 +135,8 @@ class Document:
         data = parse_yaml(self.texts.main)
         if self.texts.creature is not None:
             given = data["creature"]
-            changes = {k: v for k, v in given.items() if k != "file"} if _is_section(given) else {}
+            changes = dict(given) if isinstance(given, dict) else {}
+            changes.pop("file", None)
             data["creature"] = parse_yaml(self.texts.creature) | changes
         # Aliases are shared objects, and an edit must change one place only.
         return _unshared(data)
@@ -157,11 +158,12 @@ class Document:
         creature = self.texts.creature
         if creature is not None:
             given, whole = main.get("creature"), dict(data["creature"])
-            inside = set(given) - {"file"} if _is_section(given) else set()
-            own = {k: whole.pop(k) for k in list(whole) if k in inside}
+            if isinstance(given, dict):
+                own = {k: whole.pop(k) for k in list(whole) if k in given and k != "file"}
+                data["creature"] = {"file": given["file"], **own}
+            else:
+                data["creature"] = given
             creature = _written(creature, whole)
-            file = given["file"] if _is_section(given) else given
-            data["creature"] = {"file": file, **own} if _is_section(given) else file
         texts = Texts(_written(self.texts.main, data), creature)
         pairs = zip(self.texts, texts, strict=True)
         lost = [each for old, new in pairs if old and new for each in lost_comments(old, new)]
@@ -227,19 +229,13 @@ class Document:
                     f"{self.path} has changed on the disk since it was opened. Save under another "
                     "name, or open it again"
                 )
-            changed = [
-                (name, file, new)
-                for name, file, old, new in zip(
-                    Texts._fields,
-                    (self.path, self._creature_file()),
-                    self._on_disk,
-                    self.texts,
-                    strict=True,
-                )
-                if file is not None and new is not None and old != new
-            ]
-            for _, file, _ in changed:
-                require_place(file)
+            name = _creature_name(parse_yaml(self.texts.main))
+            own = None if name is None else beside(self.path, name)
+            changed = []
+            pairs = zip(self._on_disk, self.texts, strict=True)
+            for name, file, (old, new) in zip(Texts._fields, (self.path, own), pairs, strict=True):
+                if file is not None and new is not None and old != new:
+                    changed.append((name, require_place(file), new))
             for name, file, new in changed:
                 mark, end = self._bytes[file]
                 write_text(file, mark + new.replace("\n", end))
@@ -301,10 +297,6 @@ class Document:
         read_yaml(file)
         return Texts(main, self._text(file))
 
-    def _creature_file(self) -> Path | None:
-        name = _creature_name(parse_yaml(self.texts.main))
-        return None if name is None else beside(self.path, name)
-
     def _text(self, file: Path) -> str:
         """Return the text of a file, and note its byte order mark and its ends of lines."""
         require_small(file)
@@ -328,10 +320,6 @@ def _written(text: str, data: Data) -> str:
         return with_data(text, data)
     except ValueError as error:
         raise EditError(str(error)) from None
-
-
-def _is_section(given: Any) -> bool:
-    return isinstance(given, dict)
 
 
 def _unshared(value: Any) -> Any:
@@ -401,10 +389,6 @@ class Autosave:
             self.path.unlink(missing_ok=True)
 
 
-def _digests(texts: Sequence[str | None] | None) -> list[str]:
-    return [hashlib.sha256(repr(text).encode()).hexdigest() for text in texts or ()]
-
-
 def blank(stem: str) -> str:
     """Return the text of a new document.
 
@@ -412,3 +396,7 @@ def blank(stem: str) -> str:
         stem: name of its file without the suffix, which names the animal, too.
     """
     return _BLANK.format(name=re.sub(r"[^A-Za-z0-9_]+", "_", stem).strip("_") or "animal")
+
+
+def _digests(texts: Sequence[str | None] | None) -> list[str]:
+    return [hashlib.sha256(repr(text).encode()).hexdigest() for text in texts or ()]

@@ -135,7 +135,11 @@ def facing(normal: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         Roll, pitch and yaw in degrees, and the position of the joint in the part's frame, m.
     """
-    x, y, z = _snapped(normal / np.linalg.norm(normal))
+    direction = normal / np.linalg.norm(normal)
+    largest = np.abs(direction).argmax()
+    if abs(direction[largest]) > np.cos(np.radians(_SNAP_DEG)):
+        direction = np.sign(direction[largest]) * np.eye(3)[largest]
+    x, y, z = direction
     sign = -1.0 if x < _BACKWARD else 1.0
     x, y, z = sign * x, sign * y, sign * z
     yaw = np.degrees(np.arctan2(y, x)) if np.hypot(x, y) > 1e-9 else 0.0
@@ -143,23 +147,20 @@ def facing(normal: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array([0.0, pitch, yaw]), np.array([-sign * reach, 0.0, 0.0])
 
 
-def _snapped(direction: np.ndarray) -> np.ndarray:
-    largest = np.abs(direction).argmax()
-    if abs(direction[largest]) > np.cos(np.radians(_SNAP_DEG)):
-        return np.sign(direction[largest]) * np.eye(3)[largest]
-    return direction
-
-
 def shift(data: Data, source: Path, part: str, by: Vector) -> None:
     """Move a part with everything that it carries, and all copies of its entry alike.
 
     The displacement is in the axes of the root at rest (m).
     """
-    here, joint = posed(data, source), None
+    here = posed(data, source)
     index = here.index(part)
     joint, parent = _joint(data, here, index)
-    at = _at(here, index, joint) + here.rotations[parent].T @ np.asarray(by, float)
-    joint["at"] = tidy(_written(here, index, at))
+    body = here.copies[index]
+    about = Rotation.from_euler("z", body.turn_deg, degrees=True).as_matrix()
+    # The place is in the frame of the body's own parent, and then as written in the entry.
+    at = reflected_if(about @ np.array(joint["at"], float), body.mirror)
+    at = at + here.rotations[parent].T @ np.asarray(by, float)
+    joint["at"] = tidy(about.T @ reflected_if(at, body.mirror))
 
 
 def turn(data: Data, source: Path, part: str, rotation: tuple[Vector, Vector, Vector]) -> None:
@@ -179,21 +180,15 @@ def turn(data: Data, source: Path, part: str, rotation: tuple[Vector, Vector, Ve
     if body.mirror:
         mirror = np.diag(reflected_if(np.ones(3), body.mirror))
         between = mirror @ between @ mirror
-    joint["rotation_deg"] = tidy(np.round(_angles(between), 2) + 0.0)
-
-
-def _angles(rotation: np.ndarray) -> np.ndarray:
-    """Return roll, pitch and yaw of a rotation about the parent's x, then y, then z, degrees.
-
-    At a pitch of 90 degrees only their sum or difference counts, and roll is 0.
-    """
-    pitch = np.arcsin(np.clip(-rotation[2, 0], -1, 1))
-    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-6:
-        roll, yaw = 0.0, np.arctan2(-rotation[0, 1], rotation[1, 1])
+    # Roll, pitch and yaw are about the parent's x, then y, then z. At a pitch of 90 degrees only
+    # their sum or difference counts, and roll is 0.
+    pitch = np.arcsin(np.clip(-between[2, 0], -1, 1))
+    if np.hypot(between[0, 0], between[1, 0]) < 1e-6:
+        roll, yaw = 0.0, np.arctan2(-between[0, 1], between[1, 1])
     else:
-        roll = np.arctan2(rotation[2, 1], rotation[2, 2])
-        yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
-    return np.degrees([roll, pitch, yaw])
+        roll = np.arctan2(between[2, 1], between[2, 2])
+        yaw = np.arctan2(between[1, 0], between[0, 0])
+    joint["rotation_deg"] = tidy(np.round(np.degrees([roll, pitch, yaw]), 2) + 0.0)
 
 
 def _joint(data: Data, here: Posed, index: int) -> tuple[Data, int]:
@@ -203,17 +198,3 @@ def _joint(data: Data, here: Posed, index: int) -> tuple[Data, int]:
         raise EditError(f"{body.name} is the root, to which all other places are relative")
     names = [each.name for each in here.copies]
     return bodies(data)[body.entry]["joint"], names.index(body.parent)
-
-
-def _at(here: Posed, index: int, joint: Data) -> np.ndarray:
-    """Return the place of a joint in the frame of the body's own parent."""
-    body = here.copies[index]
-    about = Rotation.from_euler("z", body.turn_deg, degrees=True).as_matrix()
-    return reflected_if(about @ np.array(joint["at"], float), body.mirror)
-
-
-def _written(here: Posed, index: int, at: np.ndarray) -> np.ndarray:
-    """Return the place of a joint as written in the entry, the inverse of `_at`."""
-    body = here.copies[index]
-    about = Rotation.from_euler("z", -body.turn_deg, degrees=True).as_matrix()
-    return about @ reflected_if(at, body.mirror)

@@ -1,6 +1,5 @@
 """Motions of the drawn animal: a try of some seconds, and a run of evolution in a process."""
 
-import base64
 import contextlib
 import csv
 import itertools
@@ -25,6 +24,7 @@ from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.clip import quaternions, sample
 from evo_cpg.view.drawing_page.document import Data, EditError
+from evo_cpg.view.run_page.viewer_data import packed
 
 How = Literal["rest", "rhythm"]
 
@@ -85,13 +85,9 @@ def motion(recording: Recording, names: Sequence[str]) -> dict[str, Any]:
         "rate": RATE,
         "count": len(clip.time),
         "names": list(names),
-        "place": _text(clip.position, "<f4"),
-        "turn": _text(quaternions(clip.rotation) * _SHORT, "<i2"),
+        "place": packed(clip.position, "<f4"),
+        "turn": packed(quaternions(clip.rotation) * _SHORT, "<i2"),
     }
-
-
-def _text(values: np.ndarray, kind: str) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()
 
 
 class TrainingRun:
@@ -214,19 +210,13 @@ class TrainingRun:
                 rows = list(csv.DictReader(file))
         except OSError:
             return {}
-        found = {}
-        for name in _CURVES:
-            if rows and name in rows[0]:
-                found[name] = [value for row in rows if (value := _number(row[name])) is not None]
+        found: dict[str, list[float]] = {name: [] for name in _CURVES if rows and name in rows[0]}
+        for name, values in found.items():
+            for row in rows:
+                # The trainer may not have written the last cell yet.
+                with contextlib.suppress(TypeError, ValueError):
+                    values.append(float(row[name]))
         return found
-
-
-def _number(text: str | None) -> float | None:
-    """Return the number of a cell, or None if the cell is not written yet."""
-    try:
-        return float(text or "")
-    except ValueError:
-        return None
 
 
 def _release(process: subprocess.Popen) -> None:

@@ -125,7 +125,7 @@ class Session:
                     raise EditError(f"there is no request {request!r}")
                 if seen not in (None, self._revision):
                     # The page may lack shapes that another page has received.
-                    self._sent = set()
+                    self._sent.clear()
                     if request not in _ALWAYS:
                         raise EditError(_STALE)
                 work = self._requests[request]
@@ -181,8 +181,8 @@ class Session:
             self._run = None
 
     def _open(self) -> None:
-        """Forget what was sent, because the page is new."""
-        self._sent = set()
+        # A new page has received no shapes.
+        self._sent.clear()
 
     def _edit(self, command: str, given: dict[str, Any], accept: bool = False) -> Answer:
         change = self.document.propose(edit(command, self.document.path, given))

@@ -172,7 +172,23 @@ def half_extents(shape: Data | None) -> tuple[float, float, float]:
     """
     given = shape or {}
     try:
-        x, y, z = map(float, _halves(given))
+        match kind := given.get("type"):
+            case "box":
+                halves = [size / 2 for size in given["size"]]
+            case "ellipsoid":
+                halves = given["radii"]
+            case "sphere":
+                halves = [given["radius"]] * 3
+            case "capsule":
+                radius = given["radius"]
+                halves = [given["length"] / 2 + radius, radius, radius]
+            case "cylinder":
+                halves = [given["length"] / 2, given["radius"], given["radius"]]
+            case "loft":
+                halves = _loft_half_extents(given).tolist()
+            case _:
+                raise EditError(f"a shape of type {kind!r} has no sizes that can be changed here")
+        x, y, z = map(float, halves)
     except (ArithmeticError, KeyError, TypeError, ValueError) as error:
         if isinstance(error, EditError):
             raise
@@ -180,25 +196,6 @@ def half_extents(shape: Data | None) -> tuple[float, float, float]:
     if not min(x, y, z) > 0:
         raise EditError(f"the sizes of a {given.get('type')} must be greater than 0")
     return x, y, z
-
-
-def _halves(shape: Data) -> Sequence[float]:
-    """Return the half extents of a shape whose sizes may be wrong."""
-    match shape.get("type"):
-        case "box":
-            return [size / 2 for size in shape["size"]]
-        case "ellipsoid":
-            return shape["radii"]
-        case "sphere":
-            return [shape["radius"]] * 3
-        case "capsule":
-            return [shape["length"] / 2 + shape["radius"], shape["radius"], shape["radius"]]
-        case "cylinder":
-            return [shape["length"] / 2, shape["radius"], shape["radius"]]
-        case "loft":
-            return _loft_half_extents(shape).tolist()
-        case other:
-            raise EditError(f"a shape of type {other!r} has no sizes that can be changed here")
 
 
 def add_shape(

@@ -12,7 +12,7 @@ from typing import Any
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.view.run_page import movement, origin
 from evo_cpg.view.run_page.html import Html, asset, join, number, tag, whole_page, with_unit
-from evo_cpg.view.run_page.subject import Crowd, RecordedMotion, Subject
+from evo_cpg.view.run_page.subject import Crowd, PageSubject, RecordedMotion
 
 _ALONE = """
 html, body { height: 100%; }
@@ -23,7 +23,7 @@ body { max-width: none; padding: 0; }
 """
 
 
-def document(subject: Subject, motion: RecordedMotion) -> str:
+def document(subject: PageSubject, motion: RecordedMotion) -> str:
     """Return the whole page."""
     sections = [
         ("gait", "How it moves", movement.gait(motion)),
@@ -142,7 +142,7 @@ def _still(picture: bytes) -> Html:
     return tag("img", class_="still", src=source, alt="the animal")
 
 
-def _cards(subject: Subject, numbers: GaitNumbers) -> Html:
+def _cards(subject: PageSubject, numbers: GaitNumbers) -> Html:
     """Return the most important numbers."""
     found = [("fitness", number(subject.champion["fitness"]))]
     for key in ("speed", "speed_in_lengths", "stride_frequency", "strouhal", "duty_factor",

@@ -151,14 +151,6 @@ def test_only_the_page_gets_answers(server):
     status, answer = ask(server, "/state?chart=-1&motion=x&wall=&tiles=9999")
     assert status == 200 and json.loads(answer)["status"]["kind"] == "waiting"
     assert ask(server, "/state", X_Token="")[0] == 403
-    assert ask(server, f"/state?token={server.token}", X_Token="wrong")[0] == 403
-    assert ask(server, "/?token=wrong")[0] == 403
-    for headers in (
-        {"Origin": "http://evil.example"}, {"Host": "evil.example"},
-        {"Sec_Fetch_Site": "cross-site"}, {"Sec_Fetch_Site": "same-site"},
-    ):  # fmt: skip
-        assert ask(server, "/state", **headers)[0] == 403
-        assert ask(server, f"/?token={server.token}", **headers)[0] == 403
     assert ask(server, "/other")[0] == 404
     # The page reads, and changes nothing.
     assert ask(server, "/state", "POST")[0] == 501
