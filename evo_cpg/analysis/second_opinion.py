@@ -14,7 +14,7 @@ Both programs solve the same equations of motion. They differ in these points:
   steps of MuJoCo, because its stiff motors are inaccurate at ours.
 - Buoyancy and force laws (`evo_cpg.physics.water.force_law`) are ours, applied to MuJoCo's bodies
   at every MuJoCo step. Laws with an inertia, such as added mass, act by a force on MuJoCo's degrees
-  of freedom (`evo_cpg.io.models.carried_inertia`). The impact of water that a body enters is left
+  of freedom (`evo_cpg.io.models.mujoco_state`). The impact of water that a body enters is left
   out.
 - Muscles are a torque motor, a spring and a damper, which follow our law in every step of MuJoCo.
 - If friction differs from trial to trial, MuJoCo uses the friction of the configuration.
@@ -38,15 +38,16 @@ from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.creature.creature import Creature
 from evo_cpg.installation import command_for
-from evo_cpg.io.models.carried_inertia import CarriedInertia, step_with_inertia
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.io.models.mujoco_state import (
+    CarriedInertia,
     dof_order,
     joint_state,
     load_state,
     motor_order,
     root_dofs,
     root_rotation,
+    step_with_inertia,
 )
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.native.engine import using

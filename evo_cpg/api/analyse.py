@@ -211,7 +211,7 @@ def page(
     from evo_cpg.view.film import picture
     from evo_cpg.view.frames import Film
     from evo_cpg.view.run_page.document import document
-    from evo_cpg.view.run_page.subject import RecordedMotion, Subject
+    from evo_cpg.view.run_page.subject import PageSubject, RecordedMotion
     from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
     from evo_cpg.view.scene import panel_of
 
@@ -233,7 +233,7 @@ def page(
         crowd=None if crowd is None else _together(crowd),
     )
     audit = _audit(folder, champion)
-    subject = Subject(
+    subject = PageSubject(
         name=experiment.name,
         changed=opened.changed,
         folder=resolved(folder.path).name,

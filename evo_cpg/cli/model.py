@@ -26,12 +26,13 @@ def model(
 ) -> None:
     """Draw a creature on a page in the browser."""
     from evo_cpg.cli.advice import about_oscillators
-    from evo_cpg.view.drawing_page.page.server import DrawingServer
+    from evo_cpg.view.drawing_page.server import drawing_server
     from evo_cpg.view.drawing_page.session import Session
     from evo_cpg.view.run_page.server import opened
 
     document = _document(config)
-    with DrawingServer(Session(document, about_oscillators), port) as server:
+    session = Session(document, about_oscillators)
+    with drawing_server(session, port) as server:
         print(f"{document.path}: open this address in a browser of this machine")
         print(server.address)
         print("Control-C ends the program.", flush=True)
@@ -42,7 +43,7 @@ def model(
         except KeyboardInterrupt:
             pass
         finally:
-            server.session.close()
+            session.close()
     if document.is_changed and document.can_undo:
         print(f"Edits of {document.path} are not saved. `evo-cpg model` offers them again.")
 

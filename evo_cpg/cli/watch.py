@@ -61,13 +61,13 @@ def _on_a_page(run: Path, port: int, browser: bool) -> None:
     from evo_cpg.system import resolved
     from evo_cpg.training.run_folder import RunFolder
     from evo_cpg.view.live_page.following import Following
-    from evo_cpg.view.live_page.page.server import LiveServer
+    from evo_cpg.view.live_page.server import live_server
     from evo_cpg.view.run_page.server import opened
 
     followed = Following(RunFolder(run), lambda words: print(words, flush=True))
     # A thread may compile for long, or wait in JAX.
     wait_for_no_thread()
-    with LiveServer(followed, resolved(run).name, port) as server:
+    with live_server(followed, resolved(run).name, port) as server:
         print(f"{run}: open this address in a browser of this machine")
         print(server.address)
         print("Control-C ends the program.", flush=True)

@@ -20,7 +20,7 @@ from evo_cpg.io.load import dump_config, load_config
 from evo_cpg.training.checkpoint import genes_digest
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.view.run_page import origin
-from evo_cpg.view.run_page.subject import Subject
+from evo_cpg.view.run_page.subject import PageSubject
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 CHANGED = "config.yaml has changed since the champion evolved"
@@ -415,7 +415,7 @@ def test_the_page_says_how_to_repeat_a_refinement(refined):
     meta = {} if refined is None else {"refined": refined}
     if isinstance(refined, list):
         meta["refined"] = [done | refined[0], *refined[1:]]
-    nothing = Subject._make([None] * len(Subject._fields))
+    nothing = PageSubject._make([None] * len(PageSubject._fields))
     subject = nothing._replace(folder="eel", meta=meta, config="name: eel")
     shown = origin.repetition(subject)
     assert ("repeat only the evolution" in shown) == isinstance(refined, list)

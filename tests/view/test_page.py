@@ -18,10 +18,9 @@ from evo_cpg.training.crowd_motion import CrowdMotion
 from evo_cpg.view.clip import sample
 from evo_cpg.view.figure import BLUES
 from evo_cpg.view.plots import path_figure
-from evo_cpg.view.run_page.animal_data import thinned
 from evo_cpg.view.run_page.charts import chart, footfall_figure
 from evo_cpg.view.run_page.html import join, long_table, table, tag
-from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
+from evo_cpg.view.run_page.viewer_data import RATE, thinned, viewer_data
 from evo_cpg.view.scene import Panel
 
 

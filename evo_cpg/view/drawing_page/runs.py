@@ -1,4 +1,4 @@
-"""A run of the drawn animal, in a process of its own, that the page can watch and stop."""
+"""Motions of the drawn animal: a try of some seconds, and a run of evolution in a process."""
 
 import contextlib
 import csv
@@ -8,16 +8,35 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
+
+from evo_cpg.analysis.laboratory.ask import Subject, ask
 from evo_cpg.errors import UserError
-from evo_cpg.io.load import load_config
+from evo_cpg.io.load import complete_config, load_config
 from evo_cpg.io.trust import is_trusted
+from evo_cpg.simulation.recording import Recording
 from evo_cpg.system import named
+from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.view.drawing_page.document import DrawingError
-from evo_cpg.view.drawing_page.trying import motion
+from evo_cpg.view.clip import quaternions, sample
+from evo_cpg.view.drawing_page.document import Data, EditError
+from evo_cpg.view.run_page.viewer_data import packed
+
+How = Literal["rest", "rhythm"]
+
+SECONDS = 5.0
+# Frames per second of the motion.
+RATE = 30.0
+_SHORT = 32767
+# Knobs of the laboratory: without motors, or with the largest drive of the cord.
+_KNOBS: dict[str, dict[str, list[Any]]] = {"rest": {"passive": ["*"]}, "rhythm": {"u": [1.0]}}
+# Sections that a try needs. Other sections may not fit its controller, which has a rhythm.
+_SECTIONS = ("name", "creature", "world", "simulation", "engine")
+
 
 # Columns of metrics.csv that the page draws.
 _CURVES = ("generation", "best", "mean")
@@ -27,6 +46,48 @@ _PATIENCE = 10.0
 _START = 120.0
 # Number of characters of its output that are shown.
 _SHOWN = 2000
+
+
+def simulate(data: Data, source: Path, how: How) -> dict[str, Any]:
+    """Simulate an animal, and return its motion as JSON.
+
+    It is at ``rest`` without motors, or its spinal cord gets a constant drive for a ``rhythm``.
+
+    Raises:
+        UserError: the animal is wrong, or cannot be driven.
+    """
+    if how not in _KNOBS:
+        raise EditError(f"{how!r}: choose rest or rhythm")
+    given = {key: data[key] for key in _SECTIONS if key in data}
+    controller = data.get("controller")
+    if isinstance(controller, dict) and controller.get("type", "brain_cpg") == "brain_cpg":
+        given["controller"] = controller
+    config = complete_config(given, source)
+    if len(config.creature.copies()) < 2:
+        raise EditError("a body without joints has nothing to try. Add a part first")
+    use_cores()
+    answer = ask(Subject(config, source), _KNOBS[how], SECONDS)
+    (recording,) = answer.recordings
+    if not np.isfinite(recording.position).all():
+        raise EditError("the motion diverged: a motor may be too strong for its body")
+    return motion(recording, [body.name for body in config.creature.build().bodies])
+
+
+def motion(recording: Recording, names: Sequence[str]) -> dict[str, Any]:
+    """Return a recording as JSON.
+
+    Args:
+        recording: motion of the bodies.
+        names: names of the bodies, in its order.
+    """
+    clip = sample(recording, RATE)
+    return {
+        "rate": RATE,
+        "count": len(clip.time),
+        "names": list(names),
+        "place": packed(clip.position, "<f4"),
+        "turn": packed(quaternions(clip.rotation) * _SHORT, "<i2"),
+    }
 
 
 class TrainingRun:
@@ -76,15 +137,15 @@ class TrainingRun:
         """Return the motion of the champion, as JSON.
 
         Raises:
-            DrawingError: there is no champion yet.
+            EditError: there is no champion yet.
         """
         try:
             _, recording, _ = RunFolder(self.folder).load_champion()
             config = load_config(RunFolder(self.folder).config)
         except UserError as error:
-            raise DrawingError(f"there is no champion yet ({error})") from None
+            raise EditError(f"there is no champion yet ({error})") from None
         if recording is None:
-            raise DrawingError(
+            raise EditError(
                 "the run ended before the motion of its champion was recorded. "
                 f"`evo-cpg resume {self.folder}` goes on"
             )
@@ -99,7 +160,7 @@ class TrainingRun:
         """Wait until `watch` serves the page, and return its address.
 
         Raises:
-            DrawingError: the program did not start.
+            EditError: the program did not start.
         """
         until = time.monotonic() + _START
         words = ""
@@ -112,7 +173,7 @@ class TrainingRun:
                 time.sleep(0.1)
             words = self._watch_output.read_text(encoding="utf-8", errors="replace")
         why = f": {words[-_SHOWN:].strip()}" if words.strip() else ""
-        raise DrawingError(f"the live page did not start{why}")
+        raise EditError(f"the live page did not start{why}")
 
     def stop(self) -> None:
         """Interrupt the process as Control-C does, which keeps its generations.
@@ -149,19 +210,13 @@ class TrainingRun:
                 rows = list(csv.DictReader(file))
         except OSError:
             return {}
-        found = {}
-        for name in _CURVES:
-            if rows and name in rows[0]:
-                found[name] = [value for row in rows if (value := _number(row[name])) is not None]
+        found: dict[str, list[float]] = {name: [] for name in _CURVES if rows and name in rows[0]}
+        for name, values in found.items():
+            for row in rows:
+                # The trainer may not have written the last cell yet.
+                with contextlib.suppress(TypeError, ValueError):
+                    values.append(float(row[name]))
         return found
-
-
-def _number(text: str | None) -> float | None:
-    """Return the number of a cell, or None if the cell is not written yet."""
-    try:
-        return float(text or "")
-    except ValueError:
-        return None
 
 
 def _release(process: subprocess.Popen) -> None:
