@@ -343,10 +343,11 @@ def open_damaged(folder: Path, number: int) -> str:
         RuntimeError: a command failed without a message for the user, or resuming changed the
             population.
     """
-    from evo_cpg.cli import champions
     from evo_cpg.cli.plot import plot
     from evo_cpg.cli.resume import resume
     from evo_cpg.cli.verify import verify
+
+    from evo_cpg.cli import champions
     from evo_cpg.training import devices
     from evo_cpg.training.run_folder import RunFolder
 

@@ -12,14 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from evo_cpg.analysis.laboratory.ask import Answer
-    from evo_cpg.api.analyse import analyse, gait_numbers
+    from evo_cpg.api.analyse import Analysis, analyse, gait_numbers
+    from evo_cpg.api.audit import Audit, audit
     from evo_cpg.api.environment import Environment, EnvironmentState
-    from evo_cpg.api.experiment import Experiment, Trials
+    from evo_cpg.api.experiment import Experiment, Trials, load
     from evo_cpg.api.lab import lab
-    from evo_cpg.api.load import load
+    from evo_cpg.api.probe import Probed, probe
     from evo_cpg.api.progress import show_progress
     from evo_cpg.api.record import Record
-    from evo_cpg.api.training import Trained, train
+    from evo_cpg.api.refine import Refined, refine
+    from evo_cpg.api.runs import Verification, verify
+    from evo_cpg.api.sensitivity import Sensitivities, sensitivity
+    from evo_cpg.api.story import story
+    from evo_cpg.api.sweep import Summary, sweep
+    from evo_cpg.api.training import Trained, resume, train
     from evo_cpg.control.controller import Command, Controller, Observation
     from evo_cpg.evolution.strategy import Evaluation, Strategy
     from evo_cpg.io.errors import ConfigError
@@ -28,36 +34,52 @@ if TYPE_CHECKING:
     from evo_cpg.simulation.snapshot import Forces, Snapshot
     from evo_cpg.simulation.task import Task, Transition
 
+# Modules of the public names, in the order of the reference in docs/api.md.
 _HOMES = {
-    "Answer": "analysis.laboratory.ask",
-    "Bodies": "physics.water.force_law",
-    "Command": "control.controller",
-    "ConfigError": "io.errors",
-    "Controller": "control.controller",
+    "load": "api.experiment",
+    "Experiment": "api.experiment",
+    "Evaluation": "evolution.strategy",
+    "Trials": "api.experiment",
+    "Record": "api.record",
     "Environment": "api.environment",
     "EnvironmentState": "api.environment",
-    "Evaluation": "evolution.strategy",
-    "Experiment": "api.experiment",
-    "ForceLaw": "physics.water.force_law",
-    "Forces": "simulation.snapshot",
-    "Observation": "control.controller",
-    "Record": "api.record",
-    "Sensor": "simulation.sensor",
-    "Snapshot": "simulation.snapshot",
-    "Strategy": "evolution.strategy",
-    "Task": "simulation.task",
-    "Trained": "api.training",
-    "Transition": "simulation.task",
-    "Trials": "api.experiment",
-    "analyse": "api.analyse",
-    "lab": "api.lab",
-    "gait_numbers": "api.analyse",
-    "load": "api.load",
-    "show_progress": "api.progress",
     "train": "api.training",
+    "resume": "api.training",
+    "Trained": "api.training",
+    "refine": "api.refine",
+    "Refined": "api.refine",
+    "sweep": "api.sweep",
+    "Summary": "api.sweep",
+    "verify": "api.runs",
+    "Verification": "api.runs",
+    "audit": "api.audit",
+    "Audit": "api.audit",
+    "analyse": "api.analyse",
+    "Analysis": "api.analyse",
+    "gait_numbers": "api.analyse",
+    "probe": "api.probe",
+    "Probed": "api.probe",
+    "sensitivity": "api.sensitivity",
+    "Sensitivities": "api.sensitivity",
+    "story": "api.story",
+    "lab": "api.lab",
+    "Answer": "analysis.laboratory.ask",
+    "show_progress": "api.progress",
+    "Task": "simulation.task",
+    "Transition": "simulation.task",
+    "Snapshot": "simulation.snapshot",
+    "Forces": "simulation.snapshot",
+    "Sensor": "simulation.sensor",
+    "ForceLaw": "physics.water.force_law",
+    "Bodies": "physics.water.force_law",
+    "Controller": "control.controller",
+    "Observation": "control.controller",
+    "Command": "control.controller",
+    "Strategy": "evolution.strategy",
+    "ConfigError": "io.errors",
 }
 
-__all__ = [  # noqa: RUF022 - in the order of the reference in docs/api.md
+__all__ = [  # noqa: RUF022 - in the order of the reference
     "load",
     "Experiment",
     "Evaluation",
@@ -66,11 +88,26 @@ __all__ = [  # noqa: RUF022 - in the order of the reference in docs/api.md
     "Environment",
     "EnvironmentState",
     "train",
+    "resume",
     "Trained",
+    "refine",
+    "Refined",
+    "sweep",
+    "Summary",
+    "verify",
+    "Verification",
+    "audit",
+    "Audit",
     "analyse",
+    "Analysis",
+    "gait_numbers",
+    "probe",
+    "Probed",
+    "sensitivity",
+    "Sensitivities",
+    "story",
     "lab",
     "Answer",
-    "gait_numbers",
     "show_progress",
     "Task",
     "Transition",

@@ -4,23 +4,29 @@ A race is between champions of the run. Each is clearly behind the next one.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.api.display import working
+from evo_cpg.api.progress import working
+from evo_cpg.api.runs import motion_of, open_champion, suffix
+from evo_cpg.errors import advise
 from evo_cpg.evolution.random_search import RandomSearch
+from evo_cpg.files import make_folder
 from evo_cpg.io.opened import OpenedChampion
+from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at
+from evo_cpg.training.devices import available_cores
 from evo_cpg.training.lineage import champion_at, representatives
-from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.view.clip import sample
 from evo_cpg.view.lanes import Course, course_of, in_lanes, tank_of
+from evo_cpg.view.output import check_size, output_path
 from evo_cpg.view.scene import Panel, animal_radius, panel_of
 from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, story_film
 from evo_cpg.view.story_words import Words
@@ -81,43 +87,50 @@ class Material(NamedTuple):
         return float(self.panel.recording.time[-1]) if arrival is None else arrival
 
 
-def film_of_run(
-    opened: OpenedChampion,
-    recording: Recording,
-    path: Path,
-    size: tuple[int, int],
-    *,
-    trial: int = 0,
+def story(
+    run: Path | str,
+    path: Path | str | None = None,
+    size: tuple[int, int] = (1920, 1080),
     title: str | None = None,
-    processes: int = 1,
-    warn: Callable[[str], object] = lambda words: None,
+    number: int | None = None,
+    trial: int = 0,
+    cores: int | None = None,
+    trust: bool = False,
 ) -> Path:
-    """Film the story of a run, and return the path of the film.
+    """Film the story of a run in 15 s, and return the path of the film.
 
     Args:
-        opened: the run with its champion.
-        recording: motion of the champion.
-        path: path of the film, checked by `evo_cpg.view.output.output_path`.
+        run: run folder.
+        path: path of the .mp4 file, or None for one in the run folder's ``videos``.
         size: width and height, pixels.
-        trial: number of the trial, from 0.
         title: title, or None for one that fits the world.
-        processes: number of processes that draw.
-        warn: called with a sentence if the first generations cannot be made anew.
+        number: number of one of several runs side by side, or None for the best.
+        trial: number of the trial, from 0.
+        cores: number of processes that draw, or None for all cores.
+        trust: whether to trust the configuration, see `load`.
 
     Raises:
-        SettingError: the size is out of range.
         OutputError: the film cannot be written.
+        RunFolderError: there is no run, or it has no champion.
+        SettingError: the size is out of range.
+        UsageError: the run has no such champion or trial.
     """
-    material = _material(opened, recording, trial, warn)
+    folder = RunFolder(run)
+    folder.require()
+    check_size(size)
+    output = Path(path) if path else folder.path / "videos" / f"story{suffix(number, trial)}.mp4"
+    output = output_path(output, (".mp4",))
+    with trusting(trust):
+        opened = open_champion(run, number, trial)
+    material = _material(opened, motion_of(opened, trial), trial)
     takes, words = story_of(material, title, size[0] / size[1])
+    make_folder(output.parent)
+    processes = cores or available_cores()
     with working("rendering", counted=True) as work:
-        progress = work.reached
-        return story_film(takes, words, path, size, processes=processes, progress=progress)
+        return story_film(takes, words, output, size, processes=processes, progress=work.reached)
 
 
-def _material(
-    opened: OpenedChampion, recording: Recording, trial: int, warn: Callable[[str], object]
-) -> Material:
+def _material(opened: OpenedChampion, recording: Recording, trial: int) -> Material:
     """Return the champion of a run, and the populations that can be made anew."""
     creature, task = opened.experiment.creature, opened.experiment.simulation.task
     panel = panel_of(opened.experiment, recording, creature.name)._replace(numbers=False)
@@ -125,7 +138,7 @@ def _material(
     course = course_of(panel, length, task.heading == "forward")
     chosen = generations_of(opened.folder.newest, opened.champion.generation)
     speed = _speed(recording, creature.root_index, length)
-    crowds = _crowds(opened, trial, chosen, speed * _FIRST, warn)
+    crowds = _crowds(opened, trial, chosen, speed * _FIRST)
     random = opened.folder.load_start() is None
     selects = not isinstance(opened.experiment.strategy, RandomSearch)
     told = opened.champion.generation, task.heading, _aim(opened, recording, course)
@@ -233,11 +246,7 @@ def generations_of(done: int, champion: int) -> list[int]:
 
 
 def _crowds(
-    opened: OpenedChampion,
-    trial: int,
-    chosen: list[int],
-    seconds: float,
-    warn: Callable[[str], object],
+    opened: OpenedChampion, trial: int, chosen: list[int], seconds: float
 ) -> list[tuple[int, CrowdMotion]]:
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
@@ -246,16 +255,22 @@ def _crowds(
         with working("breeding the first generations again"):
             every = populations_at(experiment, folder, chosen)
     except RunFolderError as error:
-        warn(f"the story leaves out the first generations: {error}")
+        advise(f"the story leaves out the first generations: {error}")
         return []
     motion = compile_crowd_motion(experiment, seconds, 2 * FPS * _FIRST / seconds, run, trial)
     earlier = _earlier_champions(opened)
     crowds = []
     with working("replaying the first generations"):
         for genes, generation in zip(every, chosen, strict=True):
-            own = np.split(genes, experiment.runs, axis=1)[run]
+            own = np.split(genes, experiment.runs, axis=1)[run].copy()
             best = champion_at(earlier, generation)
-            crowd = motion(own if best is None else _led_by(best.genes, own), generation)
+            if best is not None:
+                # The best comes first. A search without elites may have lost the best individual
+                # so far. Then it replaces the first one.
+                same = np.flatnonzero((own == best.genes[:, None]).all(0))
+                own[:, same[:1]] = own[:, :1]
+                own[:, 0] = best.genes
+            crowd = motion(own, generation)
             if best is None:
                 leader = crowd.leader(
                     experiment.creature.root_index, experiment.simulation.task.heading
@@ -263,19 +278,6 @@ def _crowds(
                 crowd = crowd.of(np.argsort(np.arange(crowd.count) != leader, kind="stable"))
             crowds.append((generation, crowd))
     return [(generation, crowd) for generation, crowd in crowds if crowd.count]
-
-
-def _led_by(best: np.ndarray, genes: np.ndarray) -> np.ndarray:
-    """Return a population ``(genes, n)`` with its best individual first.
-
-    A search without elites may have lost the best individual so far. Then it replaces the first.
-    """
-    same = np.flatnonzero((genes == best[:, None]).all(0))
-    led = genes.copy()
-    if len(same):
-        led[:, same[0]] = led[:, 0]
-    led[:, 0] = best
-    return led
 
 
 def _racers(

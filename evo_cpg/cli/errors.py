@@ -1,12 +1,14 @@
-"""Errors of the command line, messages for other errors, and exit codes."""
+"""Exit codes, messages for errors, and hints for wrong usage of a command."""
 
 import os
 import sys
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
-from evo_cpg.errors import UserError
-from evo_cpg.system import folded
+import typer
+
+from evo_cpg.errors import UsageError, UserError
 
 
 class ExitCode(IntEnum):
@@ -25,18 +27,13 @@ class ExitCode(IntEnum):
     """Interrupt by the user. Shells use this number, too."""
 
 
-class UsageError(UserError):
-    """Wrong input that the command line itself detects."""
-
-
-def warn(words: object) -> None:
-    """Print a warning to standard error."""
-    tell(f"evo-cpg: warning: {words}")
-
-
-def tell(words: str) -> None:
-    """Print words to standard error. On a terminal, no word is broken."""
-    print(folded(words, sys.stderr), file=sys.stderr)
+# Missing argument, and the hint.
+_MISSING = {
+    "CONFIG": "Name a configuration, such as iwadate2010_swimmer. `evo-cpg configs` lists them",
+    "RUN": "Name a run folder. `evo-cpg train` makes them, below runs/",
+    "ANIMAL": "Name a configuration, such as eel, or a run folder. `evo-cpg configs` lists them",
+    "NAME": "`evo-cpg configs` lists the names",
+}
 
 
 def require_free(output: Path, overwrite: bool) -> None:
@@ -50,12 +47,18 @@ def require_free(output: Path, overwrite: bool) -> None:
         raise UsageError(f"{output} exists. Choose another name, or replace it with --overwrite")
 
 
-def message_for(error: Exception) -> str | None:
-    """Return the message for an error that is not a fault of the program, or None for a fault.
+def require_none(option: str, others: dict[str, object]) -> None:
+    """Check that none of the options is given that do not fit another one.
 
-    Args:
-        error: error that ended a command.
+    Raises:
+        UsageError: one of them is given.
     """
+    if found := next((name for name, given in others.items() if given), None):
+        raise UsageError(f"{option} and {found} exclude each other. Leave out one of them")
+
+
+def message_for(error: Exception) -> str | None:
+    """Return the message for the error that ended a command, or None for a fault of the program."""
     if isinstance(error, UserError):
         return str(error)
     words = _of_system(error) or _of_platform()
@@ -91,3 +94,42 @@ def _of_platform() -> str | None:
             "JAX_PLATFORMS to 'cpu', or unset it"
         )
     return None
+
+
+def add_hint(error: Exception) -> None:
+    """Add a hint to an error of Typer about the arguments of a command. Leave others alone."""
+    if isinstance(error, typer.BadParameter):
+        # Pydantic's prefix.
+        error.message = error.message.removeprefix("Value error, ")
+        missing = getattr(error.param, "metavar", None)
+        # Only an error about a missing argument has no message of its own.
+        if not error.message and missing in _MISSING:
+            error.message = _MISSING[missing]
+    elif hasattr(error, "possibilities"):
+        _add_setting(error)
+
+
+def _add_setting(error: Any) -> None:
+    """Add the setting that an unknown option resembles, if the command takes settings."""
+    command = error.ctx and error.ctx.command
+    if not any(parameter.name == "overrides" for parameter in getattr(command, "params", ())):
+        return
+    from evo_cpg.io.allowed import Allowed
+    from evo_cpg.io.schema.experiment import ExperimentConfig
+
+    name = error.option_name.lstrip("-").replace("-", "_")
+    allowed = Allowed(ExperimentConfig, {}, frozenset())
+    sections = allowed.keys(())
+    keys = [name] * (name in sections)
+    keys += [f"{section}.{name}" for section in sections if name in allowed.keys((section,))]
+    if keys:
+        # An unknown option of one letter, such as -g, is not a key.
+        words, option, value = sys.argv[1:], error.option_name, "VALUE"
+        for word, following in zip(words, [*words[1:], "-"], strict=True):
+            if word.startswith(f"{option}="):
+                value = word.partition("=")[2]
+            elif word == option and not following.startswith("-"):
+                value = following
+        written = " or ".join(f"{key}={value}" for key in keys)
+        error.message += f". It is a setting, which has no dashes: {written}"
+        error.possibilities = []

@@ -11,9 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.analysis.fit import Fit, fit, fit_warnings
-from evo_cpg.api.display import Work, working
-from evo_cpg.cli.champions import open_champion
-from evo_cpg.cli.errors import UsageError, warn
+from evo_cpg.api.progress import Work, working
+from evo_cpg.api.runs import open_champion
 from evo_cpg.cli.measured_motion import (
     TARGET,
     MeasuredMotion,
@@ -21,7 +20,8 @@ from evo_cpg.cli.measured_motion import (
     late_commands,
     read_motion,
 )
-from evo_cpg.cli.tables import show_table
+from evo_cpg.cli.terminal import show_table, warn
+from evo_cpg.errors import UsageError
 from evo_cpg.files import write_text
 from evo_cpg.io.errors import ConfigError, nearest
 from evo_cpg.io.load import dump_config, load_config

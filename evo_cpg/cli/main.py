@@ -1,10 +1,11 @@
 """`evo-cpg`: commands, errors and interrupts of the program.
 
-A command is a function in a file, both with the command's name. Its signature declares the options.
-The file is imported when the command is called. JAX and VTK are imported when the command runs,
+A command is a function with its name. The signature declares the options, and `COMMANDS` names the
+file, which is imported when the command is called. JAX and VTK are imported when the command runs,
 because `--help` must be quick.
 """
 
+import errno
 import functools
 import importlib
 import inspect
@@ -16,38 +17,38 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from evo_cpg.cli import streams
-from evo_cpg.cli.errors import ExitCode, message_for, tell
+from evo_cpg.cli import terminal
+from evo_cpg.cli.errors import ExitCode, add_hint, message_for
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
-from evo_cpg.cli.usage import add_hint
+from evo_cpg.cli.terminal import advice_printed, tell
 
-# Names of all commands, in the order of the help text. `import` is a keyword, so its file is
-# `import_.py`.
-COMMANDS = (
-    "train",
-    "resume",
-    "sweep",
-    "reproduce",
-    "refine",
-    "render",
-    "plot",
-    "analyse",
-    "watch",
-    "probe",
-    "lab",
-    "sensitivity",
-    "fit",
-    "model",
-    "preview",
-    "verify",
-    "audit",
-    "validate",
-    "cpg",
-    "export",
-    "import",
-    "bench",
-    "configs",
-)
+# File of each command, in the order of the help text. `import` is a keyword, so its function is
+# `import_`.
+COMMANDS = {
+    "train": "evolve",
+    "resume": "evolve",
+    "sweep": "evolve",
+    "reproduce": "repeat",
+    "refine": "evolve",
+    "render": "draw",
+    "plot": "draw",
+    "analyse": "ask",
+    "watch": "evolve",
+    "probe": "ask",
+    "lab": "ask",
+    "sensitivity": "ask",
+    "fit": "fit",
+    "model": "draw",
+    "preview": "draw",
+    "verify": "ask",
+    "audit": "ask",
+    "validate": "exchange",
+    "cpg": "cpg",
+    "export": "exchange",
+    "import": "exchange",
+    "bench": "repeat",
+    "configs": "exchange",
+}
 
 # These commands write their results to a folder, so a lost standard output is no failure.
 _EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
@@ -71,9 +72,13 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(function)
     def command(**given: Any) -> None:
+        # Rich, which draws the progress, takes a moment to import.
+        from evo_cpg.api.progress import all_lines
+
         for name, group in groups.items():
             given[name] = group(**{field: given.pop(field) for field in group._fields})
-        function(**given)
+        with all_lines():
+            function(**given)
 
     parameters: list[inspect.Parameter] = []
     for parameter in signature.parameters.values():
@@ -91,8 +96,8 @@ class _Files(Mapping[str, Any]):
     def __getitem__(self, name: str) -> Any:
         if name not in COMMANDS:
             raise KeyError(name)
-        place = f"{name}_" if name == "import" else name
-        found = getattr(importlib.import_module(f"evo_cpg.cli.{place}"), place)
+        module = importlib.import_module(f"evo_cpg.cli.{COMMANDS[name]}")
+        found = getattr(module, f"{name}_" if name == "import" else name)
         if not isinstance(found, typer.Typer):
             function, found = found, typer.Typer(add_completion=False, **_PLAIN)
             found.command(name)(with_options(function))
@@ -134,7 +139,7 @@ app = typer.Typer(
 
 def _show_version(value: bool) -> bool:
     if value:
-        from evo_cpg.api.version import version
+        from evo_cpg.api.machine import version
 
         print(version())
         raise typer.Exit
@@ -169,11 +174,6 @@ def options(
     """Evolve the motion of virtual creatures."""
 
 
-def _command() -> str:
-    """Return the name of the command that this process was started with."""
-    return next((word for word in sys.argv[1:] if not word.startswith("-")), "")
-
-
 def main() -> None:
     """Run the command line.
 
@@ -182,7 +182,7 @@ def main() -> None:
     # For 200 individuals, native code is 20 to 45 times as fast as a GPU (docs/faq.md).
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     try:
-        with interrupts_delivered():
+        with interrupts_delivered(), advice_printed():
             app()
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None
@@ -196,17 +196,19 @@ def main() -> None:
 
 def program() -> None:
     """Run `main` as a process that does not wait for compilations after an interrupt."""
-    streams.protect()
+    terminal.protect()
     try:
         main()
     except SystemExit as stop:
         if stop.code == ExitCode.INTERRUPTED:
             leave_at_once(ExitCode.INTERRUPTED)
-        error = streams.output_error()
-        if error is not None:
+        error = terminal.output_error()
+        # A reader that stops early, such as `head`, is no error.
+        if error is not None and error.errno != errno.EPIPE:
             words = f"cannot write to standard output ({error.strerror or error})"
             tell(f"evo-cpg: {words}")
-            if not stop.code and _command() not in _EVOLVING:
+            command = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
+            if not stop.code and command not in _EVOLVING:
                 raise SystemExit(ExitCode.WRONG_INPUT) from None
         if not waits_for_threads() and isinstance(stop.code, int | None):
             leave_at_once(stop.code or 0)

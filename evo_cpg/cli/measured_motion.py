@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from evo_cpg.cli.errors import UsageError
 from evo_cpg.control.commanded import Commanded
+from evo_cpg.errors import UsageError
 
 if TYPE_CHECKING:
     from evo_cpg.simulation.simulation import Simulation

@@ -1,15 +1,20 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share, with their completions and checks."""
 
 import enum
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
 
-from evo_cpg.cli.completion import complete_config, complete_folder
-from evo_cpg.cli.errors import UsageError, warn
+from evo_cpg.cli.terminal import warn
+from evo_cpg.errors import UsageError, question, similar
+
+_CONFIGS = (".yaml", ".yml")
+_CONFIG = "config.yaml"
+_RUNS = Path("runs")
 
 
 class What(enum.StrEnum):
@@ -31,7 +36,7 @@ class View(enum.StrEnum):
 def _find_config(given: Path) -> Path:
     from evo_cpg.io.shipped import find_config
 
-    config = given / "config.yaml"
+    config = given / _CONFIG
     if os.path.isfile(config):
         raise UsageError(
             f"{given} is a run folder. `evo-cpg resume {given}` continues the run. Its "
@@ -45,24 +50,60 @@ def find_config_or_folder(given: Path) -> Path:
     from evo_cpg.io.shipped import find_config
 
     if len(given.parts) > 1 and not given.suffix and not os.path.exists(given):
-        from evo_cpg.cli.run_names import find_run
-
         return find_run(given)
     return find_config(given, folders=True)
 
 
+def find_run(given: Path) -> Path:
+    """Return a run folder, or explain what its name means instead.
+
+    Raises:
+        UsageError: there is no such folder, or it holds runs, or it is a file of a run.
+    """
+    if _is_run(given):
+        return given
+    if not os.path.exists(given):
+        raise UsageError(f"{given}: there is no such folder. {_hint(given)}")
+    owner = next((folder for folder in given.parents if _is_run(folder)), None)
+    if owner is not None:
+        raise UsageError(f"{given} is a part of a run. Give the run folder, {owner}")
+    if runs := _runs_in(given):
+        raise UsageError(f"{given} is not a run folder. It holds runs, such as {runs[0]}")
+    # The command itself reports another folder, after errors in its options.
+    return given
+
+
+def _is_run(folder: Path) -> bool:
+    # Unlike the methods of `Path`, this function accepts names that no file can have.
+    return os.path.isfile(folder / _CONFIG)
+
+
+def _hint(given: Path) -> str:
+    """Return a sentence with the nearest runs, the newest run, or the command that makes one."""
+    runs = {run.name: run for place in (_RUNS, given.parent) for run in _runs_in(place)}
+    near = similar(given.name, runs)
+    if near:
+        return "D" + question([str(runs[name]) for name in near])[1:]
+    from evo_cpg.io.shipped import shipped_names
+
+    if str(given) in shipped_names():
+        return f"It is a configuration. `evo-cpg train {given}` makes the run runs/{given}"
+    if runs:
+        newest = max(runs.values(), key=lambda run: os.path.getmtime(run / _CONFIG))
+        return f"The newest run is {newest}"
+    return f"`evo-cpg train CONFIG --out {given}` makes a run there"
+
+
+def _runs_in(place: Path) -> list[Path]:
+    try:
+        return [each for each in sorted(place.iterdir()) if _is_run(each)]
+    except (OSError, ValueError):
+        return []
+
+
 def run_folder(given: Path | None) -> Path | None:
     """Return a run folder, or explain what its name means instead."""
-    from evo_cpg.cli.run_names import find_run
-
     return given and find_run(given)
-
-
-def run_folders(given: list[Path] | None) -> list[Path] | None:
-    """Return run folders, or explain what a name means instead."""
-    from evo_cpg.cli.run_names import find_run
-
-    return given and [find_run(each) for each in given]
 
 
 def name_replaced(overrides: list[str] | None) -> list[str] | None:
@@ -75,6 +116,43 @@ def name_replaced(overrides: list[str] | None) -> list[str] | None:
             if replaces(key, other):
                 warn(f"{other} is given twice. Only the last value counts: {override}")
     return overrides
+
+
+def complete_config(incomplete: str) -> list[str]:
+    """Return names of shipped configurations, configuration files and folders that match."""
+    names = complete_shipped(incomplete)
+    found = [path for path in _matching(incomplete) if path.suffix in _CONFIGS or path.is_dir()]
+    return [*names, *map(_shown, found)]
+
+
+def complete_shipped(incomplete: str) -> list[str]:
+    """Return names of shipped configurations that match."""
+    from evo_cpg.io.shipped import shipped_names
+
+    return [name for name in shipped_names() if name.startswith(incomplete)]
+
+
+def complete_folder(incomplete: str) -> list[str]:
+    """Return run folders and other folders that match."""
+    return [_shown(path) for path in _matching(incomplete) if path.is_dir()]
+
+
+def _matching(incomplete: str) -> Iterator[Path]:
+    """Yield paths that begin with the typed text. A hidden path needs a typed point."""
+    folder, slash, start = incomplete.rpartition("/")
+    try:
+        found = sorted(Path(folder + slash or ".").iterdir())
+    except OSError:
+        return
+    for path in found:
+        if path.name.startswith(start) and (start or not path.name.startswith(".")):
+            yield path
+
+
+def _shown(path: Path) -> str:
+    """Return a path as text. A folder that is not a run ends with a slash, to continue typing."""
+    onward = path.is_dir() and not (path / "config.yaml").is_file()
+    return f"{path}/" if onward else str(path)
 
 
 Config = Annotated[
@@ -142,21 +220,6 @@ class Which(NamedTuple):
     number: Number = None
     trial: Trial = 0
     cell: Cell = None
-
-    @property
-    def of_run(self) -> str:
-        """Suffix for names of files about the run: ``_run1``."""
-        return "" if self.number is None else f"_run{self.number}"
-
-    @property
-    def of_trial(self) -> str:
-        """Suffix for names of files about the trial: ``_run1_trial2``."""
-        return self.of_run + (f"_trial{self.trial}" if self.trial else "")
-
-    @property
-    def of_cell(self) -> str:
-        """Suffix for names of files about the elite: ``_cell_3_0_7``."""
-        return "" if self.cell is None else f"_cell_{self.cell.replace(',', '_')}"
 
 
 BEST = Which()

@@ -16,13 +16,14 @@ from evo_cpg.analysis.limit_cycle import (
     parts,
 )
 from evo_cpg.analysis.reference_rhythm import Rhythm, reference_rhythm, rhythm
-from evo_cpg.cli.advice import about_oscillators
-from evo_cpg.cli.building import build
-from evo_cpg.cli.errors import ExitCode, UsageError, tell, warn
-from evo_cpg.cli.tables import show_table, show_words
+from evo_cpg.api.advice import about_oscillators
+from evo_cpg.api.runs import build
+from evo_cpg.cli.errors import ExitCode
+from evo_cpg.cli.terminal import show_table, show_words, tell, warn
 from evo_cpg.control.couplings import ring_members
 from evo_cpg.control.matsuoka import CpgSettings, Oscillators
 from evo_cpg.creature.tree import Tree
+from evo_cpg.errors import UsageError
 from evo_cpg.io.errors import nearest
 from evo_cpg.io.load import load_config
 from evo_cpg.simulation.simulation import Simulation

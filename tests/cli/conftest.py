@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg.api import display
+from evo_cpg.api import progress as display
 from evo_cpg.cli import champions
 from evo_cpg.cli.main import main
 from evo_cpg.training import devices

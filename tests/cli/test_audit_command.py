@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from evo_cpg.cli.audited import say_verdict
 
 from evo_cpg.analysis.verdict import KEPT, Check, Verdict, limits_from, shown
 from evo_cpg.api import audit
 from evo_cpg.api.audit import Audit
-from evo_cpg.cli.audited import say_verdict
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config

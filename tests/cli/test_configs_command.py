@@ -5,8 +5,8 @@ import subprocess
 import sys
 
 import pytest
-
 from evo_cpg.cli.completion import complete_config, complete_folder, complete_shipped
+
 from evo_cpg.io import shipped as module
 from evo_cpg.io.file_schema import file_schema
 from evo_cpg.io.shipped import shipped, shipped_names

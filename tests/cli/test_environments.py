@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from evo_cpg import system
-from evo_cpg.api.version import version
+from evo_cpg.api.machine import version
 from evo_cpg.cli import streams
 from evo_cpg.cli.errors import UsageError, message_for
 from evo_cpg.cli.main import program

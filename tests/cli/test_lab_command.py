@@ -4,8 +4,8 @@ import csv
 
 import pytest
 import yaml
-
 from evo_cpg.cli.answers import short_heads
+
 from pictures import ink
 from tiny_run import PAIR
 

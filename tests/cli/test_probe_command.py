@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-
 from evo_cpg.cli.probed import missed, unseeing
+
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.probe import Probe, around
 from evo_cpg.training.run_folder import RunFolder

@@ -8,11 +8,11 @@ import time
 from typing import Any
 
 import pytest
+from evo_cpg.cli.tables import show_table
 from rich.console import Console
 
-from evo_cpg.api import display as module
-from evo_cpg.api.display import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
-from evo_cpg.cli.tables import show_table
+from evo_cpg.api import progress as module
+from evo_cpg.api.progress import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
 from evo_cpg.system import folded
 
 

@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 import yaml
-
 from evo_cpg.cli.refine import _free
+
 from evo_cpg.io.load import load_config
 from evo_cpg.io.parameters import parametrise
 from evo_cpg.physics.water.fluid import Drag

@@ -6,12 +6,12 @@ import shutil
 
 import numpy as np
 import pytest
+from evo_cpg.cli.reproduce import default_folder, make
 from PIL import Image
 
-from evo_cpg.api import sweep, version
+from evo_cpg.api import machine, sweep
 from evo_cpg.cli import reproduce
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.reproduce import default_folder, make
 from evo_cpg.files import OutputError
 from evo_cpg.studies import provenance, workshop
 from evo_cpg.studies.catalogue import NAMES, study
@@ -243,10 +243,10 @@ def test_the_list_has_all_studies_and_parts(capsys):
 
 
 def test_files_go_next_to_the_pages_of_a_clone(monkeypatch, tmp_path):
-    monkeypatch.setattr(version, "checkout", lambda: tmp_path)
+    monkeypatch.setattr(machine, "checkout", lambda: tmp_path)
     assert default_folder("starfish", False) == tmp_path / "docs" / "reproduction" / "starfish"
     assert default_folder("starfish", True).parts == ("reproduction", "starfish_quick")
-    monkeypatch.setattr(version, "checkout", lambda: None)
+    monkeypatch.setattr(machine, "checkout", lambda: None)
     assert default_folder("starfish", False).parts == ("reproduction", "starfish")
 
 

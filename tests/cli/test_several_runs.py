@@ -4,9 +4,9 @@ import csv
 import shutil
 
 import pytest
+from evo_cpg.cli.champions import champion_motion
 
 from evo_cpg.cli import champions
-from evo_cpg.cli.champions import champion_motion
 from evo_cpg.training.run_folder import RunFolder
 from pictures import ink
 from tiny_run import CONFIG, PAIR

@@ -6,15 +6,15 @@ import shutil
 
 import numpy as np
 import pytest
+from evo_cpg.cli.sweep import _varied
+from evo_cpg.cli.sweep import sweep as run_sweep
+from evo_cpg.cli.verify import verify
 
 import evo_cpg as evo
 from evo_cpg.api import sweep as sweeps
 from evo_cpg.api.sweep import new_plan, read_plan
 from evo_cpg.cli import champions
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.sweep import _varied
-from evo_cpg.cli.sweep import sweep as run_sweep
-from evo_cpg.cli.verify import verify
 from evo_cpg.io.load import as_overrides
 from evo_cpg.io.settings import combine
 from evo_cpg.training import devices, loop

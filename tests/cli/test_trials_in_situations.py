@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import yaml
+from evo_cpg.cli.plot import plot
 
 from evo_cpg.cli import champions
 from evo_cpg.cli.options import View, Which
-from evo_cpg.cli.plot import plot
 from evo_cpg.training import replay as replay_module
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.camera import CAMERAS

@@ -1,17 +1,21 @@
-"""`evo-cpg reproduce`: recompute the tables and pictures of a study."""
+"""Commands that repeat measurements: `reproduce` for the studies, `bench` for the speed."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.errors import ExitCode
 from evo_cpg.cli.options import Cores
+from evo_cpg.cli.terminal import show_table, tell
+from evo_cpg.errors import UsageError
 
 if TYPE_CHECKING:
     from evo_cpg.studies.study import Study
+
+# Largest population that fits the memory of common machines.
+_LARGEST = 1_000_000
 
 
 def reproduce(
@@ -84,7 +88,7 @@ def make(
             workshop.forget(part)
         for number, part in enumerate(parts):
             if len(parts) > 1:
-                print(f"part {number + 1} of {len(parts)}: {part}", file=sys.stderr)
+                tell(f"part {number + 1} of {len(parts)}: {part}")
             try:
                 for path in workshop.make(part):
                     print(path)
@@ -97,7 +101,7 @@ def make(
                 if chosen.runs:
                     # The same command with --fresh would delete the finished runs.
                     again = f"Continue with `{left}`" if fresh else "Continue with the same command"
-                print(f"interrupted. {again}", file=sys.stderr)
+                tell(f"interrupted. {again}")
                 raise
 
 
@@ -105,7 +109,7 @@ def default_folder(name: str, quick: bool) -> Path:
     """Return the folder of a study: next to its page in a checkout, else in the working folder."""
     if quick:
         return Path("reproduction") / f"{name}_quick"
-    from evo_cpg.api.version import checkout
+    from evo_cpg.api.machine import checkout
 
     here = checkout()
     if here is None:
@@ -114,7 +118,6 @@ def default_folder(name: str, quick: bool) -> Path:
 
 
 def _list(names: Sequence[str], out: Path | None) -> None:
-    from evo_cpg.cli.tables import show_table
     from evo_cpg.studies import provenance
     from evo_cpg.studies.catalogue import study
 
@@ -126,3 +129,88 @@ def _list(names: Sequence[str], out: Path | None) -> None:
             made = f"{record['date'][:10]}, {record['commit']}" if "date" in record else "never"
             rows.append((name, part, declared.title, made))
     show_table(("study", "part", "contents", "made"), rows, left=4)
+
+
+def bench(
+    cases: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="CASE",
+            help="swimmer, salamander-water, salamander-land, quadruped, half_cheetah, ant, "
+            "humanoid, cpg, brain, ga, generation, gradient, bodies, large-creatures, engines, "
+            "scaling or startup (default: all).",
+        ),
+    ] = None,
+    sizes: Annotated[
+        str | None,
+        typer.Option(
+            help="Numbers of individuals, such as 1,15,200 (default: depends on the case)."
+        ),
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Also write the rows to this file.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Draw the rates: a .png, .svg or .pdf file.")
+    ] = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option(
+            "--compare", help="Compare with an earlier --json file. If any case is slower, exit 3."
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(min=0, max=1, help="Largest allowed loss of speed, a fraction.")
+    ] = 0.1,
+    limit: Annotated[
+        float, typer.Option(min=1, help="Longest time to compile a peer written in JAX, s.")
+    ] = 120.0,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Measure one size with short calls and few repeats.")
+    ] = False,
+) -> None:
+    """Measure the speed of this program and its peers."""
+    from evo_cpg.io.errors import nearest
+    from evo_cpg.studies.benchmarks import bench_suite
+    from evo_cpg.view.output import output_path
+
+    numbers = _sizes(sizes) if sizes is not None else None
+    suite = bench_suite()
+    for case in cases or []:
+        if case not in suite.CASES:
+            raise UsageError(f"there is no case {case!r}: {nearest(case, suite.CASES)}")
+    chosen = cases or list(suite.CASES)
+    if numbers and not any(suite.CASES[case].sized for case in chosen):
+        raise UsageError(
+            f"--sizes: {', '.join(chosen)} has a fixed number of individuals. Leave --sizes out"
+        )
+    if json is not None:
+        # Measuring takes minutes, so check first that the path can be written.
+        try:
+            json.parent.mkdir(parents=True, exist_ok=True)
+            json.open("a").close()
+        except OSError as error:
+            raise UsageError(f"--json: {json} cannot be written ({error.strerror})") from None
+    if plot is not None:
+        output_path(plot, suite.picture.SUFFIXES)
+    request: Any = suite.Selection(
+        cases or [], numbers, quick, limit, json, plot, compare, tolerance
+    )
+    try:
+        fine = suite.main(request)
+    except suite.rows.RowsError as error:
+        raise UsageError(f"--compare: {error}") from None
+    if not fine:
+        raise typer.Exit(ExitCode.NOT_PASSED)
+
+
+def _sizes(text: str) -> tuple[int, ...]:
+    """Read population sizes from a list such as 1,15,200."""
+    words = [word.strip() for word in text.split(",")]
+    for word in words:
+        if not word.isascii() or not word.isdigit() or not 1 <= int(word) <= _LARGEST:
+            raise UsageError(
+                f"--sizes: {word!r} is not a number of individuals. "
+                f"Allowed: whole numbers from 1 to {_LARGEST} with commas between, such as 1,15,200"
+            )
+    return tuple(dict.fromkeys(map(int, words)))
