@@ -4,6 +4,8 @@ The names in `__all__` are stable (see docs/api.md). Each is imported at its fir
 the package takes little time and starts nothing.
 """
 
+# ruff: noqa: F401 - the imports for type checkers
+
 import contextlib
 import importlib
 import os
@@ -34,94 +36,34 @@ if TYPE_CHECKING:
     from evo_cpg.simulation.snapshot import Forces, Snapshot
     from evo_cpg.simulation.task import Task, Transition
 
-# Modules of the public names, in the order of the reference in docs/api.md.
-_HOMES = {
-    "load": "api.experiment",
-    "Experiment": "api.experiment",
-    "Evaluation": "evolution.strategy",
-    "Trials": "api.experiment",
-    "Record": "api.record",
-    "Environment": "api.environment",
-    "EnvironmentState": "api.environment",
-    "train": "api.training",
-    "resume": "api.training",
-    "Trained": "api.training",
-    "refine": "api.refine",
-    "Refined": "api.refine",
-    "sweep": "api.sweep",
-    "Summary": "api.sweep",
-    "verify": "api.runs",
-    "Verification": "api.runs",
-    "audit": "api.audit",
-    "Audit": "api.audit",
-    "analyse": "api.analyse",
-    "Analysis": "api.analyse",
-    "gait_numbers": "api.analyse",
-    "probe": "api.probe",
-    "Probed": "api.probe",
-    "sensitivity": "api.sensitivity",
-    "Sensitivities": "api.sensitivity",
-    "story": "api.story",
-    "lab": "api.lab",
-    "Answer": "analysis.laboratory.ask",
-    "show_progress": "api.progress",
-    "Task": "simulation.task",
-    "Transition": "simulation.task",
-    "Snapshot": "simulation.snapshot",
-    "Forces": "simulation.snapshot",
-    "Sensor": "simulation.sensor",
-    "ForceLaw": "physics.water.force_law",
-    "Bodies": "physics.water.force_law",
-    "Controller": "control.controller",
-    "Observation": "control.controller",
-    "Command": "control.controller",
-    "Strategy": "evolution.strategy",
-    "ConfigError": "io.errors",
+# Public names by module, in the order of the reference in docs/api.md.
+_NAMES = {
+    "api.experiment": ("load", "Experiment", "Trials"),
+    "evolution.strategy": ("Evaluation", "Strategy"),
+    "api.record": ("Record",),
+    "api.environment": ("Environment", "EnvironmentState"),
+    "api.training": ("train", "resume", "Trained"),
+    "api.refine": ("refine", "Refined"),
+    "api.sweep": ("sweep", "Summary"),
+    "api.runs": ("verify", "Verification"),
+    "api.audit": ("audit", "Audit"),
+    "api.analyse": ("analyse", "Analysis", "gait_numbers"),
+    "api.probe": ("probe", "Probed"),
+    "api.sensitivity": ("sensitivity", "Sensitivities"),
+    "api.story": ("story",),
+    "api.lab": ("lab",),
+    "analysis.laboratory.ask": ("Answer",),
+    "api.progress": ("show_progress",),
+    "simulation.task": ("Task", "Transition"),
+    "simulation.snapshot": ("Snapshot", "Forces"),
+    "simulation.sensor": ("Sensor",),
+    "physics.water.force_law": ("ForceLaw", "Bodies"),
+    "control.controller": ("Controller", "Observation", "Command"),
+    "io.errors": ("ConfigError",),
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 
-__all__ = [  # noqa: RUF022 - in the order of the reference
-    "load",
-    "Experiment",
-    "Evaluation",
-    "Trials",
-    "Record",
-    "Environment",
-    "EnvironmentState",
-    "train",
-    "resume",
-    "Trained",
-    "refine",
-    "Refined",
-    "sweep",
-    "Summary",
-    "verify",
-    "Verification",
-    "audit",
-    "Audit",
-    "analyse",
-    "Analysis",
-    "gait_numbers",
-    "probe",
-    "Probed",
-    "sensitivity",
-    "Sensitivities",
-    "story",
-    "lab",
-    "Answer",
-    "show_progress",
-    "Task",
-    "Transition",
-    "Snapshot",
-    "Forces",
-    "Sensor",
-    "ForceLaw",
-    "Bodies",
-    "Controller",
-    "Observation",
-    "Command",
-    "Strategy",
-    "ConfigError",
-]
+__all__ = list(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 # On CPUs, jaxlib 0.10.2 computes some sums of products wrongly and without an error, for instance

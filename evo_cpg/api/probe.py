@@ -85,7 +85,7 @@ class Probed(NamedTuple):
         return rows
 
     @property
-    def doubt(self) -> str:
+    def remark(self) -> str:
         """Sentence about an animal that misses most lights or does not use its eyes, else ""."""
         if self.seeing is not None:
             if not self.has_eyes:

@@ -130,7 +130,7 @@ def refine(
                 champion, report
             )
         last, gained = done[-1], any(one.gain > 0 for one in done)
-        _warn_of_doubts(folder, done, champion.fitness, rounds * steps)
+        _warn_of_problems(folder, done, champion.fitness, rounds * steps)
         if gained:
             best, _, _ = folder.load_champion()
             opened = open_and_build(run, cores)
@@ -150,7 +150,9 @@ def refine(
     )
 
 
-def _warn_of_doubts(folder: RunFolder, done: Sequence[Round], recorded: float, steps: int) -> None:
+def _warn_of_problems(
+    folder: RunFolder, done: Sequence[Round], recorded: float, steps: int
+) -> None:
     """Warn if the champion replays with another fitness, or if there was no gain."""
     found = done[-1].initial_fitness
     if not math.isclose(found, recorded, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE):

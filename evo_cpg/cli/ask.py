@@ -312,8 +312,8 @@ def probe(
     )
     for file in files:
         print(file)
-    if found.doubt:
-        warn(f"{run}: the champion: {found.doubt}")
+    if found.remark:
+        warn(f"{run}: the champion: {found.remark}")
 
 
 def _numbers(option: str, text: str) -> list[float]:

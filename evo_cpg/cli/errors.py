@@ -4,7 +4,6 @@ import os
 import sys
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -105,31 +104,3 @@ def add_hint(error: Exception) -> None:
         # Only an error about a missing argument has no message of its own.
         if not error.message and missing in _MISSING:
             error.message = _MISSING[missing]
-    elif hasattr(error, "possibilities"):
-        _add_setting(error)
-
-
-def _add_setting(error: Any) -> None:
-    """Add the setting that an unknown option resembles, if the command takes settings."""
-    command = error.ctx and error.ctx.command
-    if not any(parameter.name == "overrides" for parameter in getattr(command, "params", ())):
-        return
-    from evo_cpg.io.allowed import Allowed
-    from evo_cpg.io.schema.experiment import ExperimentConfig
-
-    name = error.option_name.lstrip("-").replace("-", "_")
-    allowed = Allowed(ExperimentConfig, {}, frozenset())
-    sections = allowed.keys(())
-    keys = [name] * (name in sections)
-    keys += [f"{section}.{name}" for section in sections if name in allowed.keys((section,))]
-    if keys:
-        # An unknown option of one letter, such as -g, is not a key.
-        words, option, value = sys.argv[1:], error.option_name, "VALUE"
-        for word, following in zip(words, [*words[1:], "-"], strict=True):
-            if word.startswith(f"{option}="):
-                value = word.partition("=")[2]
-            elif word == option and not following.startswith("-"):
-                value = following
-        written = " or ".join(f"{key}={value}" for key in keys)
-        error.message += f". It is a setting, which has no dashes: {written}"
-        error.possibilities = []

@@ -26,7 +26,6 @@ from evo_cpg.cli.options import (
     Strict,
     What,
     complete_config,
-    complete_folder,
     find_config_or_folder,
     find_run,
     run_folder,
@@ -289,7 +288,6 @@ def watch(
         typer.Argument(
             metavar="RUN",
             help="A run folder made by `train`.",
-            autocompletion=complete_folder,
         ),
     ],
     once: Annotated[

@@ -17,7 +17,6 @@ from evo_cpg.cli.options import (
     Strict,
     Which,
     complete_config,
-    complete_shipped,
     find_config_or_folder,
     name_replaced,
 )
@@ -50,7 +49,7 @@ def copy(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="NAME", help="Name of a configuration.", autocompletion=complete_shipped
+            metavar="NAME", help="Name of a configuration.", autocompletion=complete_config
         ),
     ],
     folder: Annotated[

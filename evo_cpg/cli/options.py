@@ -1,9 +1,9 @@
 """Arguments and options that several commands share, with their completions and checks."""
 
+import contextlib
 import enum
 import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -12,7 +12,6 @@ import typer
 from evo_cpg.cli.terminal import warn
 from evo_cpg.errors import UsageError, question, similar
 
-_CONFIGS = (".yaml", ".yml")
 _CONFIG = "config.yaml"
 _RUNS = Path("runs")
 
@@ -63,7 +62,10 @@ def find_run(given: Path) -> Path:
     if _is_run(given):
         return given
     if not os.path.exists(given):
-        raise UsageError(f"{given}: there is no such folder. {_hint(given)}")
+        runs = {run.name: run for place in (_RUNS, given.parent) for run in _runs_in(place)}
+        near = question([str(runs[name]) for name in similar(given.name, runs)])
+        hint = near or f"`evo-cpg train CONFIG --out {given}` makes a run there"
+        raise UsageError(f"{given}: there is no such folder. {hint}")
     owner = next((folder for folder in given.parents if _is_run(folder)), None)
     if owner is not None:
         raise UsageError(f"{given} is a part of a run. Give the run folder, {owner}")
@@ -76,22 +78,6 @@ def find_run(given: Path) -> Path:
 def _is_run(folder: Path) -> bool:
     # Unlike the methods of `Path`, this function accepts names that no file can have.
     return os.path.isfile(folder / _CONFIG)
-
-
-def _hint(given: Path) -> str:
-    """Return a sentence with the nearest runs, the newest run, or the command that makes one."""
-    runs = {run.name: run for place in (_RUNS, given.parent) for run in _runs_in(place)}
-    near = similar(given.name, runs)
-    if near:
-        return "D" + question([str(runs[name]) for name in near])[1:]
-    from evo_cpg.io.shipped import shipped_names
-
-    if str(given) in shipped_names():
-        return f"It is a configuration. `evo-cpg train {given}` makes the run runs/{given}"
-    if runs:
-        newest = max(runs.values(), key=lambda run: os.path.getmtime(run / _CONFIG))
-        return f"The newest run is {newest}"
-    return f"`evo-cpg train CONFIG --out {given}` makes a run there"
 
 
 def _runs_in(place: Path) -> list[Path]:
@@ -120,39 +106,16 @@ def name_replaced(overrides: list[str] | None) -> list[str] | None:
 
 def complete_config(incomplete: str) -> list[str]:
     """Return names of shipped configurations, configuration files and folders that match."""
-    names = complete_shipped(incomplete)
-    found = [path for path in _matching(incomplete) if path.suffix in _CONFIGS or path.is_dir()]
-    return [*names, *map(_shown, found)]
-
-
-def complete_shipped(incomplete: str) -> list[str]:
-    """Return names of shipped configurations that match."""
     from evo_cpg.io.shipped import shipped_names
 
-    return [name for name in shipped_names() if name.startswith(incomplete)]
-
-
-def complete_folder(incomplete: str) -> list[str]:
-    """Return run folders and other folders that match."""
-    return [_shown(path) for path in _matching(incomplete) if path.is_dir()]
-
-
-def _matching(incomplete: str) -> Iterator[Path]:
-    """Yield paths that begin with the typed text. A hidden path needs a typed point."""
-    folder, slash, start = incomplete.rpartition("/")
-    try:
-        found = sorted(Path(folder + slash or ".").iterdir())
-    except OSError:
-        return
-    for path in found:
-        if path.name.startswith(start) and (start or not path.name.startswith(".")):
-            yield path
-
-
-def _shown(path: Path) -> str:
-    """Return a path as text. A folder that is not a run ends with a slash, to continue typing."""
-    onward = path.is_dir() and not (path / "config.yaml").is_file()
-    return f"{path}/" if onward else str(path)
+    names = [name for name in shipped_names() if name.startswith(incomplete)]
+    with contextlib.suppress(OSError):
+        folder, slash, _ = incomplete.rpartition("/")
+        for path in sorted(Path(folder + slash or ".").iterdir()):
+            shown = f"{path}/" if path.is_dir() else str(path)
+            if shown.startswith(incomplete) and shown.endswith(("/", ".yaml", ".yml")):
+                names.append(shown)
+    return names
 
 
 Config = Annotated[
@@ -170,7 +133,6 @@ Run = Annotated[
         metavar="RUN",
         help="A run folder made by `train`.",
         callback=run_folder,
-        autocompletion=complete_folder,
     ),
 ]
 Overrides = Annotated[

@@ -4,7 +4,6 @@ If a disk is full or a pipe is closed, output is lost and the work continues. Ch
 locale lacks are escaped.
 """
 
-import codecs
 import contextlib
 import errno
 import io
@@ -17,8 +16,6 @@ from typing import Any, TextIO
 
 from evo_cpg.errors import Advice
 from evo_cpg.system import folded
-
-_ESCAPE = "evo_cpg.escape"
 
 # Characters between two columns of a table.
 _GAP = 3
@@ -152,7 +149,7 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
     return io.TextIOWrapper(
         io.BufferedWriter(_Raw(descriptor, "wb", closefd=False)),
         encoding=getattr(like, "encoding", None) or "utf-8",
-        errors=_ESCAPE,
+        errors="backslashreplace",
         line_buffering=by_line,
     )
 
@@ -171,17 +168,3 @@ def is_read() -> bool:
     """Return whether standard output may still have a reader."""
     error = output_error()
     return error is None or error.errno != errno.EPIPE
-
-
-def _escape(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Encode a character that the encoding lacks. Bytes of file names stay, others are escaped."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    code = ord(error.object[error.start])
-    if 0xDC80 <= code <= 0xDCFF:
-        return bytes([code - 0xDC00]), error.start + 1
-    character = error.object[error.start]
-    return character.encode("ascii", "backslashreplace").decode(), error.start + 1
-
-
-codecs.register_error(_ESCAPE, _escape)

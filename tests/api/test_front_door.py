@@ -129,8 +129,7 @@ def shell(*arguments: object) -> object:
     """
     devices = len(jax.devices())
     with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
-        for module in ("cli.champions", "training.devices"):
-            patch.setattr(f"evo_cpg.{module}.use_cores", lambda count=None: devices)
+        patch.setattr("evo_cpg.training.devices.use_cores", lambda count=None: devices)
         patch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
         main()
     return stopped.value.code

@@ -19,9 +19,10 @@ import yaml
 
 from evo_cpg import system
 from evo_cpg.api.machine import version
-from evo_cpg.cli import streams
-from evo_cpg.cli.errors import UsageError, message_for
+from evo_cpg.cli import terminal
+from evo_cpg.cli.errors import message_for
 from evo_cpg.cli.main import program
+from evo_cpg.errors import UsageError
 from evo_cpg.files import write_text
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.run_folder import RunFolder
@@ -204,8 +205,8 @@ def test_without_a_working_folder_full_paths_work(cli, finished_run, tmp_path):
 def test_without_a_working_folder_other_paths_are_refused(cli, words, expected):
     with deleted_working_folder():
         code, out, err = cli(*words)
-    *warnings, last = err.splitlines()
-    assert (code, out) == (2, "") and all("is given twice" in line for line in warnings)
+    last = err.splitlines()[-1]
+    assert (code, out) == (2, "")
     assert last.startswith("evo-cpg: ") and expected in last
 
 
@@ -279,11 +280,10 @@ def test_training_finishes_if_output_is_lost(which, tmp_path, finished_run):
     folder = tmp_path / "run"
     with open(FULL, "wb", buffering=0) as full, pytest.MonkeyPatch.context() as patch:
         # This process already has its devices.
-        for module in ("cli.champions", "training.devices"):
-            patch.setattr(f"evo_cpg.{module}.use_cores", lambda count=None: 2)
-        patch.setattr(streams, "protect", lambda: None)
+        patch.setattr("evo_cpg.training.devices.use_cores", lambda count=None: 2)
+        patch.setattr(terminal, "protect", lambda: None)
         patch.setattr(sys, "argv", ["evo-cpg", "train", str(CONFIG), *SMALL, "--out", str(folder)])
-        lost, kept = streams.opened(full.fileno(), None), io.StringIO()
+        lost, kept = terminal.opened(full.fileno(), None), io.StringIO()
         patch.setattr(sys, "stdout", kept if which == "err" else lost)
         patch.setattr(sys, "stderr", kept if which == "out" else lost)
         with pytest.raises(SystemExit) as stop:
@@ -318,14 +318,14 @@ def test_a_closed_pipe_is_no_error():
 @posix
 def test_a_closed_pipe_is_detected_at_the_next_line():
     reading, writing = os.pipe()
-    stream = streams.opened(writing, None)
+    stream = terminal.opened(writing, None)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "stdout", stream)
         print("line")
-        assert streams.is_read()
+        assert terminal.is_read()
         os.close(reading)
         print("line")
-        assert not streams.is_read() and streams.output_error() is None
+        assert not terminal.is_read()
     os.close(writing)
 
 
@@ -335,8 +335,8 @@ def test_no_file_gets_the_number_of_a_closed_stream(tmp_path):
 import os, sys
 for number in (0, 1, 2):
     os.close(number)
-from evo_cpg.cli import streams
-streams.protect()
+from evo_cpg.cli import terminal
+terminal.protect()
 with open({str(tmp_path / "file")!r}, "w") as file:
     assert file.fileno() > 2
     print("lost")
@@ -351,13 +351,11 @@ with open({str(tmp_path / "file")!r}, "w") as file:
 def test_a_stream_escapes_characters_outside_its_encoding():
     reading, writing = os.pipe()
     like = io.TextIOWrapper(io.BytesIO(), encoding="ascii", line_buffering=True)
-    with streams.opened(writing, like) as stream:
-        print("größe·鮫 \udcff", file=stream)
-        assert os.read(reading, 100) == b"gr\\xf6\\xdfe\\xb7\\u9bab \xff\n"
+    with terminal.opened(writing, like) as stream:
+        print("größe·鮫", file=stream)
+        assert os.read(reading, 100) == b"gr\\xf6\\xdfe\\xb7\\u9bab\n"
     os.close(reading)
     os.close(writing)
-    with pytest.raises(UnicodeDecodeError):
-        b"\xff".decode("utf-8", "evo_cpg.escape")
 
 
 # No device
@@ -381,7 +379,7 @@ def test_version_is_printed_without_a_device(monkeypatch):
     def none(engine):
         raise AssertionError
 
-    monkeypatch.setattr("evo_cpg.native.engine.described", none)
+    monkeypatch.setattr("evo_cpg.api.machine.described", none)
     monkeypatch.setenv("JAX_PLATFORMS", "tpu")
     assert version().endswith("engine: none: JAX finds no device for JAX_PLATFORMS=tpu")
 

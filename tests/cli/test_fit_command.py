@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from creatures import quick_jit
-from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.measured_motion import MeasuredMotion, commands, late_commands, read_motion
+from evo_cpg.errors import UsageError
 from evo_cpg.io.load import check_config, load_config
 from evo_cpg.io.numbers import number_at
 from evo_cpg.io.parameters import parametrise

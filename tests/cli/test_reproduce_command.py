@@ -6,12 +6,12 @@ import shutil
 
 import numpy as np
 import pytest
-from evo_cpg.cli.reproduce import default_folder, make
 from PIL import Image
 
 from evo_cpg.api import machine, sweep
-from evo_cpg.cli import reproduce
-from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli import repeat as reproduce
+from evo_cpg.cli.repeat import default_folder, make
+from evo_cpg.errors import UsageError
 from evo_cpg.files import OutputError
 from evo_cpg.studies import provenance, workshop
 from evo_cpg.studies.catalogue import NAMES, study
@@ -110,13 +110,13 @@ def test_an_interrupt_prints_a_command_that_keeps_finished_runs(
 def test_a_continued_study_equals_an_uninterrupted_one(made, tmp_path, monkeypatch, capsys):
     folder, group = tmp_path / "stopped", sweep.run_group
 
-    def stopping(members, devices, tell, warn):
+    def stopping(members, tell):
         def stop(member, rows):
             tell(member, rows)
             if member.setting.name == "few" and rows[0]["generation"] == 1:
                 raise KeyboardInterrupt
 
-        group(members, devices, stop, warn)
+        group(members, stop)
 
     monkeypatch.setattr(sweep, "run_group", stopping)
     with pytest.raises(KeyboardInterrupt):

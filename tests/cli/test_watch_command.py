@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from evo_cpg.cli import watch
+from evo_cpg.cli.evolve import watch
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, LONG, PAIR
 
@@ -60,7 +60,7 @@ def test_watch_leaves_an_interrupted_write_to_the_trainer(run, tmp_path):
     shutil.copytree(run, folder)
     (folder / ".decided").mkdir()
     (folder / ".decided" / "config.yaml").write_text((run / "config.yaml").read_text())
-    watch.watch(folder, once=True)
+    watch(folder, once=True)
     assert (folder / ".decided" / "config.yaml").is_file()
 
 

@@ -3,11 +3,11 @@
 import sys
 
 import pytest
-from evo_cpg.cli.reproduce import make
 
 import evo_cpg
 from benchmarks import suite
 from benchmarks.rows import Row
+from evo_cpg.cli.repeat import make
 from evo_cpg.studies import benchmarks, provenance
 from evo_cpg.studies.benchmarks import STUDY, SuiteError, bench_suite
 

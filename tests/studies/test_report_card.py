@@ -5,10 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from evo_cpg.cli.answers import values_of
 
 from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.analysis.laboratory.settings import require_values
+from evo_cpg.cli.ask import values_of
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import card_land, card_measures, card_nerves, card_water
 from evo_cpg.studies.animals import STUDY
