@@ -138,12 +138,7 @@ def gait_numbers(run: Path | str, trial: int = 0, trust: bool = False) -> GaitNu
 
 
 def measure(opened: OpenedChampion, trial: int) -> Measured:
-    """Replay a champion's trial and return its motion with the numbers.
-
-    Args:
-        opened: the run and the champion.
-        trial: number of the champion's trial, from 0.
-    """
+    """Replay a champion's trial and return its motion with the numbers."""
     from evo_cpg.analysis import gait_numbers as measuring
 
     experiment = opened.experiment
@@ -165,14 +160,7 @@ def page(
     measured: Measured,
     crowd: "Panel | None" = None,
 ) -> str:
-    """Return the HTML text of a champion's page.
-
-    Args:
-        opened: the run and the champion.
-        trial: number of the champion's trial, from 0.
-        measured: its recorded trial.
-        crowd: a generation that the page also shows, or None.
-    """
+    """Return the HTML text of a champion's page."""
     from evo_cpg.analysis.gait_numbers import chain_places
     from evo_cpg.view.clip import sample
     from evo_cpg.view.film import picture

@@ -138,11 +138,6 @@ class Audit:
     def save(self, folder: Path | str, name: str = "audit", title: str = "") -> list[Path]:
         """Write the results as JSON and draw energy and paths, and return the paths of both files.
 
-        Args:
-            folder: run folder. The picture goes to its ``plots``.
-            name: name of both files, without suffix.
-            title: title of the picture.
-
         Raises:
             OutputError: the files cannot be written.
         """
@@ -236,17 +231,7 @@ def audits(
     folders: Iterable[Path] = (),
     tell: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> list[Audit]:
-    """Audit champions. Each program is compiled once for all champions.
-
-    Args:
-        experiment: experiment that the champions evolved in.
-        champions: individuals to audit.
-        limits: limits of the checks.
-        config: configuration that the experiment was built from.
-        source: file of the configuration.
-        folders: folders of a user's classes, see `evo_cpg.io.build.build_experiment`.
-        tell: called with the name and number of the next step, and the number of steps.
-    """
+    """Audit champions. Each program is compiled once for all champions."""
     simulation = experiment.simulation
     own = Variation("as it evolved", (simulation,))
     others = _variations(experiment, config, source, tuple(folders))

@@ -30,15 +30,7 @@ def champion_panel(
     cell: str | None = None,
     signals: bool = False,
 ) -> Panel:
-    """Return a panel with the champion of a run, or with the elite of a cell of its map.
-
-    Args:
-        run: run folder.
-        number: number of one of several runs side by side, or None for the best.
-        trial: number of the trial, from 0.
-        cell: cell of the run's map, or None for the champion.
-        signals: whether the panel has a strip of signals.
-    """
+    """Return a panel with the champion of a run, or with the elite of a cell of its map."""
     opened, strip = open_champion(run, number, trial, cell), None
     experiment = opened.experiment
     if signals:
@@ -56,12 +48,6 @@ def champion_panel(
 
 def crowd_panel(opened: OpenedChampion, generation: int, trial: int, film: Film) -> Panel:
     """Return a panel with all animals of a generation: the leader, and the others as ghosts.
-
-    Args:
-        opened: the run.
-        generation: number of the generation, from 0.
-        trial: number of the trial.
-        film: frames per second, speed and length.
 
     Raises:
         UsageError: the run has no such generation.
@@ -93,15 +79,7 @@ def lineage_panels(
     trial: int = 0,
     signals: bool = False,
 ) -> list[Panel]:
-    """Return panels with champions of a lineage, each with its generation and fitness.
-
-    Args:
-        run: run folder.
-        generations: chosen generations, or None for a selection of the lineage.
-        number: number of one of several runs side by side, or None for the best.
-        trial: number of the trial, from 0.
-        signals: whether the panels have a strip of signals.
-    """
+    """Return panels with champions of a lineage, each with its generation and fitness."""
     opened = open_champion(run, number, trial)
     chosen, panels = _chosen(opened, generations), []
     for one in chosen:

@@ -93,11 +93,6 @@ def free_folder(name: str) -> Path:
 def save_answer(answer: Answer, name: str, folder: Path) -> list[Path]:
     """Write ``lab.csv``, ``columns.csv`` and ``lab.png``, and return paths of table and picture.
 
-    Args:
-        answer: the answer.
-        name: name of the animal, for the title.
-        folder: folder for the files.
-
     Raises:
         OutputError: the files cannot be written.
     """

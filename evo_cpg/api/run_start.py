@@ -51,12 +51,6 @@ class Start(NamedTuple):
 def begin_run(run: Opened, devices: int, source: Path, start: Start | None = None) -> None:
     """Make a run folder, with its configuration and meta.json.
 
-    Args:
-        run: run whose folder is made.
-        devices: number of devices.
-        source: file of the configuration.
-        start: initial genomes, or None for random ones.
-
     Raises:
         ConfigError: there are no genes to evolve.
         OutputError: the folder cannot be written.

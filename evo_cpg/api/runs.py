@@ -49,11 +49,6 @@ def read_config(
 def build(config: ExperimentConfig, source: Path, folders: Iterable[Path] = ()) -> ExperimentParts:
     """Build an experiment, with a progress line if the build takes long.
 
-    Args:
-        config: configuration of the experiment.
-        source: file that the configuration came from.
-        folders: further folders with a user's own classes.
-
     Raises:
         ConfigError: parts of the configuration do not fit together.
     """

@@ -150,13 +150,7 @@ def _material(opened: OpenedChampion, recording: Recording, trial: int) -> Mater
 def story_of(
     material: Material, title: str | None, aspect: float
 ) -> tuple[list[Take], list[Words]]:
-    """Return the takes of a story, and its title and captions.
-
-    Args:
-        material: the animals.
-        title: title, or None for one that fits the world.
-        aspect: width of the picture over its height.
-    """
+    """Return the takes of a story, and its title and captions."""
     panel, course, speed, final = (
         material.panel, material.course, material.speed, material.generation,
     )  # fmt: skip
@@ -236,10 +230,6 @@ def generations_of(done: int, champion: int) -> list[int]:
     """Return the generations that a story shows before its champion.
 
     These are 0, 2 and 7 of 50 generations: the fourth root and the square root of their number.
-
-    Args:
-        done: number of finished generations.
-        champion: generation of the champion.
     """
     found = {math.isqrt(math.isqrt(done)), math.isqrt(done)}
     return [0, *sorted(each for each in found if 0 < each < champion)]
@@ -283,17 +273,10 @@ def _crowds(
 def _racers(
     opened: OpenedChampion, recording: Recording, trial: int, end: float, least: float
 ) -> list[tuple[int, Recording]]:
-    """Return generations and motion of earlier champions, each clearly behind the next one.
+    """Return generations and motion of at most three earlier champions, for a race.
 
-    Args:
-        opened: the run with its champion.
-        recording: motion of the champion.
-        trial: number of the trial.
-        end: instant at which the race ends, s.
-        least: least distance between two animals at that instant, m.
-
-    Returns:
-        At most three champions, or none if none is known or can be replayed.
+    Each is at least `least` (m) behind the next one at the instant `end` (s). There are none if
+    none is known or can be replayed.
     """
     try:
         opened.require_configured()

@@ -300,11 +300,7 @@ def groups(members: Sequence[Member]) -> list[list[Member]]:
 def run_group(
     group: Sequence[Member], on_generation: Callable[[Member, list[dict[str, float]]], object]
 ) -> None:
-    """Evolve the settings of a group together, from their newest checkpoints.
-
-    Args:
-        group: a group from `groups`.
-        on_generation: called with a setting and its new rows after each of its generations.
+    """Evolve the settings of one of the `groups` together, from their newest checkpoints.
 
     Raises:
         LockedError: another process evolves one of the settings.
@@ -336,13 +332,7 @@ def evolve(
     title: str,
     on_generation: Callable[[Member], object] = lambda member: None,
 ) -> None:
-    """Evolve settings to the last generation, group by group, and show the progress.
-
-    Args:
-        members: the settings.
-        title: text before the names of the settings of each group.
-        on_generation: called with a setting after each of its generations.
-    """
+    """Evolve settings to the last generation, group by group, and show the progress."""
     found = groups(members)
     for number, group in enumerate(found, 1):
         if all(member.finished for member in group):

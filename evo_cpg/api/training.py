@@ -174,10 +174,6 @@ def resume(
 def evolve_run(run: Opened, on_generation: Callable[[Rows], object]) -> Trained:
     """Evolve from the folder's newest checkpoint, and record the champion.
 
-    Args:
-        run: run whose folder exists.
-        on_generation: called with the new rows of metrics.csv after every generation.
-
     Raises:
         RunFolderError: no individual of any generation has a finite fitness.
     """

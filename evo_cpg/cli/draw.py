@@ -12,17 +12,18 @@ import evo_cpg as evo
 from evo_cpg.cli.errors import require_none
 from evo_cpg.cli.evolve import show_address
 from evo_cpg.cli.options import (
-    BEST,
     Browser,
+    Cell,
     Config,
     Cores,
     Crowd,
+    Number,
     Overrides,
     Port,
     Run,
     Strict,
+    Trial,
     View,
-    Which,
     complete_config,
     find_run,
 )
@@ -102,7 +103,9 @@ def render(
     seconds: Annotated[
         float | None, typer.Option(min=0.1, help="Show only the first seconds of the trial.")
     ] = None,
-    which: Which = BEST,
+    number: Number = None,
+    trial: Trial = 0,
+    cell: Cell = None,
     cores: Cores = None,
 ) -> None:
     """Film the champion of a run, or an elite of its map of gaits."""
@@ -116,7 +119,7 @@ def render(
     from evo_cpg.view.frames import Film
 
     alone = {
-        "--lineage": lineage, "--beside": beside, "--signals": signals, "--cell": which.cell,
+        "--lineage": lineage, "--beside": beside, "--signals": signals, "--cell": cell,
     }  # fmt: skip
     titles, others = title or [], beside or []
     if story:
@@ -129,11 +132,11 @@ def render(
             raise UsageError(f"--title: {len(titles)} titles for one story. Give one")
         pixels = _pair_of("--size", size or "1920x1080", 9)
         with writing(run, output):
-            given = output, pixels, (titles or [None])[0], which.number, which.trial, cores
+            given = output, pixels, (titles or [None])[0], number, trial, cores
             print(evo.story(run, *given))
         return
     if lineage is not None:
-        require_none("--lineage", {"--cell": which.cell, "--beside": others, "--title": titles})
+        require_none("--lineage", {"--cell": cell, "--beside": others, "--title": titles})
     if crowd is not None:
         require_none("--crowd", alone)
     if titles and len(titles) != 1 + len(others):
@@ -148,7 +151,7 @@ def render(
         generations = _generations(lineage)
     film_of = {"lineage": lineage is not None, f"crowd{crowd}": crowd is not None}
     name = next((word for word, chosen in film_of.items() if chosen), "champion")
-    name += suffix(*which) + "_beside_others" * bool(others)
+    name += suffix(number, trial, cell) + "_beside_others" * bool(others)
     name += f"_{camera}" * (camera != View.FOLLOW) + "_signals" * signals
     name += ".mp4" if moments is None else "_sheet.png"
     with writing(run, output):
@@ -157,15 +160,13 @@ def render(
         # Check the path before making the folder of films.
         film_path(output or run / name, film, signals)
         if crowd is not None:
-            opened = open_champion(run, which.number, which.trial)
-            panels = [crowd_panel(opened, crowd, which.trial, film)]
+            opened = open_champion(run, number, trial)
+            panels = [crowd_panel(opened, crowd, trial, film)]
         elif lineage is not None:
-            panels = lineage_panels(run, generations, which.number, which.trial, signals)
+            panels = lineage_panels(run, generations, number, trial, signals)
         else:
-            panels = [champion_panel(run, *which, signals=signals)]
-            panels += [
-                champion_panel(other, None, which.trial, which.cell, signals) for other in others
-            ]
+            panels = [champion_panel(run, number, trial, cell, signals)]
+            panels += [champion_panel(other, None, trial, cell, signals) for other in others]
         if titles:
             panels = [one._replace(title=words) for one, words in zip(panels, titles, strict=True)]
         path = output or make_folder(run / "videos") / name
@@ -210,7 +211,9 @@ def plot(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder (default: RUN/plots).")
     ] = None,
-    which: Which = BEST,
+    number: Number = None,
+    trial: Trial = 0,
+    cell: Cell = None,
 ) -> None:
     """Plot fitness, joint signals, path and map."""
     from evo_cpg.analysis.chains import axis_signs, joint_rows
@@ -222,10 +225,10 @@ def plot(
     from evo_cpg.view.search_plots import map_figure
 
     with writing(run, output):
-        opened = open_champion(run, *which)
-        recording, experiment = motion_of(opened, which.trial), opened.experiment
+        opened = open_champion(run, number, trial, cell)
+        recording, experiment = motion_of(opened, trial), opened.experiment
         simulation, place = experiment.simulation, output or make_folder(run / "plots")
-        name, tree = suffix(*which), simulation.world.tree
+        name, tree = suffix(number, trial, cell), simulation.world.tree
         history = opened.folder.history()
         history["best_so_far"] = history["champion"]
         print(save_figure(fitness_figure(history), place / "fitness.png"))
@@ -241,12 +244,12 @@ def plot(
             print(save_figure(figure, place / f"joint_signals{name}.png"))
         figure = path_figure(recording, experiment.creature.root_index)
         print(save_figure(figure, place / f"path{name}.png"))
-        checkpoint, number = opened.folder.load(), opened.champion.run
-        found = checkpoint and gait_map(experiment, checkpoint, number)
+        checkpoint, own = opened.folder.load(), opened.champion.run
+        found = checkpoint and gait_map(experiment, checkpoint, own)
         if found:
-            title = experiment.name + (f", run {number}" if experiment.runs > 1 else "")
+            title = experiment.name + (f", run {own}" if experiment.runs > 1 else "")
             figure = map_figure(found.axes, found.fitness, title)
-            print(save_figure(figure, place / f"map{suffix(which.number)}.png"))
+            print(save_figure(figure, place / f"map{suffix(number)}.png"))
 
 
 def preview(

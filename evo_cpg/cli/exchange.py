@@ -12,10 +12,11 @@ import typer
 
 from evo_cpg.cli.errors import ExitCode, require_free
 from evo_cpg.cli.options import (
-    BEST,
+    Cell,
+    Number,
     Overwrite,
     Strict,
-    Which,
+    Trial,
     complete_config,
     find_config_or_folder,
     name_replaced,
@@ -152,7 +153,9 @@ def export(
             "the motion.",
         ),
     ],
-    which: Which = BEST,
+    number: Number = None,
+    trial: Trial = 0,
+    cell: Cell = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Export a creature to MuJoCo, or a motion as a scene or table."""
@@ -164,7 +167,7 @@ def export(
     require_free(output, overwrite)
     suffix = output_path(output, (".xml", ".glb", ".csv", ".npz")).suffix.lower()
     if suffix == ".xml":
-        if which != BEST:
+        if number is not None or trial or cell is not None:
             raise UsageError(f"{output}: has no motion. Leave out --run, --trial and --cell")
         _export_model(source, output)
     elif not os.path.isdir(source):
@@ -173,17 +176,17 @@ def export(
         from evo_cpg.view.gltf_film import gltf_film
         from evo_cpg.view.scene import panel_of
 
-        opened = open_champion(source, *which)
-        panel = panel_of(opened.experiment, motion_of(opened, which.trial), opened.experiment.name)
+        opened = open_champion(source, number, trial, cell)
+        panel = panel_of(opened.experiment, motion_of(opened, trial), opened.experiment.name)
         with working("writing the scene"):
             scene = gltf_film(panel)
             write_whole(output, lambda file: file.write(scene))
     else:
         from evo_cpg.api.record import as_record
 
-        opened = open_champion(source, *which)
+        opened = open_champion(source, number, trial, cell)
         with working("replaying the champion"):
-            (replay,) = opened.replay([opened.champion], which.trial, full=True)
+            (replay,) = opened.replay([opened.champion], trial, full=True)
         record = as_record(opened.experiment.simulation, replay.frames, replay.recording)
         record.to_csv(output) if suffix == ".csv" else record.to_npz(output)
     print(output)

@@ -8,7 +8,6 @@ because `--help` must be quick.
 import errno
 import functools
 import importlib
-import inspect
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -56,37 +55,17 @@ _EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
 _PLAIN: dict[str, Any] = {"pretty_exceptions_enable": False, "rich_markup_mode": None}
 
 
-def with_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that takes the fields of a group of options in place of the group.
-
-    Args:
-        function: function of a command. A parameter that is a group is annotated with a named
-            tuple, whose fields are annotated as options.
-    """
-    signature = inspect.signature(function)
-    groups = {
-        parameter.name: parameter.annotation
-        for parameter in signature.parameters.values()
-        if hasattr(parameter.annotation, "_field_defaults")
-    }
+def _with_all_lines(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a command that prints all lines of its progress."""
 
     @functools.wraps(function)
-    def command(**given: Any) -> None:
+    def command(*values: Any, **options: Any) -> None:
         # Rich, which draws the progress, takes a moment to import.
         from evo_cpg.api.progress import all_lines
 
-        for name, group in groups.items():
-            given[name] = group(**{field: given.pop(field) for field in group._fields})
         with all_lines():
-            function(**given)
+            function(*values, **options)
 
-    parameters: list[inspect.Parameter] = []
-    for parameter in signature.parameters.values():
-        group = groups.get(parameter.name)
-        own = inspect.signature(group).parameters.values() if group else [parameter]
-        parameters += own
-    command.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
     return command
 
 
@@ -100,7 +79,7 @@ class _Files(Mapping[str, Any]):
         found = getattr(module, f"{name}_" if name == "import" else name)
         if not isinstance(found, typer.Typer):
             function, found = found, typer.Typer(add_completion=False, **_PLAIN)
-            found.command(name)(with_options(function))
+            found.command(name)(_with_all_lines(function))
         command = typer.main.get_command(found)
         command.name = name
         return command

@@ -3,9 +3,8 @@
 import contextlib
 import enum
 import os
-import re
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import typer
 
@@ -170,22 +169,6 @@ Cell = Annotated[
 ]
 
 
-class Which(NamedTuple):
-    """Options: a champion or elite of a run, and one of its trials.
-
-    Attributes:
-        number: number of one of several runs, or None for the best.
-        trial: number of the trial, from 0.
-        cell: cell of the run's map, such as ``3,0,7``, or None for the champion.
-    """
-
-    number: Number = None
-    trial: Trial = 0
-    cell: Cell = None
-
-
-BEST = Which()
-
 Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse values that are allowed but not plausible.")
 ]
@@ -205,15 +188,3 @@ Crowd = Annotated[
 Folder = Annotated[
     Path | None, typer.Option("--out", "-o", help="Folder for the files (default: RUN).")
 ]
-
-
-def pixels_of(size: str) -> tuple[int, int]:
-    """Return width and height, pixels, from ``WIDTHxHEIGHT``.
-
-    Raises:
-        UsageError: the text has another form.
-    """
-    match = re.fullmatch(r"(\d{1,9})x(\d{1,9})", size)
-    if not match:
-        raise UsageError(f"--size: {size!r} is not WIDTHxHEIGHT, such as 1280x720")
-    return int(match[1]), int(match[2])

@@ -93,15 +93,9 @@ def make(
                 for path in workshop.make(part):
                     print(path)
             except KeyboardInterrupt:
-                left = f"evo-cpg reproduce {chosen.name} {' '.join(parts[number:])}"
-                if folder != default_folder(chosen.name, quick):
-                    left += f" --out {folder}"
-                left += " --quick" if quick else ""
-                again = f"Make the rest with `{left}`"
-                if chosen.runs:
-                    # The same command with --fresh would delete the finished runs.
-                    again = f"Continue with `{left}`" if fresh else "Continue with the same command"
-                tell(f"interrupted. {again}")
+                # With --fresh, the command would delete the finished runs.
+                without = ", without --fresh" if fresh else ""
+                tell(f"interrupted. Continue with the same command{without}")
                 raise
 
 

@@ -87,23 +87,18 @@ def test_finished_runs_are_not_evolved_again(made, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("quick", "fresh", "words"),
-    [
-        (False, False, "interrupted. Continue with the same command\n"),
-        (False, True, "interrupted. Continue with `evo-cpg reproduce twin ends --out {}`\n"),
-        (True, True, "interrupted. Continue with `evo-cpg reproduce twin ends --out {} --quick`\n"),
-    ],
+    ("fresh", "words"), [(False, "the same command\n"), (True, "without --fresh\n")]
 )
 def test_an_interrupt_prints_a_command_that_keeps_finished_runs(
-    tmp_path, monkeypatch, capsys, quick, fresh, words
+    tmp_path, monkeypatch, capsys, fresh, words
 ):
     def stop(*arguments):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(sweep, "run_group", stop)
     with pytest.raises(KeyboardInterrupt):
-        make(TWIN, ["ends"], tmp_path / "twin", quick, fresh, 2)
-    assert capsys.readouterr().err.endswith(words.format(tmp_path / "twin"))
+        make(TWIN, ["ends"], tmp_path / "twin", False, fresh, 2)
+    assert capsys.readouterr().err.endswith(words)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from evo_cpg.cli.draw import plot
-from evo_cpg.cli.options import View, Which
+from evo_cpg.cli.options import View
 from evo_cpg.training import devices
 from evo_cpg.training import replay as replay_module
 from evo_cpg.training.run_folder import RunFolder
@@ -71,7 +71,7 @@ def test_only_trials_after_the_first_are_replayed(situated_run, tmp_path, monkey
     monkeypatch.setattr(replay_module, "replay_champion", replay)
     monkeypatch.setattr(devices, "use_cores", lambda count=None: 2)
     for trial in (0, 2):
-        plot(situated_run, tmp_path, Which(trial=trial))
+        plot(situated_run, tmp_path, trial=trial)
     assert replayed == [(champion.fitness, 2)]
 
 
