@@ -178,7 +178,7 @@ def read_json(path: Path, kind: Any) -> Any:
     from pydantic import TypeAdapter, ValidationError
 
     try:
-        # Pydantic's own reader refuses file names that are not UTF-8 (`evo_cpg.system.name_of`).
+        # Pydantic's own reader refuses file names that are not UTF-8.
         content = json.loads(path.read_bytes())
         return TypeAdapter(kind).validate_python(content, strict=True)
     except RecursionError:

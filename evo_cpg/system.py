@@ -55,25 +55,6 @@ def resolved(path: Path) -> Path:
         return path
 
 
-def named(text: str) -> Path:
-    """Return the path for a name stored in a file, which is UTF-8 in every locale."""
-    try:
-        return Path(os.fsdecode(text.encode("utf-8", "surrogateescape")))
-    except UnicodeError:
-        # No file can have this name, so opening the path will fail.
-        return Path(text)
-
-
-def name_of(path: Path) -> str:
-    """Return the text that stores a path in a file, the inverse of `named`."""
-    return os.fsencode(path).decode("utf-8", "surrogateescape")
-
-
-def as_utf8(argument: str) -> str:
-    """Return an argument of the command line, decoded as UTF-8 in every locale."""
-    return argument.encode("utf-8", "surrogateescape").decode("utf-8", "surrogateescape")
-
-
 def is_writable(folder: Path) -> bool:
     """Return whether this process can make files in a folder."""
     return os.path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)

@@ -17,7 +17,6 @@ from evo_cpg.io.load import load_config
 from evo_cpg.io.opened import class_folders, open_run
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
-from evo_cpg.system import named
 from evo_cpg.training import devices
 from evo_cpg.training.run_folder import RunFolder
 
@@ -86,7 +85,7 @@ def varied_knobs(answer: Answer) -> list[str]:
 def free_folder(name: str) -> Path:
     """Return the first of ``lab/NAME``, ``lab/NAME_2`` and so on that has no answer."""
     folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
-    places = (named("lab") / named(folder) for folder in folders)
+    places = (Path("lab") / folder for folder in folders)
     return next(place for place in places if not os.path.exists(place / TABLE))
 
 

@@ -18,7 +18,7 @@ from evo_cpg.io.load import dump_config
 from evo_cpg.io.opened import Opened, open_run
 from evo_cpg.io.shipped import shipped_name
 from evo_cpg.simulation.task import term_names
-from evo_cpg.system import name_of, resolved
+from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Checkpoint, genes_digest
 from evo_cpg.training.experiment import TABLE_COLUMNS, ExperimentParts
 from evo_cpg.training.memory import require_memory
@@ -70,7 +70,7 @@ def _known(run: Opened, devices: int, source: Path) -> dict[str, Any]:
     meta: dict[str, Any] = {
         "name": run.config.name,
         "seed": run.config.seed,
-        "config": name_of(resolved(source)),
+        "config": str(resolved(source)),
         "command": sys.argv[1:],
         "fingerprint": fingerprint(run.config),
         "started": now(),
@@ -226,7 +226,7 @@ def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
         genes.append(np.concatenate([kept, varied[:, kept.shape[1] :]], 1))
     best = max(chosen, key=lambda champion: champion.worth)
     provenance = {
-        "from": name_of(resolved(path)),
+        "from": str(resolved(path)),
         "what": what,
         "generation": best.generation if what == "champion" else checkpoint.generation,
         "fitness": best.fitness,

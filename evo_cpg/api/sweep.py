@@ -40,7 +40,7 @@ from evo_cpg.io.opened import Opened
 from evo_cpg.io.settings import Setting, combine, is_folder_name
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
-from evo_cpg.system import name_of, named, resolved
+from evo_cpg.system import resolved
 from evo_cpg.training import devices
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.memory import require_memory
@@ -187,7 +187,7 @@ def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]
         ConfigError: the configuration or a value of a setting is wrong.
     """
     plan = {
-        "config": name_of(resolved(source)),
+        "config": str(resolved(source)),
         "config_sha256": _digest(source, overrides),
         "overrides": list(overrides),
         "settings": {setting.name: setting.values for setting in settings},
@@ -259,7 +259,7 @@ def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
         ConfigError: a setting is wrong.
         TooLargeError: a setting needs more memory than the machine has.
     """
-    source = named(plan["config"])
+    source = Path(plan["config"])
     if _digest(source, plan["overrides"]) != plan["config_sha256"]:
         raise RunFolderError(
             f"{folder}: {source} has changed since the sweep began. Restore it, or begin "
@@ -273,7 +273,7 @@ def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
         experiment = build_experiment(config, source)
         require_genes(experiment, source)
         require_memory(experiment)
-        members.append(Member(RunFolder(folder / named(name)), config, experiment, setting, source))
+        members.append(Member(RunFolder(folder / name), config, experiment, setting, source))
     return members
 
 

@@ -267,14 +267,13 @@ def preview(
     from evo_cpg.io.build import build_creature, build_experiment
     from evo_cpg.io.schema.ground import PlaneConfig
     from evo_cpg.simulation.situation import starting_pose
-    from evo_cpg.system import named
     from evo_cpg.view.preview import preview as draw
     from evo_cpg.view.preview import preview_path
 
     pixels = _pair_of("--size", size, 9)
     given = read_config(config, overrides or [], strict)
     creature = build_creature(given, config)
-    place = preview_path(output or named(f"{creature.name}.png"), pixels)
+    place = preview_path(output or Path(f"{creature.name}.png"), pixels)
     pose, land, water = None, given.world.ground, given.world.water
     ground = land is not None
     surface = None

@@ -73,14 +73,13 @@ def train(
     from evo_cpg.api.advice import about_oscillators
     from evo_cpg.api.experiment import Experiment
     from evo_cpg.api.runs import build, read_config
-    from evo_cpg.system import named
     from evo_cpg.training import devices
 
     given = read_config(config, overrides or [], strict)
     # Set the number of cores first: finding a place to stand on uneven ground starts JAX.
     devices.use_cores(cores)
     experiment = Experiment(build(given, config), given, config)
-    run = out or Path("runs") / named(given.name)
+    run = out or Path("runs") / given.name
     for line in about_oscillators(experiment.parts.simulation):
         warn(f"{config}: {line}")
     with _continuation(run):
@@ -181,18 +180,16 @@ def sweep(
 ) -> None:
     """Evolve with many settings and compare the results."""
     from evo_cpg.io.settings import read_settings
-    from evo_cpg.system import as_utf8
 
     axes: dict[str, list[Any]] = {}
     for word in grid or []:
-        key, values = _axis(as_utf8(word))
+        key, values = _axis(word)
         if key in axes:
             raise UsageError(f"--grid: {key} is given twice. Give all its values in one")
         axes[key] = values
-    given = [as_utf8(word) for word in overrides or []]
     named = read_settings(settings) if settings else {}
     try:
-        found = evo.sweep(config, given, axes, named, out, only or [], cores)
+        found = evo.sweep(config, overrides or [], axes, named, out, only or [], cores)
     except KeyboardInterrupt:
         folder = config if config.is_dir() else out or Path("runs") / f"{config.stem}_sweep"
         tell(f"interrupted. Continue with `evo-cpg sweep {folder}`")

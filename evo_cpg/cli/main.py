@@ -21,33 +21,18 @@ from evo_cpg.cli.errors import ExitCode, add_hint, message_for
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 from evo_cpg.cli.terminal import advice_printed, tell
 
-# File of each command, in the order of the help text. `import` is a keyword, so its function is
+# Commands of each file, in the order of the help text. `import` is a keyword, so its function is
 # `import_`.
-COMMANDS = {
-    "train": "evolve",
-    "resume": "evolve",
-    "sweep": "evolve",
-    "reproduce": "repeat",
-    "refine": "evolve",
-    "render": "draw",
-    "plot": "draw",
-    "analyse": "ask",
-    "watch": "evolve",
-    "probe": "ask",
-    "lab": "ask",
-    "sensitivity": "ask",
-    "fit": "fit",
-    "model": "draw",
-    "preview": "draw",
-    "verify": "ask",
-    "audit": "ask",
-    "validate": "exchange",
-    "cpg": "cpg",
-    "export": "exchange",
-    "import": "exchange",
-    "bench": "repeat",
-    "configs": "exchange",
+_FILES = {
+    "evolve": ("train", "resume", "sweep", "refine", "watch"),
+    "draw": ("render", "plot", "preview", "model"),
+    "ask": ("analyse", "audit", "verify", "probe", "sensitivity", "lab"),
+    "cpg": ("cpg",),
+    "fit": ("fit",),
+    "exchange": ("validate", "configs", "export", "import"),
+    "repeat": ("reproduce", "bench"),
 }
+COMMANDS = {name: file for file, names in _FILES.items() for name in names}
 
 # These commands write their results to a folder, so a lost standard output is no failure.
 _EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
@@ -69,7 +54,7 @@ def _with_all_lines(function: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-class _Files(Mapping[str, Any]):
+class _Imported(Mapping[str, Any]):
     """Mapping from names to commands, which imports a command at its look-up."""
 
     def __getitem__(self, name: str) -> Any:
@@ -96,7 +81,7 @@ class _Commands(TyperGroup):
 
     def __init__(self, **settings: Any):
         super().__init__(**settings)
-        self.commands: Any = _Files()
+        self.commands: Any = _Imported()
 
     def invoke(self, ctx: typer.Context) -> Any:
         """Run a command, and add hints to messages about wrong arguments."""

@@ -21,7 +21,6 @@ from evo_cpg.io.trust import beside, trusting
 from evo_cpg.io.wording import checked, short
 from evo_cpg.io.yaml_problem import lost_colour, syntax_problem
 from evo_cpg.io.yaml_text import parse_yaml, to_yaml
-from evo_cpg.system import as_utf8
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
@@ -233,7 +232,6 @@ def _apply(data: dict[str, Any], override: str) -> None:
         raise ConfigError(
             "command line", (), f"{override!r} is not of the form key.path=value, such as seed=3"
         )
-    text = as_utf8(text)
     if any("\ud800" <= character <= "\udfff" for character in text):
         raise refused(f"{text!a} is not UTF-8 text")
     try:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.files import require_small
-from evo_cpg.system import named, resolved, working_folder
+from evo_cpg.system import resolved, working_folder
 
 # Environment variable with the effect of `--trust`, for clusters and scripts.
 VARIABLE = "EVO_CPG_TRUST"
@@ -63,7 +63,7 @@ def beside(source: Path, name: str) -> Path:
     Raises:
         KeyProblem: the file lies outside the configuration's folder, and is not trusted.
     """
-    path = source.parent / named(name)
+    path = source.parent / name
     noted = _noted.get()
     if noted is not None and path not in noted:
         noted.append(path)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import evo_cpg as evo
 from evo_cpg.analysis.energy import Ledger
 from evo_cpg.analysis.verdict import Check, Verdict
 from evo_cpg.api import audit
@@ -84,6 +85,7 @@ def test_cell_selects_the_elite_to_audit(cli, mapped, monkeypatch):
     assert code == 3 and f"the elite of cell {name} does not pass its audit" in out, err
     place = np.ravel_multi_index(cell, found.fitness.shape)
     np.testing.assert_array_equal(audited[0].genes, found.archive.genes[:, place])
+    assert not evo.audit(run, cell=name).passed
     kept = json.loads((run / f"audit_cell_{'_'.join(map(str, cell))}.json").read_text())
     assert kept["fitness"] == audited[0].fitness and kept["passed"] is False
     assert not (run / "audit.json").exists()

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import jax
 import pytest
-import yaml
 
 from evo_cpg import system
 from evo_cpg.api.machine import version
@@ -23,7 +22,6 @@ from evo_cpg.cli import terminal
 from evo_cpg.cli.errors import message_for
 from evo_cpg.cli.main import program
 from evo_cpg.errors import UsageError
-from evo_cpg.files import write_text
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, PAIR, REPOSITORY, environment
@@ -211,58 +209,6 @@ def test_without_a_working_folder_other_paths_are_refused(cli, words, expected):
 
 
 # No UTF-8
-
-
-@posix
-def test_names_are_utf8_in_every_locale():
-    code = """
-import os, sys
-from evo_cpg.system import as_utf8, name_of, named
-assert sys.getfilesystemencoding() == "ascii", sys.getfilesystemencoding()
-path = named("gr\\u00f6\\u00dfe")
-assert os.fsencode(path) == "gr\\u00f6\\u00dfe".encode()
-assert name_of(path) == "gr\\u00f6\\u00dfe"
-assert as_utf8("name=\\udcc3\\udca9") == "name=\\u00e9"
-"""
-    python(code, **ASCII)
-
-
-def test_names_that_are_not_utf8_stay_unchanged(tmp_path):
-    assert system.as_utf8("größe") == "größe"
-    assert system.name_of(system.named("größe·鮫")) == "größe·鮫"
-    assert system.name_of(system.named("bad\udcff")) == "bad\udcff"
-    # No file has this name.
-    assert system.named("\ud800") == Path("\ud800")
-    write_text(tmp_path / "table.csv", "bad\udcff,größe")
-    assert (tmp_path / "table.csv").read_bytes() == b"bad\xff," + "größe".encode()
-
-
-@pytest.mark.slow
-@posix
-def test_without_utf8_commands_read_and_name_files(tmp_path):
-    path = tmp_path / "größe·鮫.yaml"
-    path.write_text(CONFIG.read_text().replace("creatures/", f"{CONFIG.parent}/creatures/"))
-    code, out, err = run("validate", path, **ASCII)
-    assert (code, err) == (0, "")
-    assert out.startswith(f"{path}: 10 bodies")
-    code, out, err = run("validate", path, PYTHONIOENCODING="ascii", PYTHONUTF8="1")
-    assert (code, err) == (0, "")
-    assert out.startswith(f"{tmp_path}/gr\\xf6\\xdfe\\xb7\\u9bab.yaml: 10 bodies")
-    code, out, err = run("configs", **ASCII)
-    assert (code, err) == (0, "") and out.isascii()
-
-
-@pytest.mark.slow
-@posix
-def test_without_utf8_a_run_is_trained_and_verified(compiled, tmp_path):
-    given = {"compiled": compiled, **ASCII}
-    folder = tmp_path / "größe"
-    assert run("train", CONFIG, *SMALL, "name=é·鮫", "--out", folder, **given)[0] == 0
-    config = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))
-    assert config["name"] == "é·鮫"
-    for words in (("resume", folder, "--generations", 3), ("plot", folder), ("verify", folder)):
-        code, _, err = run(*words, **given)
-        assert code == 0, err
 
 
 def test_a_setting_that_is_not_utf8_is_refused(cli):

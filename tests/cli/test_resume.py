@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
+import evo_cpg as evo
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, GENERATIONS, LONG
@@ -118,6 +119,7 @@ def test_resume_of_a_finished_run_prints_how_to_continue(finished_run, cli, tmp_
     folder = tmp_path / "run"
     shutil.copytree(finished_run, folder)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert evo.resume(folder, cores=2).was_finished
     code, out, err = cli("resume", folder)
     assert (code, out) == (0, f"{folder}\n")
     assert err.endswith(f"`evo-cpg resume {folder} --generations {2 * GENERATIONS}`\n")

@@ -14,7 +14,6 @@ from typing import Any
 from evo_cpg.errors import UserError
 from evo_cpg.io.load import load_config
 from evo_cpg.io.trust import is_trusted
-from evo_cpg.system import named
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.drawing_page.document import DrawingError
 from evo_cpg.view.drawing_page.trying import motion
@@ -40,7 +39,7 @@ class TrainingRun:
 
     def __init__(self, config: Path, name: str, generations: int | None = None):
         folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
-        places = (config.parent / "runs" / named(folder) for folder in folders)
+        places = (config.parent / "runs" / folder for folder in folders)
         self.folder = next(place for place in places if not place.exists())
         command = ["train", str(config), "--out", str(self.folder)]
         if generations is not None:
