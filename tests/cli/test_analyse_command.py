@@ -319,11 +319,6 @@ def test_numbers_in_json_python_and_terminal_agree(swimmer):
         evo.gait_numbers(swimmer, trial=2)
 
 
-def test_a_folder_without_a_run_is_refused(cli, tmp_path):
-    code, _, complaint = cli("analyse", tmp_path)
-    assert code == 2 and "is not a run folder" in complaint
-
-
 @browsing
 @pytest.mark.parametrize("animal", ["swimmer", pytest.param("walker", marks=pytest.mark.slow)])
 def test_the_page_plays_and_scrubs_in_a_browser_without_a_network(request, tmp_path, animal):

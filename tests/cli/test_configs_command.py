@@ -54,10 +54,7 @@ def test_a_failed_copy_is_one_line(cli, tmp_path):
     (tmp_path / "hexapod.yaml").write_text("mine")
     code, out, err = cli("configs", "copy", "hexapod", folder=tmp_path)
     assert (code, out) == (2, "")
-    assert err.startswith(
-        "evo-cpg: hexapod.yaml: already exists and differs from the file of the shipped "
-        "configuration hexapod"
-    )
+    assert "already exists" in err
     code, _, err = cli("configs", "copy", "hexapot", folder=tmp_path)
     assert code == 2 and "did you mean 'hexapod' or 'hexapod_tripod'?" in err
 

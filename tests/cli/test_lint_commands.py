@@ -68,7 +68,7 @@ def test_train_and_preview_warn_and_continue(cli, tmp_path):
     assert code == 0
     assert "task.light.bearing_deg: 0.524: in degrees this is hardly a turn. If it is in" in err
     # This animal has one hinge, so there is one warning about oscillators.
-    assert err.count(f"{CONFIG}: coupled to no other oscillator, and at rest under a") == 1
+    assert err.count("coupled to no other oscillator, and at rest under a") == 1
     assert (run / "champion.npz").is_file()
 
 

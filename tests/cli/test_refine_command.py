@@ -108,12 +108,6 @@ def test_an_unknown_number_is_named(finished_run, cli):
     assert cli("refine", finished_run, "controller.cpg.time_scal")[0] == 2
 
 
-def test_a_folder_without_a_run_is_refused(cli, tmp_path):
-    code, out, err = cli("refine", tmp_path)
-    assert (code, out) == (2, "")
-    assert "is not a run folder" in err and "Traceback" not in err
-
-
 @pytest.mark.slow  # 4 min: the backward pass of a walker on the ground
 def test_refined_postures_stay_graded(cli, tmp_path):
     folder = RunFolder(tmp_path / "run")

@@ -49,11 +49,6 @@ def test_a_run_without_a_finished_generation_is_reported(cli, run, tmp_path):
     assert code == 0 and out == f"{folder}: no generation is finished yet\n"
 
 
-def test_a_folder_without_a_run_is_refused(cli, tmp_path):
-    code, _, complaint = cli("watch", tmp_path)
-    assert code == 2 and "is not a run folder (it has no config.yaml)" in complaint
-
-
 def test_watch_leaves_an_interrupted_write_to_the_trainer(run, tmp_path):
     """`require`, which other commands call, would finish the write."""
     folder = tmp_path / "run"

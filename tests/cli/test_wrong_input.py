@@ -221,7 +221,9 @@ def test_invalid_output_folder_is_rejected(refused, tmp_path):
         assert words in refused("train", CONFIG, *TINY, "--out", place)
 
 
-@pytest.mark.parametrize("command", ["resume", "verify", "render", "plot"])
+@pytest.mark.parametrize(
+    "command", ["resume", "verify", "render", "plot", "refine", "audit", "analyse", "watch"]
+)
 def test_folder_without_a_run_is_rejected(refused, tmp_path, command):
     for place in (tmp_path, CONFIG):
         assert "is not a run folder" in refused(command, place)
