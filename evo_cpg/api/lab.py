@@ -12,13 +12,12 @@ from evo_cpg.analysis.laboratory.ask import Answer, Subject, ask
 from evo_cpg.analysis.laboratory.columns import shown_columns
 from evo_cpg.analysis.laboratory.settings import KNOBS, LabError
 from evo_cpg.api.progress import working
+from evo_cpg.api.runs import open_champion
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import class_folders, open_run
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
 from evo_cpg.training import devices
-from evo_cpg.training.run_folder import RunFolder
 
 TABLE = "lab.csv"
 """Name of the file with the rows of an answer."""
@@ -48,6 +47,7 @@ def lab(
     Raises:
         LabError: a knob or a value does not fit the animal.
         ConfigError: the configuration is wrong.
+        UsageError: there is no such run, or it has no champion.
     """
     count = int(np.prod([len(each) for each in knobs.values()]))
     with trusting(trust):
@@ -58,22 +58,15 @@ def lab(
 
 def _subject(animal: Path, number: int | None) -> Subject:
     """Return a configuration's animal, or the champion of a run folder."""
-    devices.use_cores()
     if not animal.is_dir():
         if number is not None:
             raise LabError(f"run {number}: {animal} is a configuration, not a run folder")
+        devices.use_cores()
         return Subject(load_config(animal), animal)
-    opened = open_run(animal)
+    opened = open_champion(animal, number, cores=devices.available_cores())
     opened.require_configured()
-    genes = opened.load_champion().champion.genes
-    if number is not None:
-        checkpoint = opened.folder.load()
-        champions = checkpoint.champions if checkpoint else ()
-        champion = champions[number] if number < len(champions) else None
-        if champion is None:
-            raise LabError(f"{animal}: run {number} has no champion ({len(champions)} runs)")
-        genes = opened.with_champion(champion).champion.genes
-    return Subject(opened.config, opened.folder.config, class_folders(RunFolder(animal)), genes)
+    source, genes = opened.folder.config, opened.champion.genes
+    return Subject(opened.config, source, opened.class_folders, genes)
 
 
 def varied_knobs(answer: Answer) -> list[str]:
