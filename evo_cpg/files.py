@@ -131,20 +131,15 @@ def in_one_piece(path: Path) -> Iterator[Path]:
     try:
         with beside(path) as partial:
             yield partial
-            os.chmod(partial, _permissions(path))
+            mode = 0o644
+            with contextlib.suppress(OSError):
+                mode = stat.S_IMODE(os.stat(path).st_mode)
+            os.chmod(partial, mode)
             os.replace(partial, path)
     except OutputError:
         raise
     except OSError as error:
         raise cannot_write(path, error) from None
-
-
-def _permissions(path: Path) -> int:
-    """Return the permissions of a file, or those of a new file."""
-    try:
-        return stat.S_IMODE(os.stat(path).st_mode)
-    except OSError:
-        return 0o644
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:

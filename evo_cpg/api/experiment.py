@@ -24,7 +24,6 @@ from evo_cpg.api.machine import warn_of_gpu
 from evo_cpg.api.progress import working
 from evo_cpg.api.record import Record, as_record
 from evo_cpg.api.runs import build
-from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import KeyProblem
@@ -36,7 +35,6 @@ from evo_cpg.io.parameters import parametrise
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
-from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.judge import Outcome, no_terms
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
@@ -83,6 +81,13 @@ class Experiment:
     Experiments are immutable. Methods that evaluate, record or replace return new objects.
 
     Attributes:
+        name: name in the configuration.
+        creature: simulated animal.
+        world: physical model of the animal and its environment.
+        task: task that defines the fitness.
+        trials: count of trials of every individual.
+        gene_count: count of numbers in a genome.
+        population: count of individuals in a generation.
         config: complete configuration.
         source: file of the configuration.
         replaced: names of parts that were replaced in Python. The configuration does not describe
@@ -98,6 +103,10 @@ class Experiment:
         replaced: tuple[str, ...] = (),
     ):
         self.parts, self.config, self.source, self.replaced = parts, config, source, replaced
+        self.name, self.creature, self.trials = parts.name, parts.creature, parts.trials
+        self.world, self.task = parts.simulation.world, parts.simulation.task
+        self.gene_count = parts.simulation.genome.count
+        self.population = parts.strategy.population
         self._compiled: set[tuple] = set()
 
     def __repr__(self) -> str:
@@ -122,43 +131,9 @@ class Experiment:
         return {name: value for name, value in vars(self).items() if name in kept}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._compiled = set()
-
-    @property
-    def name(self) -> str:
-        """Name of the experiment in the configuration."""
-        return self.parts.name
-
-    @property
-    def creature(self) -> Creature:
-        """Simulated animal."""
-        return self.parts.creature
-
-    @property
-    def world(self) -> World:
-        """Physical model of the animal and its environment."""
-        return self.parts.simulation.world
-
-    @property
-    def task(self) -> Task:
-        """Task that defines the fitness."""
-        return self.parts.simulation.task
-
-    @property
-    def gene_count(self) -> int:
-        """Count of numbers in a genome."""
-        return self.parts.simulation.genome.count
-
-    @property
-    def population(self) -> int:
-        """Count of individuals in a generation, from the configuration."""
-        return self.parts.strategy.population
-
-    @property
-    def trials(self) -> int:
-        """Count of trials of every individual."""
-        return self.parts.trials
+        measured = {name: state.pop(name) for name in ("scales",) if name in state}
+        self.__init__(**state)
+        vars(self).update(measured)
 
     def random_genomes(self, key: ArrayLike, count: int | None = None) -> np.ndarray:
         """Return random genomes of a first generation, ``(count, genes)``.

@@ -60,21 +60,17 @@ def message_for(error: Exception) -> str | None:
     """Return the message for the error that ended a command, or None for a fault of the program."""
     if isinstance(error, UserError):
         return str(error)
-    words = _of_system(error) or _of_platform()
-    return words and " ".join(words.split())
-
-
-def _of_system(error: Exception) -> str | None:
-    """Return the message for a refusal of the operating system."""
     if isinstance(error, UnicodeEncodeError):
-        return (
+        words = (
             f"{error.object[:100]!a} cannot be written in {error.encoding}. Choose a locale with "
             "UTF-8, such as LC_ALL=C.UTF-8, or another name"
         )
-    if not isinstance(error, OSError):
-        return None
-    reason = error.strerror or str(error) or type(error).__name__
-    return reason if error.filename is None else f"{error.filename}: {reason}"
+    elif isinstance(error, OSError):
+        reason = error.strerror or str(error) or type(error).__name__
+        words = reason if error.filename is None else f"{error.filename}: {reason}"
+    else:
+        words = _of_platform()
+    return words and " ".join(words.split())
 
 
 def _of_platform() -> str | None:
