@@ -53,7 +53,7 @@ _SUBMERGED = 0.9
 _REPLAYED, _RACING = 7, 4
 
 
-class Material(NamedTuple):
+class Cast(NamedTuple):
     """Animals of a story.
 
     Attributes:
@@ -122,15 +122,15 @@ def story(
     output = output_path(output, (".mp4",))
     with trusting(trust):
         opened = open_champion(run, number, trial)
-    material = _material(opened, motion_of(opened, trial), trial)
-    takes, words = story_of(material, title, size[0] / size[1])
+    cast = _cast_of(opened, motion_of(opened, trial), trial)
+    takes, words = story_of(cast, title, size[0] / size[1])
     make_folder(output.parent)
     processes = cores or available_cores()
     with working("rendering", counted=True) as work:
         return story_film(takes, words, output, size, processes=processes, progress=work.reached)
 
 
-def _material(opened: OpenedChampion, recording: Recording, trial: int) -> Material:
+def _cast_of(opened: OpenedChampion, recording: Recording, trial: int) -> Cast:
     """Return the champion of a run, and the populations that can be made anew."""
     creature, task = opened.experiment.creature, opened.experiment.simulation.task
     panel = panel_of(opened.experiment, recording, creature.name)._replace(numbers=False)
@@ -142,20 +142,18 @@ def _material(opened: OpenedChampion, recording: Recording, trial: int) -> Mater
     random = opened.folder.load_start() is None
     selects = not isinstance(opened.experiment.strategy, RandomSearch)
     told = opened.champion.generation, task.heading, _aim(opened, recording, course)
-    found = Material(panel, *told, course, speed, random, selects, crowds, [])
+    found = Cast(panel, *told, course, speed, random, selects, crowds, [])
     racers = _racers(opened, recording, trial, found.end, _APART * length)
     return found._replace(racers=racers)
 
 
-def story_of(
-    material: Material, title: str | None, aspect: float
-) -> tuple[list[Take], list[Words]]:
+def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], list[Words]]:
     """Return the takes of a story, and its title and captions."""
     panel, course, speed, final = (
-        material.panel, material.course, material.speed, material.generation,
+        cast.panel, cast.course, cast.speed, cast.generation,
     )  # fmt: skip
     recording, root = panel.recording, panel.creature.root_index
-    every = [crowd for _, crowd in material.crowds]
+    every = [crowd for _, crowd in cast.crowds]
     tank = tank_of(panel, course, every, speed * _FIRST, aspect)
     takes: list[Take] = []
     captions: list[str] = []
@@ -172,7 +170,7 @@ def story_of(
             appear = round(_TITLE * FPS), round((_TITLE + 0.6 * _LEAVE) * FPS)
         if race:
             begin = hold + (_LEAVE if first else _STAY)
-            last = tank.behind(animal, others, material.end)
+            last = tank.behind(animal, others, cast.end)
             turned = end if tank.near else begin + _FOLLOW
             views = [*views[: 1 if first else 0], (begin, tank.wide), (turned, last)]
         staging = tank.staging(others.count)._replace(names=names, appear=appear)
@@ -181,15 +179,15 @@ def story_of(
         # The first take shares no frames with a take before it.
         seconds = hold + moves - DISSOLVE / 2 if first else moves
         # The winner is at the goal before the next take appears.
-        pace = material.end / (moves - EASE / 2 - DISSOLVE - _WON) if race else speed
-        stop = material.end if race else None
+        pace = cast.end / (moves - EASE / 2 - DISSOLVE - _WON) if race else speed
+        stop = cast.end if race else None
         takes.append(Take(seen, seconds, 0.0, pace, views, hold, tank.goal, stop))
 
-    for generation, animals in material.crowds:
-        leader, others = in_lanes(animals, root, material.heading, tank.others)
+    for generation, animals in cast.crowds:
+        leader, others = in_lanes(animals, root, cast.heading, tank.others)
         add(leader, others, ("best",), race=False)
-        captions.append(_named(generation, material.random))
-    if racers := material.racers:
+        captions.append(_named(generation, cast.random))
+    if racers := cast.racers:
         names = [str(generation) for generation in (final, *(number for number, _ in racers))]
         add(recording, _together([motion for _, motion in racers]), tuple(names), race=True)
         *some, last = *names[1:], names[0]
@@ -198,7 +196,7 @@ def story_of(
     alone = panel._replace(staging=tank.staging(0))
     # Without crowds, this take is longer.
     before = seconds if course.arrival is None else seconds - _AFTER
-    start = max(material.end - _SLOW * before, float(recording.time[0]))
+    start = max(cast.end - _SLOW * before, float(recording.time[0]))
     shown = (recording.time >= start) & (recording.time <= start + _SLOW * seconds)
     below = recording.position[shown, ..., 2] < (panel.surface or 0.0)
     if panel.surface is not None and below.mean() > _SUBMERGED:
@@ -206,7 +204,7 @@ def story_of(
     takes.append(Take(alone, seconds, start, _SLOW, goal=tank.goal, stop=course.arrival))
     captions.append(f"After {_generations(final)}, in slow motion")
     ends = [float(end) for end in np.cumsum([take.seconds for take in takes])]
-    if len(material.crowds) > 1 and material.selects:
+    if len(cast.crowds) > 1 and cast.selects:
         ends.insert(0, _TITLE + _PART * _FIRST)
         captions.insert(1, "Only the best have children")
     if course.arrival is not None:
@@ -214,9 +212,9 @@ def story_of(
         ends.insert(-1, _WHOLE - seconds + max(there, DISSOLVE + 1.0))
         place = "the light" if course.finish is None else f"{course.finish:g} m"
         captions.append(f"It reaches {place}.")
-    words = [Words(title or _title(material), "title", -1.0, _TITLE)]
-    if material.aim:
-        words.append(Words(material.aim, "subtitle", -1.0, _TITLE))
+    words = [Words(title or _title(cast), "title", -1.0, _TITLE)]
+    if cast.aim:
+        words.append(Words(cast.aim, "subtitle", -1.0, _TITLE))
     # One caption has gone when the next one appears. The last one stays.
     begins, ends = [_TITLE + _PAUSE, *ends[:-1]], [*ends[:-1], 2 * _WHOLE]
     words += [
@@ -367,9 +365,9 @@ def _named(generation: int, random: bool) -> str:
     return "The first generation" + (" moves at random" if random else "")
 
 
-def _title(material: Material) -> str:
-    panel = material.panel
+def _title(cast: Cast) -> str:
+    panel = cast.panel
     verb = "walk" if panel.world == "land" else "move" if panel.ground is not None else "swim"
     # A task of the user's own may be another one.
-    verb = verb if material.aim else "move"
+    verb = verb if cast.aim else "move"
     return f"Nobody taught it to {verb}."

@@ -186,7 +186,7 @@ def evolve_run(run: Opened, on_generation: Callable[[Rows], object]) -> Trained:
     size, start = experiment.strategy.population, done.generation if done else 0
     last = "" if silent else "choosing the champion"
     limit = run.config.audit.half_step if run.config.audit.after_training else None
-    with Recorder(experiment, folder, limit) as recorder:
+    with ChampionRecorder(experiment, folder, limit) as recorder:
         with progress("generations", experiment.generations, start, last=last) as show:
 
             def report(rows: Rows) -> None:
@@ -240,8 +240,8 @@ def _standing(rows: Rows) -> str:
     return f"{fitness}  diverged {diverged:3d}  {speed:6.0f} k steps/s"
 
 
-class Recorder:
-    """Recorder of the champion's motion, with a first check of the champion.
+class ChampionRecorder:
+    """ChampionRecorder of the champion's motion, with a first check of the champion.
 
     Its programs compile in a thread while the population evolves. One core is busy meanwhile, but
     the end of a long run is not delayed.
@@ -267,7 +267,7 @@ class Recorder:
         self._program: Future[Callable] | None = None
         self._look: Future[Callable] | None = None
 
-    def __enter__(self) -> "Recorder":
+    def __enter__(self) -> "ChampionRecorder":
         return self
 
     def __exit__(self, error: type[BaseException] | None, *rest: object) -> None:

@@ -346,7 +346,7 @@ def test_torque_above_the_limit_is_flagged(honest):
     assert "overload" in failed((weaker, judged(weaker, trials)))
 
 
-def judged(made, trials) -> tuple[Trial, ...]:
+def judged(made, trials) -> tuple[AuditedTrial, ...]:
     """Return the trials, with excursions computed in another simulation."""
     found = [(t, excursions(made.simulation, made.creature, t.steps)) for t in trials]
     return tuple(trial._replace(excursions=each) for trial, each in found)

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from evo_cpg.api.training import Recorder, evolve_run
+from evo_cpg.api.training import ChampionRecorder, evolve_run
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.opened import Opened
@@ -83,7 +83,7 @@ def test_an_interrupt_skips_only_the_first_look(tmp_path):
     """The champion is already recorded, and the run is finished."""
     recorded = []
 
-    class Interrupted(Recorder):
+    class Interrupted(ChampionRecorder):
         def record(self, champion):
             recorded.append(champion)
 
