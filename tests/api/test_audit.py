@@ -18,6 +18,7 @@ from evo_cpg.analysis.second_opinion import Opinion
 from evo_cpg.analysis.verdict import Verdict
 from evo_cpg.api.audit import compile_steps, draws_of
 from evo_cpg.api.audit_checks import (
+    AuditedTrial,
     books,
     carried_by_flow,
     displacement_checks,
