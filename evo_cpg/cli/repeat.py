@@ -94,7 +94,8 @@ def make(
             except KeyboardInterrupt:
                 # With --fresh, the command would delete the finished runs.
                 without = ", without --fresh" if fresh else ""
-                tell(f"interrupted. Continue with the same command{without}")
+                left = " ".join(parts[number:])
+                tell(f"interrupted. Continue with the parts {left}{without}")
                 raise
 
 

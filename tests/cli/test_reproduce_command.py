@@ -86,7 +86,7 @@ def test_finished_runs_are_not_evolved_again(made, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("fresh", "words"), [(False, "the same command\n"), (True, "without --fresh\n")]
+    ("fresh", "words"), [(False, "parts ends\n"), (True, "without --fresh\n")]
 )
 def test_an_interrupt_prints_a_command_that_keeps_finished_runs(
     tmp_path, monkeypatch, capsys, fresh, words
@@ -115,7 +115,7 @@ def test_a_continued_study_equals_an_uninterrupted_one(made, tmp_path, monkeypat
     monkeypatch.setattr(sweep, "run_group", stopping)
     with pytest.raises(KeyboardInterrupt):
         make(TWIN, ["ends"], folder, False, False, 2)
-    assert "Continue with the same command" in capsys.readouterr().err
+    assert "Continue with the parts ends" in capsys.readouterr().err
     assert not (folder / "ends.md").exists()
     monkeypatch.setattr(sweep, "run_group", group)
     make(TWIN, ["ends"], folder, False, False, 2)
