@@ -37,7 +37,6 @@ from evo_cpg.control.controller import Command
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.creature.creature import Creature
-from evo_cpg.installation import command_for
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.io.models.mujoco_state import (
     CarriedInertia,
@@ -63,6 +62,7 @@ from evo_cpg.simulation.control_step import act, begin_episode, motor_command, s
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.system import command_for
 
 # Least upward component of the root's z axis in an upright animal: the cosine of 60 degrees.
 _UPRIGHT = 0.5

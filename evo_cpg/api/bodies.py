@@ -17,7 +17,7 @@ from evo_cpg.training.experiment import ExperimentParts, compile_trials
 Numbers = Mapping[str, ArrayLike | Sequence[float]]
 
 
-class Bodies:
+class VariedBodies:
     """Trials of individuals that differ in numbers of the configuration.
 
     One program computes all trials with the same set of configuration keys. Another builds all

@@ -40,10 +40,11 @@ def cpg(
 ) -> None:
     """Show the rhythm of the oscillators, or find settings for one."""
     from evo_cpg.analysis.limit_cycle import RhythmSearchError
-    from evo_cpg.api.load import load
+    from evo_cpg.api.advice import about_oscillators
+    from evo_cpg.api.experiment import load
     from evo_cpg.api.rhythm import find_rhythm, rhythm
-    from evo_cpg.cli.advice import about_oscillators
-    from evo_cpg.cli.errors import ExitCode, tell, warn
+    from evo_cpg.cli.errors import ExitCode
+    from evo_cpg.cli.terminal import tell, warn
 
     experiment = load(config, overrides or [])
     if frequency is None and lag is None and chain is None:
@@ -90,7 +91,7 @@ def _name(oscillators: tuple[str, ...]) -> str:
 
 def _show(shown: "Rhythms") -> None:
     """Print a row for each group of oscillators, and the lags of legs and rings below."""
-    from evo_cpg.cli.tables import show_table, show_words
+    from evo_cpg.cli.terminal import show_table, show_words
 
     heads = ("joints", "Hz", "lag, deg", "amplitude", "multiplier", "recovery")
     rows = []
@@ -142,7 +143,7 @@ def _numbers(cycle: "LimitCycle") -> tuple[str, str, str, str]:
 def _show_found(result: "FoundRhythm") -> None:
     """Print the settings and the rhythm, before and after."""
     from evo_cpg.api.rhythm import CHANGED
-    from evo_cpg.cli.tables import show_table
+    from evo_cpg.cli.terminal import show_table
 
     names = ("frequency, Hz", "amplitude", "multiplier", "recovery, s", "lag, deg")
     names += ("  from joint to joint",)

@@ -38,7 +38,7 @@ def fit(
 ) -> None:
     """Estimate numbers of a config from a recorded motion."""
     from evo_cpg.api.fit import fit as fit_motion
-    from evo_cpg.cli.tables import show_table
+    from evo_cpg.cli.terminal import show_table
     from evo_cpg.files import write_text
     from evo_cpg.io.load import dump_config
     from evo_cpg.view.answer_plots import fit_figure

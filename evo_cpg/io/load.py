@@ -18,7 +18,6 @@ from evo_cpg.io.shipped import shipped_names
 from evo_cpg.io.trust import beside, read_small, trusting
 from evo_cpg.io.wording import checked, short
 from evo_cpg.io.yaml_text import compose_yaml, lost_colour, parse_yaml, syntax_problem, to_yaml
-from evo_cpg.system import as_utf8
 
 
 @contextlib.contextmanager
@@ -246,7 +245,6 @@ def _apply(data: dict[str, Any], override: str) -> None:
         raise ConfigError(
             "command line", (), f"{override!r} is not of the form key.path=value, such as seed=3"
         )
-    text = as_utf8(text)
     if any("\ud800" <= character <= "\udfff" for character in text):
         raise refused(f"{text!a} is not UTF-8 text")
     try:

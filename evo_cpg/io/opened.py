@@ -17,7 +17,6 @@ from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
 from evo_cpg.io.trust import own_parts
 from evo_cpg.simulation.recording import Recording, as_recording
-from evo_cpg.system import named
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -173,7 +172,7 @@ def open_run(run: Path | str, build: Callable[..., ExperimentParts] = build_expe
 def class_folders(folder: RunFolder) -> list[Path]:
     """Return the folder of a user's classes: the folder of the run's original config file."""
     origin = folder.read_meta().get("config")
-    return [named(origin).parent] if isinstance(origin, str) else []
+    return [Path(origin).parent] if isinstance(origin, str) else []
 
 
 def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:

@@ -16,7 +16,7 @@ from typing import Any
 from evo_cpg.io.errors import Key, KeyProblem
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
-from evo_cpg.system import named, resolved, with_working_folder, working_folder
+from evo_cpg.system import resolved, with_working_folder, working_folder
 
 # Largest file that is read. The finest mesh of a body has a tenth of this size.
 LARGEST = 32 * 2**20
@@ -66,7 +66,7 @@ def beside(source: Path, name: str) -> Path:
     Raises:
         KeyProblem: the file lies outside the configuration's folder, and is not trusted.
     """
-    path = source.parent / named(name)
+    path = source.parent / name
     noted = _noted.get()
     if noted is not None and path not in noted:
         noted.append(path)

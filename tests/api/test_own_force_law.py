@@ -13,7 +13,7 @@ from test_documented_programs import configs, here, programs, run
 import evo_cpg as evo
 from creatures import box_chain, coast, in_water, quick_jit, random_state
 from evo_cpg.analysis.energy import ledger
-from evo_cpg.cli.export import export
+from evo_cpg.cli.exchange import export
 from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.io.errors import ConfigError

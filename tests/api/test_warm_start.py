@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
-from evo_cpg.api.training import begin_run
-from evo_cpg.api.warm_start import warm_start
+from evo_cpg.api.run_start import begin_run, warm_start
 from evo_cpg.io.opened import Opened
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from tiny_run import CONFIG, PAIR

@@ -115,11 +115,9 @@ def test_a_genome_of_another_size_cannot_be_replayed(copied_run, cli):
     alter(copied_run, genes=np.zeros(3, np.float32))
     code, _, err = cli("verify", copied_run.path)
     assert code == 3
-    assert complaints(err, copied_run.path)[-1].startswith("the genome has 3 genes, not ")
-    copied_run.config.write_text(copied_run.config.read_text() + "\n")
+    assert "the genome has 3 genes" in complaints(err, copied_run.path)[-1]
     code, _, err = cli("render", copied_run.path)
-    assert code == 2
-    assert "config.yaml was changed after training: the genome has 3 genes, not" in err
+    assert code == 2 and "the genome has 3 genes" in err
 
 
 def test_the_error_for_a_damaged_champion_names_the_cure(copied_run, cli):

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evo_cpg.installation import command_for
 from evo_cpg.io.models.refusals import ExchangeError, Refusal, Refusals, RefusedError
 from evo_cpg.io.models.urdf import (
     is_urdf,
@@ -25,6 +24,7 @@ from evo_cpg.io.models.urdf import (
     restore_inertials,
     set_inertials_aside,
 )
+from evo_cpg.system import command_for
 
 # Largest relative difference of values that count as equal, and number of digits that are written.
 TOLERANCE = 1e-6

@@ -14,7 +14,6 @@ from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
-from evo_cpg.installation import command_for
 from evo_cpg.io.errors import KeyProblem, nearest
 from evo_cpg.io.schema.section import (
     Count,
@@ -28,6 +27,7 @@ from evo_cpg.io.schema.section import (
     by_type,
 )
 from evo_cpg.simulation.genome import Genome
+from evo_cpg.system import command_for
 from evo_cpg.training.experiment import Learning
 
 # Number of individuals of a generation.

@@ -10,9 +10,8 @@ from jaxtyping import Float
 from evo_cpg.creature.creature import WORLD, Creature, neutral_pose
 from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.load import complete_config
-from evo_cpg.io.schema.copies import Copy, Entry, MirrorAxis, copies
+from evo_cpg.io.schema.copies import Copy, Entry, MirrorAxis, copies, reflected
 from evo_cpg.io.schema.creature import CreatureConfig
-from evo_cpg.io.schema.copies import reflected
 from evo_cpg.view.drawing_page.document import Data, EditError
 
 # Number of digits to which the tool writes numbers.

@@ -19,7 +19,6 @@ from evo_cpg.errors import UserError
 from evo_cpg.io.load import complete_config, load_config
 from evo_cpg.io.trust import is_trusted
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.system import named
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.clip import quaternions, sample
@@ -101,7 +100,7 @@ class TrainingRun:
 
     def __init__(self, config: Path, name: str, generations: int | None = None):
         folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
-        places = (config.parent / "runs" / named(folder) for folder in folders)
+        places = (config.parent / "runs" / folder for folder in folders)
         self.folder = next(place for place in places if not place.exists())
         command = ["train", str(config), "--out", str(self.folder)]
         if generations is not None:

@@ -15,12 +15,11 @@ from evo_cpg.errors import UserError
 from evo_cpg.files import write_whole
 from evo_cpg.io.build import build_experiment, require_genes
 from evo_cpg.io.errors import Key, KeyProblem
-from evo_cpg.io.trust import LARGEST
 from evo_cpg.io.keys import value_at
 from evo_cpg.io.lint import lint
 from evo_cpg.io.load import complete_config
 from evo_cpg.io.named_files import MESH_SUFFIXES, read_mesh
-from evo_cpg.io.trust import is_trusted, trusting
+from evo_cpg.io.trust import LARGEST, is_trusted, trusting
 from evo_cpg.io.wording import short
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.view.drawing_page.commands import checked_arguments, edit

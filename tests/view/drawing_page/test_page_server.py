@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import trimesh
 
-from evo_cpg.cli.advice import about_oscillators
+from evo_cpg.api.advice import about_oscillators
 from evo_cpg.io.load import load_config
 from evo_cpg.io.trust import trusting
 from evo_cpg.view.drawing_page.document import Document

@@ -3,17 +3,27 @@
 import io
 import itertools
 import re
+import sys
 import threading
 import time
 from typing import Any
 
+import numpy as np
 import pytest
 from rich.console import Console
 
-from evo_cpg.api import display as module
-from evo_cpg.api.display import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
-from evo_cpg.cli.tables import show_table
-from evo_cpg.system import folded
+import evo_cpg as evo
+from evo_cpg.api import fitness
+from evo_cpg.api import progress as module
+from evo_cpg.api.progress import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
+from tiny_run import CONFIG, PAIR
+
+
+@pytest.fixture(autouse=True)
+def every_line():
+    """Print all lines, as the commands do."""
+    with module.all_lines():
+        yield
 
 
 @pytest.fixture
@@ -191,29 +201,46 @@ def test_a_dumb_terminal_gets_lines(impatient, monkeypatch, capsys):
     assert capsys.readouterr().err.startswith("rendering: 0 s")
 
 
-@pytest.mark.parametrize("width", [60, 80])
-def test_a_table_breaks_no_name_if_there_is_room(monkeypatch, capsys, width):
-    monkeypatch.setenv("COLUMNS", str(width))
-    name = "iwadate2010_salamander_water"
-    show_table(("name", "study", "description"), [(name, "Iwadate 2010", "word " * 30)], left=3)
-    lines = capsys.readouterr().out.splitlines()
-    assert any(f" {name} " in line for line in lines) and max(map(len, lines)) <= width
-    assert sum(line.count("word") for line in lines) == 30
+def test_the_intervals_of_a_script_double():
+    lines = lines_of(Timed("compiling", every=False), 100.0)
+    assert [instant for instant, _ in lines] == [5, 10, 20, 40, 80]
 
 
-class Terminal(io.StringIO):
-    """A stream that claims to be a terminal."""
+def test_steps_of_a_script_print_no_line_of_their_own(capsys):
+    """The next line names the latest step."""
+    quiet = Timed("compiling", every=False)
+    quiet.step("generations", "best 2", 0.5, 1, 3)
+    assert capsys.readouterr().err == ""
+    assert quiet.due_at(5.0) == "   1/3 generations  best 2, and the next one: 5 s so far"
 
-    def isatty(self) -> bool:
-        return True
+
+def test_progress_can_be_switched_off(impatient, capsys):
+    evo.show_progress(False)
+    with module.working("rendering") as work:
+        work.say("a line")
+        time.sleep(0.8)
+    assert capsys.readouterr() == ("", "")
 
 
-def test_a_terminal_breaks_lines_between_words(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "40")
-    words = "first line\nat half the step it keeps 100 %. See `evo-cpg audit runs/mine`"
-    assert folded(words, Terminal()).splitlines() == [
-        "first line",
-        "at half the step it keeps 100 %. See",
-        "`evo-cpg audit runs/mine`",
-    ]
-    assert folded(words, io.StringIO()) == words
+def test_inner_work_only_names_a_part(impatient, capsys):
+    """A terminal has one moving line."""
+    with module.working("training"), module.working("evaluating"):
+        time.sleep(0.8)
+    assert capsys.readouterr().err.startswith("evaluating: 0 s")
+
+
+def test_a_closed_stream_is_ignored(impatient, monkeypatch):
+    closed = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", closed)
+    closed.close()
+    with module.working("rendering"):
+        time.sleep(0.8)
+
+
+def test_a_derivative_is_named_while_it_compiles(impatient, monkeypatch, capsys):
+    """The line comes while the fitness is traced, before JAX compiles its derivative."""
+    experiment = evo.load(CONFIG, [*PAIR, "task={type: distance}", "creature.light_sensors=[]"])
+    monkeypatch.setattr(fitness, "rollout", lambda *given, **options: time.sleep(0.8))
+    monkeypatch.setattr(fitness, "judge", lambda *given: np.zeros(1))
+    experiment.fitness_function()(np.zeros(experiment.gene_count))
+    assert "compiling the fitness of" in capsys.readouterr().err

@@ -1,16 +1,14 @@
-"""Animals of a film, for the command `render`."""
+"""Animals of a film."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from evo_cpg.analysis.gait_numbers import gait_numbers
-from evo_cpg.api.display import working
-from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_motion, open_champion
-from evo_cpg.cli.errors import UsageError, warn
-from evo_cpg.cli.options import Which
+from evo_cpg.api.progress import working
+from evo_cpg.api.runs import REPLAY_TOLERANCE, motion_of, open_champion
+from evo_cpg.errors import UsageError, advise
 from evo_cpg.io.opened import OpenedChampion, Replay
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
@@ -25,37 +23,31 @@ from evo_cpg.view.signals import Signals, signals_of
 _SHOWN = 4
 
 
-def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
-    """Return a panel with the champion of a run, or with the elite of a cell of its map.
-
-    Args:
-        run: run folder.
-        which: champion or elite, and trial.
-        signals: whether the panel has a strip of signals.
-    """
-    strip = None
+def champion_panel(
+    run: Path,
+    number: int | None = None,
+    trial: int = 0,
+    cell: str | None = None,
+    signals: bool = False,
+) -> Panel:
+    """Return a panel with the champion of a run, or with the elite of a cell of its map."""
+    opened, strip = open_champion(run, number, trial, cell), None
+    experiment = opened.experiment
     if signals:
-        opened = open_champion(run, which)
-        (replay,) = _replayed(opened, [opened.champion], which.trial)
+        with working("replaying the champion"):
+            (replay,) = opened.replay([opened.champion], trial)
         recording, strip = replay.recording, _signals(opened, replay)
     else:
-        opened, recording = champion_motion(run, which)
-    experiment = opened.experiment
-    if which.cell is None:
+        recording = motion_of(opened, trial)
+    if cell is None:
         return panel_of(experiment, recording, experiment.name, strip)
     # The map keeps only those terms of an elite that are axes of the map. The panel shows them all.
-    title = f"{experiment.name}, cell {which.cell}"
+    title = f"{experiment.name}, cell {cell}"
     return panel_of(experiment, recording, title, strip, terms_text(opened.champion.terms))
 
 
 def crowd_panel(opened: OpenedChampion, generation: int, trial: int, film: Film) -> Panel:
     """Return a panel with all animals of a generation: the leader, and the others as ghosts.
-
-    Args:
-        opened: the run.
-        generation: number of the generation, from 0.
-        trial: number of the trial.
-        film: frames per second, speed and length.
 
     Raises:
         UsageError: the run has no such generation.
@@ -64,7 +56,7 @@ def crowd_panel(opened: OpenedChampion, generation: int, trial: int, film: Film)
     experiment, number, run = opened.experiment, opened.champion.run, opened.folder.path
     done = opened.folder.newest
     if generation > done:
-        raise UsageError(f"--crowd: {run} has {done} generations. The next one is {done}")
+        raise UsageError(f"crowd: {run} has {done} generations. The next one is {done}")
     opened.require_configured()
     simulation = experiment.simulation
     seconds = min(film.seconds or simulation.duration, simulation.duration)
@@ -81,20 +73,26 @@ def crowd_panel(opened: OpenedChampion, generation: int, trial: int, film: Film)
 
 
 def lineage_panels(
-    run: Path, generations: list[int] | None, which: Which, signals: bool
+    run: Path,
+    generations: list[int] | None,
+    number: int | None = None,
+    trial: int = 0,
+    signals: bool = False,
 ) -> list[Panel]:
     """Return panels with champions of a lineage, each with its generation and fitness."""
-    opened = open_champion(run, which)
+    opened = open_champion(run, number, trial)
     chosen, panels = _chosen(opened, generations), []
     for one in chosen:
         wrong = opened.experiment.simulation.genome.misfit(one.genes)
         if wrong:
             raise RunFolderError(f"{opened.folder.lineage}: generation {one.generation}: {wrong}")
-    for one, replay in zip(chosen, _replayed(opened, chosen, which.trial), strict=True):
+    with working("replaying the champion"):
+        replays = opened.replay(chosen, trial)
+    for one, replay in zip(chosen, replays, strict=True):
         if not math.isclose(
             replay.fitness, one.fitness, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
         ):
-            warn(
+            advise(
                 f"{run}: the champion of generation {one.generation} replays with fitness "
                 f"{replay.fitness:.4f}, not {one.fitness:.4f} as recorded. "
                 f"{opened.folder.config} or the machine has changed since the evolution"
@@ -108,12 +106,7 @@ def lineage_panels(
 
 
 def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champion]:
-    """Return champions of a run in the order of generations, each once.
-
-    Args:
-        opened: run with its final champion.
-        generations: chosen generations, or None for a selection of the lineage.
-    """
+    """Return champions of a run in the order of generations, each once."""
     folder, champion, run = opened.folder, opened.champion, opened.champion.run
     lineage = [each for each in folder.load_lineage() if each.run == run]
     if not lineage:
@@ -132,21 +125,16 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
         one = champion_at(lineage, generation)
         if generation >= max(done, lineage[-1].generation + 1):
             raise UsageError(
-                f"--lineage: {folder.path} has {done} generations. The last is {done - 1}"
+                f"lineage: {folder.path} has {done} generations. The last is {done - 1}"
             )
         if one is None:
             raise UsageError(
-                f"--lineage: the first recorded champion of {folder.path} is from generation "
+                f"lineage: the first recorded champion of {folder.path} is from generation "
                 f"{lineage[0].generation}"
             )
         if all(one is not other for other in found):
             found.append(one)
     return found
-
-
-def _replayed(opened: OpenedChampion, champions: Sequence[Champion], trial: int) -> list[Replay]:
-    with working("replaying the champion"):
-        return opened.replay(champions, trial)
 
 
 def _signals(opened: OpenedChampion, replay: Replay) -> Signals:

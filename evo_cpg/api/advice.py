@@ -4,14 +4,12 @@ import dataclasses
 import functools
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import jax
 import numpy as np
 from jaxtyping import Bool
 
 from evo_cpg.analysis.limit_cycle import resting
-from evo_cpg.cli.errors import warn
 from evo_cpg.control.couplings import uncoupled
 from evo_cpg.control.matsuoka import MatsuokaNetwork, parts
 from evo_cpg.creature.tree import Tree
@@ -34,12 +32,6 @@ _TESTED, _TEST_SECONDS, _FINER = 8, 5.0, (2, 4, 8, 16)
 
 # Most oscillators in the example of a ring.
 _IN_RING = 4
-
-
-def advise(path: Path, simulation: Simulation) -> None:
-    """Warn of idle oscillators in the simulation of a configuration."""
-    for line in about_oscillators(simulation):
-        warn(f"{path}: {line}")
 
 
 def about_oscillators(simulation: Simulation) -> list[str]:
