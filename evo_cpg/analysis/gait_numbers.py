@@ -25,9 +25,9 @@ from evo_cpg.analysis.phase_lags import PhaseLags, phase_lags
 from evo_cpg.analysis.quantity import Quantity
 from evo_cpg.analysis.swim_quantities import is_dry, water_quantities, wave_quantities
 from evo_cpg.analysis.walk_quantities import ground_quantities
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
 from evo_cpg.creature.slender import SlenderChain
-from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 

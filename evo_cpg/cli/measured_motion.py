@@ -10,6 +10,7 @@ import numpy as np
 
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.control.commanded import Commanded
+from evo_cpg.creature.axis_kinds import kind_named
 
 if TYPE_CHECKING:
     from evo_cpg.simulation.simulation import Simulation
@@ -108,7 +109,8 @@ def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
     from evo_cpg.simulation.track import POSITION
 
     body, _, what = name.rpartition(".")
-    slides = ".slide_" in name
+    joint = body if what in ("angle", "target_rate") else name.removeprefix(TARGET)
+    slides = kind_named(joint).unit == "m"
     if name == "time":
         allowed = _TIMES
     elif name.startswith(TARGET) or (root and what == "target_rate"):

@@ -28,7 +28,7 @@ from evo_cpg.creature.shapes import (
     ObstaclePart,
     RoundedBox,
     Shape,
-    Skin,
+    SkinMesh,
     Surface,
 )
 
@@ -199,12 +199,12 @@ class ConvexMesh(Shape):
         return (ObstaclePart("ellipsoid", np.zeros(3), half, 0.0, axes, self.corners @ axes),)
 
     @override
-    def skin(self) -> Skin:
+    def skin(self) -> SkinMesh:
         """Return a skin with sharp edges: separate points for each triangle that has an area."""
         normals, areas = _planes(self.triangles)
         points = self.triangles[areas > 0].reshape(-1, 3)
         faces = np.arange(len(points)).reshape(-1, 3)
-        return Skin(points, np.repeat(normals[areas > 0], 3, 0), faces)
+        return SkinMesh(points, np.repeat(normals[areas > 0], 3, 0), faces)
 
     @functools.cached_property
     def corners(self) -> np.ndarray:

@@ -14,6 +14,9 @@ may have one body only. A further part of a body is a chain of its own.
 
 The nose is the end that points forward, along +x. In a chain that stands across, such as a leg, it
 is the end nearer to the root.
+
+The drag of a body depends on the shape of its whole chain, which `ChainOutline` describes along the
+centreline and along two axes across it that all bodies of the chain share in the neutral pose.
 """
 
 import itertools
@@ -45,6 +48,13 @@ _LEAST_LENGTH = 1e-12
 
 # Least number of bodies of a chain that bends as a wave. One or two rigid bodies cannot.
 LEAST_BODIES = 3
+
+# Volume over that of the bounding box, up to which a shape counts as round (a cylinder), and from
+# which it is a box.
+_ROUND_FILL, _BOX_FILL = 0.25 * np.pi, 1.0
+
+# Least length, so that a body without size has an outline, m.
+_TINY = 1e-9
 
 # Cosine of the largest angle between a chain and +x at which its front end is the nose.
 _FORWARD = 0.5
@@ -82,6 +92,42 @@ class SlenderChain(NamedTuple):
     def distances(self) -> Float[Numbers, " n"]:
         """Distance of each body's front end from the nose along the chain, m."""
         return xp.cumsum(self.lengths) - self.lengths
+
+
+class ChainOutline(NamedTuple):
+    """Outline of a chain of bodies.
+
+    Attributes:
+        chain: the bodies, from the nose to the tail.
+        axes: axes of the outline in each body's frame, as columns. The first is the principal axis
+            along the centreline.
+        halves: half sizes of each body along its axes, m.
+        sizes: length of the chain and its mean widths along the other axes, m.
+        volume: volume of the bodies, m^3.
+        sharpness: 1 for boxes, 0 for shapes that fill no more of their bounding box than a
+            cylinder.
+        blunt: whether each body is a cylinder with flat ends.
+    """
+
+    chain: SlenderChain
+    axes: Float[np.ndarray, "n 3 3"]
+    halves: Float[Numbers, "n 3"]
+    sizes: Float[Numbers, " 3"]
+    volume: Number
+    sharpness: Number
+    blunt: tuple[bool, ...]
+
+    @property
+    def bluntness(self) -> Float[Numbers, " 3"] | None:
+        """Fraction of the length in cylinders with their axis along each axis of the outline.
+
+        None if there are no cylinders.
+        """
+        if not any(self.blunt):
+            return None
+        lengths = xp.maximum(self.halves[:, 0], _TINY)
+        along = np.square(self.axes[:, 0]) * np.array(self.blunt)[:, None]
+        return lengths @ along / lengths.sum()
 
 
 class _Link(NamedTuple):
@@ -269,3 +315,46 @@ def _chain(
         front.append(free if ends[0] is None else ends[0])
         rear.append(free if ends[1] is None else ends[1])
     return SlenderChain(bodies, xp.stack(front), xp.stack(rear))
+
+
+def chain_outline(creature: Creature, chain: SlenderChain) -> ChainOutline:
+    """Return the outline of a chain of a creature."""
+    shapes = [creature.bodies[body].shape for body in chain.bodies]
+    axes = chosen(lambda: _axes(creature, chain, shapes), lambda _: True)
+    halves = xp.array(
+        [
+            [0.5 * axis @ (shape.support(axis) - shape.support(-axis)) for axis in own.T]
+            for shape, own in zip(shapes, axes, strict=True)
+        ]
+    )
+    if len(shapes) == 1:
+        lengths, sizes = 2 * halves[:, 0], 2 * halves[0]
+    else:
+        lengths = chain.lengths
+        total = xp.maximum(lengths.sum(), _TINY)
+        across = 2 * (lengths[:, None] * halves[:, 1:]).sum(0) / total
+        sizes = xp.array([total, across[0], across[1]])
+    volumes = xp.array([shape.volume for shape in shapes])
+    fill = volumes / (8 * xp.maximum(xp.prod(halves, 1), _TINY**3))
+    boxy = xp.clip((fill - _ROUND_FILL) / (_BOX_FILL - _ROUND_FILL), 0.0, 1.0)
+    sharpness = (lengths * boxy).sum() / xp.maximum(lengths.sum(), _TINY)
+    blunt = tuple(shape.blunt for shape in shapes)
+    sizes = xp.maximum(sizes, _TINY)
+    return ChainOutline(chain, axes, halves, sizes, volumes.sum(), sharpness, blunt)
+
+
+def _axes(creature: Creature, chain: SlenderChain, shapes: list[Shape]) -> np.ndarray:
+    """Return the principal axes of each body in the order of the outline's axes."""
+    _, rotations = neutral_pose(creature)
+    ordered = []
+    for body, shape, tangent in zip(chain.bodies, shapes, chain.tangents, strict=True):
+        _, axes = shape.stretch
+        first = int(np.argmax(np.abs(tangent @ axes)))
+        second, third = ((first + 1) % 3, (first + 2) % 3)
+        if ordered:
+            shared = rotations[chain.bodies[0]] @ ordered[0][:, 1]
+            along = np.abs(shared @ rotations[body] @ axes)
+            if along[third] > along[second]:
+                second, third = third, second
+        ordered.append(axes[:, [first, second, third]])
+    return np.stack(ordered)

@@ -8,14 +8,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
-from evo_cpg.creature.axis_laws import (
+from evo_cpg.creature.creature import CreatureError, Tendon, driven_by
+from evo_cpg.creature.laws import (
     DryFriction,
+    TorqueMotors,
     dry_friction_of,
     idle_motors,
     soft_limits,
+    torque_motors_of,
 )
-from evo_cpg.creature.creature import CreatureError, Tendon, driven_by
-from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
 from evo_cpg.errors import nearest
 
 

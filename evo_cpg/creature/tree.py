@@ -13,37 +13,38 @@ working frame is at its joint (a free root's at its centre), with the axes of th
 
 import bisect
 import dataclasses
-import functools
 import itertools
-import re
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from evo_cpg.creature.algebra.decisions import chosen, some_hold
-from evo_cpg.creature.algebra.numerics import Number, Numbers, Triple, xp
-from evo_cpg.creature.axis_laws import (
-    DryFriction,
-    dry_friction_of,
-    idle_motors,
-    soft_limits,
-)
-from evo_cpg.creature.ball_limits import BallLimits, ball_limits_of
+from evo_cpg.creature.algebra.decisions import some_hold
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
+from evo_cpg.creature.axis_kinds import SPANNING, AxisKind, names_of_dofs
 from evo_cpg.creature.creature import (
     NO_LIMIT,
-    AxisKind,
     Creature,
-    DegreeOfFreedom,
+    Joint,
     JointKind,
     neutral_pose,
     rigid_owners,
     topological_order,
 )
-from evo_cpg.creature.muscles import Muscles, muscles_of
+from evo_cpg.creature.laws import (
+    BallLimits,
+    DryFriction,
+    Muscles,
+    TorqueMotors,
+    ball_limits_of,
+    dry_friction_of,
+    idle_motors,
+    muscles_of,
+    soft_limits,
+    torque_motors_of,
+)
 from evo_cpg.creature.tendons import Tendons, tendons_of
-from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
 _LEAST_VOLUME = 1e-30
@@ -69,8 +70,18 @@ class Group(NamedTuple):
     dofs: slice
     axes: int
     parents: tuple[int, ...]
-    kind: JointKind = "turns"
-    kinds: tuple[AxisKind, ...] = ()
+    kind: JointKind
+    kinds: tuple[AxisKind, ...]
+
+    @property
+    def carries(self) -> bool:
+        """Whether a turn or slide of the joint moves the origin of its body."""
+        return self.kind == "chain"
+
+    @property
+    def at_once(self) -> bool:
+        """Whether the axes turn at once, and not one after the other."""
+        return any(kind.at_once for kind in self.kinds)
 
 
 class Tree(eqx.Module):
@@ -93,8 +104,8 @@ class Tree(eqx.Module):
         joint_offset: joint position in the parent's frame (a root's in the world's), m.
         joint_orientation: rotation from child frame to parent frame in the neutral pose.
         joint_axes: unit vectors in the child's neutral frame.
-        joint_places: positions of the axes in the working frame, m, or None if all joints are of
-            the kinds "turns" and "ball", with axes at the origin.
+        joint_places: positions of the axes in the working frame, m, or None if no joint moves the
+            origin of its body (`Group.carries`).
         mass: mass of each body, kg. A welded body has none: its owner has the mass of all bodies
             that are welded together.
         volume: volume of each body, m^3.
@@ -212,14 +223,20 @@ class Tree(eqx.Module):
 
     @property
     def slides(self) -> Bool[np.ndarray, " d"]:
-        """Degrees of freedom that are displacements, with the units m, m/s and N."""
-        return np.array([kind == "slide" for kind in self.dof_kinds], bool)
+        """Degrees of freedom whose coordinate is a length, with the units m, m/s and N."""
+        return np.array([kind.unit == "m" for kind in self.dof_kinds], bool)
 
     @property
     def root_slides(self) -> tuple[int, ...]:
         """Degrees of freedom of the slides on which the root hangs."""
-        kinds = () if self.hanging is None else self.hanging.kinds
-        return tuple(i for i, kind in enumerate(kinds) if kind == "slide")
+        count = 0 if self.hanging is None else self.hanging.axes
+        return tuple(np.flatnonzero(self.slides[:count]).tolist())
+
+    @property
+    def balls(self) -> tuple[int, ...]:
+        """First degree of freedom of each ball joint."""
+        components = [i for i, kind in enumerate(self.dof_kinds) if kind.at_once]
+        return tuple(components[::SPANNING])
 
     def without_motors(self, axes: Bool[np.ndarray, " d"]) -> "Tree":
         """Return the tree with idle motors about some axes, and muscles without active fibres.
@@ -292,8 +309,9 @@ def build_tree(creature: Creature) -> Tree:
     def each(name: str) -> Float[Numbers, "d *rest"]:
         return xp.array([getattr(dof, name) for dof in dofs], float)
 
-    kinds: tuple[AxisKind, ...] = tuple(dof.kind for dof in dofs)
-    groups, hanging = _groups(bodies, parents, dof_bodies), _hanging(creature)
+    groups = _groups(bodies, parents, dof_bodies)
+    root = creature.root_joint
+    hanging = root and _group_of(root, slice(0, 1), 0, (-1,))
     rest, armature, loss = each("rest"), each("armature"), each("friction_loss")
     gain, spring = each("servo_gain"), each("servo_stiffness")
     muscles = muscles_of([dof.muscle for dof in dofs])
@@ -302,7 +320,9 @@ def build_tree(creature: Creature) -> Tree:
     servo = gain + spring if muscles is None else gain + spring + muscles.strength
     joint_inertia = leverage + armature
     limit_stiffness, limit_damping = soft_limits(joint_inertia, servo, torque_limit, torque_motors)
-    dof_names = _dof_names([names[i] for i in dof_bodies], dofs)
+    dof_names = names_of_dofs(
+        (names[i], dof.kind, dof.axis) for i, dof in zip(dof_bodies, dofs, strict=True)
+    )
     idle = tuple(motor is None for joint in own if joint for motor in joint.motors)
     return Tree(
         names=tuple(names),
@@ -311,7 +331,7 @@ def build_tree(creature: Creature) -> Tree:
         hanging=hanging,
         dof_names=dof_names,
         dof_bodies=tuple(dof_bodies),
-        dof_kinds=kinds,
+        dof_kinds=tuple(dof.kind for dof in dofs),
         owners=tuple(owners),
         wholes=tuple(
             i if body.whole is None else names.index(body.whole) for i, body in enumerate(bodies)
@@ -321,7 +341,7 @@ def build_tree(creature: Creature) -> Tree:
         joint_axes=each("axis").reshape(-1, 3).T,
         joint_places=(
             each("place").reshape(-1, 3).T
-            if any(group.kind == "chain" for group in (*groups, hanging) if group)
+            if any(group.carries for group in (*groups, hanging) if group)
             else None
         ),
         mass=mass,
@@ -335,8 +355,8 @@ def build_tree(creature: Creature) -> Tree:
         damping=each("damping"),
         armature=armature,
         dry_friction=dry_friction_of(loss, joint_inertia),
-        lower=xp.array([-NO_LIMIT if dof.kind == "ball" else dof.lower for dof in dofs], float),
-        upper=xp.array([NO_LIMIT if dof.kind == "ball" else dof.upper for dof in dofs], float),
+        lower=xp.array([-NO_LIMIT if dof.kind.at_once else dof.lower for dof in dofs], float),
+        upper=xp.array([NO_LIMIT if dof.kind.at_once else dof.upper for dof in dofs], float),
         ball_limits=ball_limits_of(dofs, limit_stiffness, limit_damping),
         servo_gain=gain,
         servo_stiffness=spring,
@@ -349,7 +369,7 @@ def build_tree(creature: Creature) -> Tree:
             creature.tendons,
             dof_names,
             idle,
-            [dof.kind == "ball" for dof in dofs],
+            [dof.kind.at_once for dof in dofs],
             joint_inertia,
         ),
     )
@@ -455,9 +475,9 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     about = xp.einsum("di,bij,dj->db", directions, spin, directions) + mass * (lever * lever).sum(
         -1
     )
-    slides = np.array([dof.kind == "slide" for _, dof in dofs], bool)
-    if slides.any():
-        about = xp.where(slides[:, None], mass, about)
+    if dofs:
+        rows = zip(dofs, about, strict=True)
+        about = xp.stack([dof.kind.inertia(turning, mass) for (_, dof), turning in rows])
     beyond = np.array(distal, bool).reshape(len(moved), len(names))
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
     if creature.root_joint is None:
@@ -467,70 +487,27 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
 
 
 def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Group, ...]:
+    """Return groups of adjacent bodies of one depth whose limbs have the same build."""
     depth = [0]
     for parent in parents[1:]:
         depth.append(depth[parent] + 1)
-    kinds: dict[int, tuple[JointKind, tuple[AxisKind, ...]]] = {
-        i: (body.joint.kind, tuple(dof.kind for dof in body.joint.dofs))
-        for i, body in enumerate(bodies)
-        if body.joint
-    }
     build: dict[int, tuple] = {}
     for i in reversed(range(1, len(bodies))):
-        limbs = sorted(build[j] for j in range(i + 1, len(bodies)) if parents[j] == i)
-        build[i] = kinds[i], *limbs
+        joint = bodies[i].joint
+        limbs = sorted((build[j] for j in range(i + 1, len(bodies)) if parents[j] == i), key=repr)
+        build[i] = joint.kind, tuple(dof.kind for dof in joint.dofs), *limbs
     groups: list[Group] = []
     for _, run in itertools.groupby(range(1, len(bodies)), lambda i: (depth[i], build[i])):
         members = list(run)
-        start, (kind, own) = members[0], kinds[members[0]]
-        axes = len(own)
+        start, last = members[0], members[-1]
         first_dof = bisect.bisect_left(dof_bodies, start)
-        groups.append(
-            Group(
-                bodies=slice(start, members[-1] + 1),
-                dofs=slice(first_dof, first_dof + axes * len(members)),
-                axes=axes,
-                parents=tuple(parents[i] for i in members),
-                kind=kind,
-                kinds=own,
-            )
-        )
+        on = tuple(parents[i] for i in members)
+        groups.append(_group_of(bodies[start].joint, slice(start, last + 1), first_dof, on))
     return tuple(groups)
 
 
-def _dof_names(bodies: list[str], dofs: list[DegreeOfFreedom]) -> tuple[str, ...]:
-    """Return the names of degrees of freedom, unique in each body."""
-    names: list[str] = []
-    for body, dof in zip(bodies, dofs, strict=True):
-        axis = chosen(functools.partial(_axis_name, dof.axis))
-        name = f"{body}.{axis}" if dof.kind == "turn" else f"{body}.{dof.kind}_{axis}"
-        again = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
-        names.append(next(free for free in again if free not in names))
-    return tuple(names)
-
-
-def body_and_axis(dof_name: str) -> tuple[str, str]:
-    """Return the two parts of the name of a degree of freedom.
-
-    Such names are ``leg.x``, ``leg.(1,0,0.5)``, ``leg.slide_x`` and ``leg.slide_(1,0,0.5)``. A
-    number at the end tells equal axes of a body apart.
-    """
-    oblique = re.fullmatch(r"(.*)\.(\w*\([^()]*\)\w*)", dof_name)
-    body, axis = oblique.groups() if oblique else dof_name.rpartition(".")[::2]
-    return body, axis
-
-
-def _hanging(creature: Creature) -> Group | None:
-    """Return the root as a group, or None for a free root."""
-    joint = creature.root_joint
-    if joint is None:
-        return None
-    kinds: tuple[AxisKind, ...] = tuple(dof.kind for dof in joint.dofs)
-    return Group(slice(0, 1), slice(0, len(kinds)), len(kinds), (-1,), joint.kind, kinds)
-
-
-def _axis_name(axis: Triple) -> str:
-    for name, unit in zip("xyz", np.eye(3), strict=True):
-        if np.allclose(np.abs(axis), unit):
-            return name
-    return "(" + ",".join(f"{value:g}" for value in axis) + ")"
+def _group_of(joint: Joint, bodies: slice, first_dof: int, parents: tuple[int, ...]) -> Group:
+    """Return bodies with joints like a given one as a group."""
+    kinds = tuple(dof.kind for dof in joint.dofs)
+    dofs = slice(first_dof, first_dof + len(kinds) * len(parents))
+    return Group(bodies, dofs, len(kinds), parents, joint.kind, kinds)

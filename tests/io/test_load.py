@@ -214,7 +214,7 @@ def test_shipped_configs_are_read_back_unchanged(path, tmp_path):
         (
             "creature__bodies__1__joint__actuator",
             {"type": "torque", "gear": 0},
-            "creature.bodies.1.joint.actuator: gear: must not be 0",
+            "creature.bodies.1.joint.actuator.gear: must not be 0",
         ),
         (
             "creature__bodies__1__joint__actuator",

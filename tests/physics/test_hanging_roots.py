@@ -16,6 +16,7 @@ from scipy.special import ellipk
 
 from creatures import accelerations, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.algebra.rotation import euler_to_matrix, quaternion_to_matrix
+from evo_cpg.creature.axis_kinds import Slide, Turn
 from evo_cpg.creature.creature import NO_MASS, WORLD, Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box
@@ -97,7 +98,7 @@ def test_a_massless_fixed_root_stops_limbs():
         pytest.param((), id="fixed", marks=pytest.mark.slow),
         pytest.param(("turn",), id="hinge", marks=pytest.mark.slow),
         pytest.param(("turn",) * 3, id="three hinges", marks=pytest.mark.slow),
-        pytest.param(("slide", "slide", "turn"), id="planar"),
+        pytest.param((Slide(), Slide(), Turn()), id="planar"),
         pytest.param(("ball",) * 3, id="ball", marks=pytest.mark.slow),
     ],
 )
@@ -217,7 +218,7 @@ def planar(hangs: bool) -> Creature:
         ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), y),
         wide * 3,
         (9.0,) * 3,
-        kinds=("slide", "slide", "turn"),
+        kinds=(Slide(), Slide(), Turn()),
     )
     return Creature("planar", tuple(bodies), root_joint=joint)
 

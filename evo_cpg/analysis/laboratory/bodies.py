@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.analysis.laboratory.settings import NOTHING, LabError, Setting
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.tree import Tree, body_and_axis
+from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
 from evo_cpg.io.batched import batch_of_configs
 from evo_cpg.io.build import build_creature, build_experiment

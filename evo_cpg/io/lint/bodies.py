@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evo_cpg.creature.algebra.numerics import Triple
-from evo_cpg.creature.creature import SPANNING, Body, Joint, Muscle, TorqueMotor
+from evo_cpg.creature.axis_kinds import SPANNING, Turn
+from evo_cpg.creature.creature import Body, Joint, Muscle, TorqueMotor
 from evo_cpg.creature.cylinder import Cylinder
 from evo_cpg.creature.shapes import Capsule
 from evo_cpg.io.errors import Key
@@ -218,8 +219,8 @@ def axes_in_a_plane(case: Case) -> Iterator[LintWarning]:
     """Warn of three axes at one place that reach a common plane, without a rotor among them."""
     for joint in case.joints():
         built = joint.built
-        at_one_place = not any(built.kinds or ()) and not any(built.places or ())
-        if len(built.axes) != SPANNING or not at_one_place or built.kind == "turns":
+        pure = all(dof.kind == Turn() and not any(dof.place) for dof in built.dofs)
+        if len(built.axes) != SPANNING or not pure or built.kind == "turns":
             continue
         if not any(dof.armature for dof in built.dofs):
             yield case.warning(
@@ -292,7 +293,7 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
     time = simulation.seconds
     found = []
     motors = [
-        (joint, motor, axis, dof.kind == "slide")
+        (joint, motor, axis, dof.kind.unit == "m")
         for joint in case.joints()
         for axis, (motor, dof) in enumerate(zip(joint.given.motors, joint.built.dofs, strict=True))
         if motor is not None

@@ -116,7 +116,7 @@ def mjcf_model(
         names = joint_names(body, joint)
         for name, motor, dof in zip(names, joint.motors, joint.dofs, strict=True):
             if motor:
-                axis = dof.axis if dof.kind == "ball" else None
+                axis = dof.axis if dof.kind.at_once else None
                 add_motor(actuator, name, motor, axis=axis)
     add_tendons(root, actuator, creature)
     if angles is not None:

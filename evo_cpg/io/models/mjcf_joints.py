@@ -26,15 +26,13 @@ from evo_cpg.creature.creature import NO_LIMIT, Body, Joint
 from evo_cpg.io.models.compiled import Compiled, tidy, tidy_vector
 from evo_cpg.io.models.mjcf_ground import number_text, place_text, set_effects
 from evo_cpg.io.models.mjcf_shapes import Placed
+from evo_cpg.io.models.refusals import ExchangeError
 
 # Limits (rad or m) from which on a joint counts as unlimited.
 _UNLIMITED = 1e4
 
 # Largest distance of an axis from the joint's place, m, at which it counts as through it.
 _AT_PLACE = 1e-12
-
-# Type of the MJCF joint of each kind of axis.
-_TYPES = {"turn": "hinge", "slide": "slide", "ball": "ball"}
 
 
 def joint_names(body: Body, joint: Joint | None) -> list[str]:
@@ -43,22 +41,24 @@ def joint_names(body: Body, joint: Joint | None) -> list[str]:
     All axes of a ball have the same name.
     """
     dofs = joint.dofs if joint else ()
-    return [f"{body.name}.{1 if dof.kind == 'ball' else i + 1}" for i, dof in enumerate(dofs)]
+    return [f"{body.name}.{1 if dof.kind.at_once else i + 1}" for i, dof in enumerate(dofs)]
 
 
 def add_joints(element: Element, body: Body, joint: Joint) -> None:
     """Add the joint of a body to its element."""
     # The axes of a ball have the same name and the same values.
     for name, dof in dict(zip(joint_names(body, joint), joint.dofs, strict=True)).items():
-        hinge = SubElement(element, "joint", name=name, type=_TYPES[dof.kind])
-        if dof.kind != "ball":
+        if dof.kind.mujoco is None:
+            raise ExchangeError(f"joint of {body.name!r}: no joint of MuJoCo {dof.kind.motion}")
+        hinge = SubElement(element, "joint", name=name, type=dof.kind.mujoco)
+        if not dof.kind.at_once:
             hinge.set("axis", place_text(np.array(dof.axis)))
         if any(dof.place):
             hinge.set("pos", place_text(np.array(dof.place)))
         limited = dof.upper < NO_LIMIT
         hinge.set("limited", "true" if limited else "false")
         if limited:
-            lower = 0.0 if dof.kind == "ball" else dof.lower
+            lower = 0.0 if dof.kind.at_once else dof.lower
             hinge.set("range", number_text(lower, dof.upper))
         muscle = dof.muscle
         effects = {

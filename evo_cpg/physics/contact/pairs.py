@@ -248,7 +248,7 @@ def _case(
         return "rounded", (one, two)
     chains = [set(chain_to_root(tree, body)) for body in (first, second)]
     dofs = [i for i, body in enumerate(tree.dof_bodies) if body in chains[0] ^ chains[1]]
-    if any(tree.dof_kinds[i] != "turn" for i in dofs):
+    if any(kind.at_once or kind.translation for kind in (tree.dof_kinds[i] for i in dofs)):
         return "boxes", (plain, plain)
     axes = np.array([turned[tree.dof_bodies[i]] @ tree.joint_axes[:, i] for i in dofs])
     common = [
