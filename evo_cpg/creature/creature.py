@@ -5,6 +5,7 @@ body has a frame at its geometric centre. In the neutral pose z is up and the an
 """
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -175,11 +176,7 @@ class DegreeOfFreedom(NamedTuple):
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
         friction_loss: torque of dry friction, N m.
-        servo_gain: torque of the motor per rate error, N m s/rad, 0 without a motor.
-        servo_stiffness: torque of the motor per angle error, N m/rad, 0 without a motor.
-        torque_limit: largest torque of the motor, N m, 0 without a motor, infinity for muscles.
-        torque_motor: motor whose torque the controller commands, or None.
-        muscle: muscles about the axis, or None.
+        actuator: servo, torque motor or muscles, or None for a passive axis.
         kind: motion along the coordinate, with the units of the coordinate and its force.
         place: position of the axis relative to the joint, in the child's frame, m.
     """
@@ -192,11 +189,7 @@ class DegreeOfFreedom(NamedTuple):
     damping: Number
     armature: Number
     friction_loss: Number
-    servo_gain: Number
-    servo_stiffness: Number
-    torque_limit: Number
-    torque_motor: TorqueMotor | None
-    muscle: Muscle | None
+    actuator: Motor | None
     kind: AxisKind = Turn()
     place: Triple = (0.0, 0.0, 0.0)
 
@@ -222,19 +215,15 @@ class Joint:
         parent_anchor: position of the joint in the parent's frame, m.
         child_anchor: position of the joint in the child's frame, m.
         axes: unit vectors in the child's neutral frame, in order.
-        lower: lower limit of each axis, rad, or ``-NO_LIMIT``.
-        upper: upper limit of each axis, rad, or ``NO_LIMIT``.
+        lower: lower limit of each axis.
+        upper: upper limit of each axis.
         orientation: rotation from child frame to parent frame in the neutral pose, ``(3, 3)``.
-        stiffness: stiffness of the passive spring, N m/rad. Like the values below, it is one for
-            all axes, or a tuple with one for each.
-        damping: passive damping, N m s/rad.
-        armature: rotor inertia, kg m^2.
-        actuator: servo, torque motor or muscles, or None for a passive axis.
-        rest: angle at which the passive spring is relaxed, rad.
-        friction_loss: torque of dry friction, N m.
         kinds: kind of each axis, or None if all of them turn.
         places: position of each axis in the child's frame, m, or None for ``child_anchor``. None
             for the whole puts all axes there.
+
+    The other attributes are those of `DegreeOfFreedom`: one value for all axes, or a tuple with one
+    for each.
     """
 
     parent: str
@@ -261,13 +250,15 @@ class Joint:
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
         """Degrees of freedom, in the order in which they move the body."""
         alike = self.stiffness, self.rest, self.damping, self.armature, self.friction_loss
-        columns = self.lower, self.upper, *map(self._each, alike), self.motors
+        columns = self.lower, self.upper, *map(self._each, alike), self._each(self.actuator)
         kinds = self.kinds or (Turn(),) * len(self.axes)
         places = self.places or (None,) * len(self.axes)
-        return tuple(
-            DegreeOfFreedom._make((*passive, *driven_by(motor), kind, self._from_anchor(place)))
-            for *passive, motor, kind, place in zip(self.axes, *columns, kinds, places, strict=True)
-        )
+        shifts = [
+            as_vector(xp.array(place) - xp.array(self.child_anchor)) if place else (0.0, 0.0, 0.0)
+            for place in places
+        ]
+        rows = zip(self.axes, *columns, kinds, shifts, strict=True)
+        return tuple(itertools.starmap(DegreeOfFreedom, rows))
 
     @property
     def kind(self) -> JointKind:
@@ -288,20 +279,9 @@ class Joint:
 
         return "turns" if chosen(lambda: bool(spans()), lambda made: spans() == made) else "chain"
 
-    @property
-    def motors(self) -> tuple[Motor | None, ...]:
-        """Motor or muscles about each axis."""
-        return self._each(self.actuator)
-
     def _each(self, value: Any) -> tuple[Any, ...]:
         """Return the value of each axis."""
         return value if isinstance(value, tuple) else (value,) * len(self.axes)
-
-    def _from_anchor(self, place: Triple | None) -> Triple:
-        """Return a place in the child's frame relative to the joint."""
-        if place is None:
-            return (0.0, 0.0, 0.0)
-        return as_vector(xp.array(place) - xp.array(self.child_anchor))
 
 
 def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Condition:
@@ -325,18 +305,16 @@ def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Co
     return wide & (plane >= upper + _PLANE_MARGIN - _ROUNDING)
 
 
-def driven_by(
-    motor: Motor | None,
-) -> tuple[Number, Number, Number, TorqueMotor | None, Muscle | None]:
-    """Return gain, stiffness, largest torque, torque motor and muscles of a motor."""
+def driven_by(motor: Motor | None) -> tuple[Number, Number, Number]:
+    """Return gain, stiffness and largest torque of a motor."""
     match motor:
         case Muscle():
-            return 0.0, 0.0, float("inf"), None, motor
+            return 0.0, 0.0, float("inf")
         case TorqueMotor():
-            return 0.0, 0.0, motor.torque_limit, motor, None
+            return 0.0, 0.0, motor.torque_limit
         case Actuator():
-            return motor.gain, motor.stiffness, motor.torque_limit, None, None
-    return 0.0, 0.0, 0.0, None, None
+            return motor.gain, motor.stiffness, motor.torque_limit
+    return 0.0, 0.0, 0.0
 
 
 class Inertial(NamedTuple):

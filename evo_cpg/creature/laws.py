@@ -6,7 +6,7 @@ A law acts on one coordinate: the angle of an axis, the length of a tendon, or t
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 import numpy as np
@@ -15,7 +15,14 @@ from jaxtyping import Bool, Float
 from evo_cpg.creature.algebra.decisions import chosen, some_hold
 from evo_cpg.creature.algebra.numerics import Numbers, xp
 from evo_cpg.creature.axis_kinds import SPANNING
-from evo_cpg.creature.creature import NO_LIMIT, DegreeOfFreedom, Muscle, TorqueMotor
+from evo_cpg.creature.creature import (
+    NO_LIMIT,
+    DegreeOfFreedom,
+    Muscle,
+    Tendon,
+    TorqueMotor,
+    driven_by,
+)
 
 # A soft limit is a critically damped spring on the effective inertia of the coordinate, with its
 # rotor. A step of 1/120 s resolves it. The spring also balances the coordinate's own motor, which
@@ -38,7 +45,7 @@ class DryFriction(eqx.Module):
 
 
 class TorqueMotors(eqx.Module):
-    """Motors whose torque the controller commands. `Tree.torque_limit` has their limits.
+    """Motors whose torque the controller commands. `ForceLaws.torque_limit` has their limits.
 
     Attributes:
         driven: True for each axis with such a motor.
@@ -77,8 +84,64 @@ class Muscles(eqx.Module):
     power: Float[Numbers, " d"]
 
 
+class ForceLaws(eqx.Module):
+    """Numbers of the force laws on some coordinates: angles of axes, or lengths of tendons.
+
+    Units are those of `DegreeOfFreedom` for axes, and of `Tendon` for tendons.
+
+    Attributes:
+        stiffness: stiffness of the passive springs.
+        damping: passive damping.
+        armature: inertia of the rotors.
+        dry_friction: dry friction, or None if there is none.
+        lower: lower limit, or ``-NO_LIMIT`` (`evo_cpg.creature.creature`).
+        upper: upper limit, or ``NO_LIMIT``.
+        servo_gain: force of the motors per rate error, 0 without a servo.
+        servo_stiffness: stiffness of the motors' springs.
+        torque_limit: largest force of the motors.
+        torque_motors: motors whose force is commanded, or None if there are none.
+        muscles: muscles about the axes, or None if there are none. Tendons have none.
+        limit_stiffness: stiffness of the soft limits.
+        limit_damping: damping of the soft limits.
+    """
+
+    stiffness: Float[Numbers, " d"]
+    damping: Float[Numbers, " d"]
+    armature: Float[Numbers, " d"]
+    dry_friction: DryFriction | None
+    lower: Float[Numbers, " d"]
+    upper: Float[Numbers, " d"]
+    servo_gain: Float[Numbers, " d"]
+    servo_stiffness: Float[Numbers, " d"]
+    torque_limit: Float[Numbers, " d"]
+    torque_motors: TorqueMotors | None
+    muscles: Muscles | None
+    limit_stiffness: Float[Numbers, " d"]
+    limit_damping: Float[Numbers, " d"]
+
+    def with_idle(self, which: Bool[np.ndarray, " d"]) -> Self:
+        """Return the laws with idle motors, which have no torque and cost no energy.
+
+        The springs and dampers of relaxed muscles stay.
+        """
+        limit, muscles = self.torque_limit, self.muscles
+        if self.torque_motors is not None:
+            limit = xp.where(np.array(self.torque_motors.driven) & which, 0.0, limit)
+        if muscles is not None:
+            active = ("strength", "stiffening", "power")
+            none = {name: getattr(muscles, name) * ~which for name in active}
+            muscles = dataclasses.replace(muscles, **none)
+        return dataclasses.replace(
+            self,
+            servo_gain=self.servo_gain * ~which,
+            servo_stiffness=self.servo_stiffness * ~which,
+            torque_limit=limit,
+            muscles=muscles,
+        )
+
+
 class BallLimits(eqx.Module):
-    """Limits of the angles of ball joints, with the names of the laws of joint axes (`Tree`).
+    """Limits of the angles of ball joints, with the names of `ForceLaws`.
 
     Attributes:
         first: first degree of freedom of each ball with a limit.
@@ -151,48 +214,49 @@ def ball_limits_of(
     )
 
 
-def soft_limits(
-    inertia: Float[Numbers, " d"],
-    servo: Float[Numbers, " d"],
-    torque_limit: Float[Numbers, " d"],
-    torque_motors: TorqueMotors | None,
-) -> tuple[Float[Numbers, " d"], Float[Numbers, " d"]]:
-    """Return stiffness (N m/rad) and damping (N m s/rad) of soft limits.
+def laws_of(
+    coordinates: Sequence[DegreeOfFreedom | Tendon], inertia: Float[Numbers, " d"]
+) -> dict[str, Any]:
+    """Return the fields of `ForceLaws` of some coordinates.
 
     A limit balances a torque motor like a servo of its full torque at 1 rad/s. A servo damps its
     joint, but a torque motor does not, so the limit has the damping of that servo.
 
     Args:
-        inertia: effective inertia of each coordinate, with its rotor, kg m^2.
-        servo: torque of servos and muscles at a command of 1 rad/s and 1 rad, N m.
-        torque_limit: largest torque of motors, N m.
-        torque_motors: torque motors, or None.
+        coordinates: degrees of freedom or tendons.
+        inertia: effective inertia of each, without its rotor, kg m^2.
     """
+
+    def each(name: str) -> Float[Numbers, " d"]:
+        return xp.array([getattr(x, name) for x in coordinates], float)
+
+    motors = [x.actuator for x in coordinates]
+    numbers = [driven_by(motor) for motor in motors]
+    gain, spring, limit = (xp.array([row[k] for row in numbers], float) for k in range(3))
+    torque_motors = torque_motors_of([x if isinstance(x, TorqueMotor) else None for x in motors])
+    muscles = muscles_of([x if isinstance(x, Muscle) else None for x in motors])
+    armature, loss = each("armature"), each("friction_loss")
+    inertia = inertia + armature
     rate = 2 * np.pi * LIMIT_FREQUENCY
-    push, damping = servo, 2 * LIMIT_DAMPING_RATIO * inertia * rate
+    push, damping = gain + spring, 2 * LIMIT_DAMPING_RATIO * inertia * rate
+    if muscles is not None:
+        push = push + muscles.strength
     if torque_motors is not None:
-        full = xp.minimum(xp.abs(torque_motors.gear), torque_limit)
+        full = xp.minimum(xp.abs(torque_motors.gear), limit)
         full = xp.where(np.array(torque_motors.driven), full, 0.0)
         push, damping = push + full, damping + full
-    return inertia * rate**2 + push * rate, damping
-
-
-def dry_friction_of(
-    loss: Float[Numbers, " d"], inertia: Float[Numbers, " d"]
-) -> DryFriction | None:
-    """Return the dry friction of joint axes or tendons, or None without any."""
-    return DryFriction(loss, inertia) if some_hold(lambda: loss != 0) else None
-
-
-def idle_motors(laws: Any, axes: Bool[np.ndarray, " d"]) -> dict[str, Numbers]:
-    """Return the numbers of motors that change if some motors have no torque and cost no energy.
-
-    Args:
-        laws: `evo_cpg.creature.tree.Tree` or `evo_cpg.creature.tendons.Tendons`.
-        axes: axes or tendons whose motors are idle.
-    """
-    limit = laws.torque_limit
-    if laws.torque_motors is not None:
-        limit = xp.where(np.array(laws.torque_motors.driven) & axes, 0.0, limit)
-    gains = laws.servo_gain * ~axes, laws.servo_stiffness * ~axes
-    return {"servo_gain": gains[0], "servo_stiffness": gains[1], "torque_limit": limit}
+    return {
+        "stiffness": each("stiffness"),
+        "damping": each("damping"),
+        "armature": armature,
+        "dry_friction": DryFriction(loss, inertia) if some_hold(lambda: loss != 0) else None,
+        "lower": each("lower"),
+        "upper": each("upper"),
+        "servo_gain": gain,
+        "servo_stiffness": spring,
+        "torque_limit": limit,
+        "torque_motors": torque_motors,
+        "muscles": muscles,
+        "limit_stiffness": inertia * rate**2 + push * rate,
+        "limit_damping": damping,
+    }

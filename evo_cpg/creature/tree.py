@@ -25,6 +25,7 @@ from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.axis_kinds import SPANNING, AxisKind, names_of_dofs
 from evo_cpg.creature.creature import (
     NO_LIMIT,
+    Body,
     Creature,
     Joint,
     JointKind,
@@ -32,18 +33,7 @@ from evo_cpg.creature.creature import (
     rigid_owners,
     topological_order,
 )
-from evo_cpg.creature.laws import (
-    BallLimits,
-    DryFriction,
-    Muscles,
-    TorqueMotors,
-    ball_limits_of,
-    dry_friction_of,
-    idle_motors,
-    muscles_of,
-    soft_limits,
-    torque_motors_of,
-)
+from evo_cpg.creature.laws import BallLimits, ForceLaws, ball_limits_of, laws_of
 from evo_cpg.creature.tendons import Tendons, tendons_of
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
@@ -84,8 +74,8 @@ class Group(NamedTuple):
         return any(kind.at_once for kind in self.kinds)
 
 
-class Tree(eqx.Module):
-    """A tree of rigid bodies in the order of the recursions.
+class Tree(ForceLaws):
+    """A tree of rigid bodies in the order of the recursions, with the force laws of its axes.
 
     The root floats freely, or hangs on the fixed world (`evo_cpg.physics.tree.hanging`). The joint
     of a root that hangs comes first among the degrees of freedom.
@@ -113,20 +103,7 @@ class Tree(eqx.Module):
         root_centre: origin of the root's own frame in its working frame, m.
         centre_of_volume: centre of the shape in the working frame, m, or None if it is ``com``.
         inertia: spatial inertia in the working frame, kg m^2, kg m and kg.
-        stiffness: stiffness of the passive springs, N m/rad.
-        rest: angles at which these springs are relaxed, rad, or None if all are 0.
-        damping: passive damping, N m s/rad.
-        armature: rotor inertia of each axis, kg m^2.
-        dry_friction: dry friction of the axes, or None if there is none.
-        lower: lower joint limit, rad, or ``-NO_LIMIT`` (`evo_cpg.creature.creature`).
-        upper: upper joint limit, rad, or ``NO_LIMIT``.
-        servo_gain: torque of the motors per rate error, N m s/rad, 0 for a passive axis.
-        servo_stiffness: stiffness of the motors' springs, N m/rad.
-        torque_limit: largest torque of the motors, N m.
-        torque_motors: motors whose torque is commanded, or None if there are none.
-        muscles: muscles about the axes, or None if there are none.
-        limit_stiffness: stiffness of the soft limits, N m/rad.
-        limit_damping: damping of the soft limits, N m s/rad.
+        rest: angles at which the passive springs are relaxed, rad, or None if all are 0.
         tendons: fixed tendons, or None if there are none.
         ball_limits: limits of the angles of balls, or None if there are none. The components of a
             ball have no limits of their own.
@@ -151,20 +128,7 @@ class Tree(eqx.Module):
     root_centre: Float[Numbers, "3"]
     centre_of_volume: Float[Numbers, "3 b"] | None
     inertia: Float[Numbers, "6 6 b"]
-    stiffness: Float[Numbers, " d"]
     rest: Float[Numbers, " d"] | None
-    damping: Float[Numbers, " d"]
-    armature: Float[Numbers, " d"]
-    dry_friction: DryFriction | None
-    lower: Float[Numbers, " d"]
-    upper: Float[Numbers, " d"]
-    servo_gain: Float[Numbers, " d"]
-    servo_stiffness: Float[Numbers, " d"]
-    torque_limit: Float[Numbers, " d"]
-    torque_motors: TorqueMotors | None
-    muscles: Muscles | None
-    limit_stiffness: Float[Numbers, " d"]
-    limit_damping: Float[Numbers, " d"]
     tendons: Tendons | None = None
     ball_limits: BallLimits | None = None
 
@@ -244,17 +208,8 @@ class Tree(eqx.Module):
         Idle motors and muscles have no torque and cost no energy. The springs and dampers of
         relaxed muscles stay. The motor of a tendon is idle if any of the tendon's joints is.
         """
-        muscles = self.muscles
-        if muscles is not None:
-            active = ("strength", "stiffening", "power")
-            none = {name: getattr(muscles, name) * ~axes for name in active}
-            muscles = dataclasses.replace(muscles, **none)
-        return dataclasses.replace(
-            self,
-            **idle_motors(self, axes),
-            muscles=muscles,
-            tendons=None if self.tendons is None else self.tendons.without_motors(axes),
-        )
+        tendons = self.tendons and self.tendons.without_motors(axes)
+        return dataclasses.replace(self.with_idle(axes), tendons=tendons)
 
 
 def build_tree(creature: Creature) -> Tree:
@@ -282,48 +237,25 @@ def build_tree(creature: Creature) -> Tree:
     orientation = xp.stack(
         [xp.array(joint.orientation) if joint else np.eye(3) for joint in own], axis=-1
     )
-    mass = xp.array([body.mass for body in bodies])
-    com = centre = -child_anchor
-    if any(body.inertial is not None for body in bodies):
-        com = centre + xp.array(
-            [np.zeros(3) if body.inertial is None else body.inertial.centre for body in bodies]
-        )
-    about = [body.inertia for body in bodies]
-    inertias = list(map(spatial_inertia, mass, com, about))
-    owners = rigid_owners(bodies)
-    if owners != list(range(len(bodies))):
-        places = _places_in_owner(owners, parents, offset, orientation)
-        inertias = [
-            own if i == owner else spatial_inertia(m, p + turn @ c, turn @ tensor @ turn.T)
-            for i, (owner, own, m, c, tensor, (p, turn)) in enumerate(
-                zip(owners, inertias, mass, com, about, places, strict=True)
-            )
-        ]
-        within = [p + turn @ c for c, (p, turn) in zip(com, places, strict=True)]
-        mass, com, inertias = _merged(owners, mass, within, inertias, centre)
-    inertia = xp.stack(inertias, axis=-1)
+    centre, owners = -child_anchor, rigid_owners(bodies)
+    mass, com, inertias = _masses(bodies, parents, owners, offset, orientation, centre)
     dofs = [dof for joint in own if joint for dof in joint.dofs]
     dof_bodies = [i for i, joint in enumerate(own) if joint for _ in joint.dofs]
-    leverage = _effective_inertia(creature, order)
-
-    def each(name: str) -> Float[Numbers, "d *rest"]:
-        return xp.array([getattr(dof, name) for dof in dofs], float)
-
     groups = _groups(bodies, parents, dof_bodies)
     root = creature.root_joint
     hanging = root and _group_of(root, slice(0, 1), 0, (-1,))
-    rest, armature, loss = each("rest"), each("armature"), each("friction_loss")
-    gain, spring = each("servo_gain"), each("servo_stiffness")
-    muscles = muscles_of([dof.muscle for dof in dofs])
-    torque_motors = torque_motors_of([dof.torque_motor for dof in dofs])
-    torque_limit = each("torque_limit")
-    servo = gain + spring if muscles is None else gain + spring + muscles.strength
-    joint_inertia = leverage + armature
-    limit_stiffness, limit_damping = soft_limits(joint_inertia, servo, torque_limit, torque_motors)
     dof_names = names_of_dofs(
         (names[i], dof.kind, dof.axis) for i, dof in zip(dof_bodies, dofs, strict=True)
     )
-    idle = tuple(motor is None for joint in own if joint for motor in joint.motors)
+    inertia = _effective_inertia(creature, order)
+    # A ball has one limit of its own (`ball_limits_of`), and its components have none.
+    laws = laws_of(
+        [x._replace(lower=-NO_LIMIT, upper=NO_LIMIT) if x.kind.at_once else x for x in dofs],
+        inertia,
+    )
+    rest = xp.array([dof.rest for dof in dofs], float)
+    carry = any(group.carries for group in (*groups, hanging) if group)
+    places = xp.array([dof.place for dof in dofs], float).reshape(-1, 3).T if carry else None
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
@@ -338,85 +270,72 @@ def build_tree(creature: Creature) -> Tree:
         ),
         joint_offset=offset.T,
         joint_orientation=orientation,
-        joint_axes=each("axis").reshape(-1, 3).T,
-        joint_places=(
-            each("place").reshape(-1, 3).T
-            if any(group.carries for group in (*groups, hanging) if group)
-            else None
-        ),
+        joint_axes=xp.array([dof.axis for dof in dofs], float).reshape(-1, 3).T,
+        joint_places=places,
         mass=mass,
         volume=xp.maximum(xp.array([body.shape.volume for body in bodies]), _LEAST_VOLUME),
         com=com.T,
         root_centre=-child_anchor[0],
         centre_of_volume=None if com is centre else centre.T,
-        inertia=inertia,
-        stiffness=each("stiffness"),
+        inertia=xp.stack(inertias, axis=-1),
         rest=rest if some_hold(lambda: rest != 0) else None,
-        damping=each("damping"),
-        armature=armature,
-        dry_friction=dry_friction_of(loss, joint_inertia),
-        lower=xp.array([-NO_LIMIT if dof.kind.at_once else dof.lower for dof in dofs], float),
-        upper=xp.array([NO_LIMIT if dof.kind.at_once else dof.upper for dof in dofs], float),
-        ball_limits=ball_limits_of(dofs, limit_stiffness, limit_damping),
-        servo_gain=gain,
-        servo_stiffness=spring,
-        torque_limit=torque_limit,
-        torque_motors=torque_motors,
-        muscles=muscles,
-        limit_stiffness=limit_stiffness,
-        limit_damping=limit_damping,
-        tendons=tendons_of(
-            creature.tendons,
-            dof_names,
-            idle,
-            [dof.kind.at_once for dof in dofs],
-            joint_inertia,
-        ),
+        ball_limits=ball_limits_of(dofs, laws["limit_stiffness"], laws["limit_damping"]),
+        tendons=tendons_of(creature.tendons, dof_names, dofs, inertia + laws["armature"]),
+        **laws,
     )
 
 
-def _places_in_owner(
-    owners: list[int], parents: list[int], offset: Numbers, orientation: Numbers
-) -> list[tuple[Numbers, Numbers]]:
-    """Return the origin (m) and rotation of each body in the working frame of its owner."""
+def _masses(
+    bodies: list[Body],
+    parents: list[int],
+    owners: list[int],
+    offset: Numbers,
+    orientation: Numbers,
+    centre: Numbers,
+) -> tuple[Numbers, Numbers, list[Numbers]]:
+    """Return masses, centres of mass and spatial inertias, in working frames.
+
+    Bodies that are welded together have given theirs to their owner.
+
+    Args:
+        bodies: all bodies.
+        parents: index of each body's parent.
+        owners: index of each body's owner.
+        offset: joint position in the parent's frame, m.
+        orientation: rotation from child frame to parent frame in the neutral pose.
+        centre: centre of each shape in its body's working frame, m.
+    """
+    mass, com = xp.array([body.mass for body in bodies]), centre
+    if any(body.inertial is not None for body in bodies):
+        com = centre + xp.array(
+            [np.zeros(3) if body.inertial is None else body.inertial.centre for body in bodies]
+        )
+    tensors = [body.inertia for body in bodies]
+    inertias = list(map(spatial_inertia, mass, com, tensors))
+    if owners == list(range(len(bodies))):
+        return mass, com, inertias
     places: list[tuple[Numbers, Numbers]] = []
+    total: list[Any] = [0.0] * len(owners)
+    moment: list[Any] = [np.zeros(3)] * len(owners)
+    spatial: list[Any] = [np.zeros((6, 6))] * len(owners)
     for i, owner in enumerate(owners):
         if owner == i:
             places.append((np.zeros(3), np.eye(3)))
         else:
             place, turn = places[parents[i]]
             places.append((place + turn @ offset[i], turn @ orientation[..., i]))
-    return places
-
-
-def _merged(
-    owners: list[int],
-    mass: Numbers,
-    within: list[Numbers],
-    inertias: list[Numbers],
-    centre: Numbers,
-) -> tuple[Numbers, Numbers, list[Numbers]]:
-    """Return masses, centres of mass and inertias in which welded bodies have given theirs away.
-
-    Args:
-        owners: owner of each body.
-        mass: mass of each body, kg.
-        within: centre of mass of each body in the working frame of its owner, m.
-        inertias: spatial inertia of each body in the working frame of its owner.
-        centre: centre of each shape in its body's working frame, m.
-    """
-    total: list[Any] = [0.0] * len(owners)
-    moment: list[Any] = [np.zeros(3)] * len(owners)
-    tensor: list[Any] = [np.zeros((6, 6))] * len(owners)
-    for owner, m, place, own in zip(owners, mass, within, inertias, strict=True):
-        total[owner] = total[owner] + m
-        moment[owner] = moment[owner] + m * place
-        tensor[owner] = tensor[owner] + own
-    com = [
+        place, turn = places[i]
+        within = place + turn @ com[i]
+        if owner != i:
+            inertias[i] = spatial_inertia(mass[i], within, turn @ tensors[i] @ turn.T)
+        total[owner] = total[owner] + mass[i]
+        moment[owner] = moment[owner] + mass[i] * within
+        spatial[owner] = spatial[owner] + inertias[i]
+    middles = [
         xp.where(m > 0, c / xp.where(m > 0, m, 1.0), own)
         for m, c, own in zip(total, moment, centre, strict=True)
     ]
-    return xp.array(total), xp.stack(com), tensor
+    return xp.array(total), xp.stack(middles), spatial
 
 
 def spatial_inertia(mass: Number, com: Numbers, inertia: Numbers) -> Float[Numbers, "6 6"]:

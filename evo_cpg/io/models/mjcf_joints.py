@@ -22,7 +22,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from evo_cpg.creature.algebra.rotation import matrix_to_euler
-from evo_cpg.creature.creature import NO_LIMIT, Body, Joint
+from evo_cpg.creature.creature import NO_LIMIT, Body, Joint, Muscle
 from evo_cpg.io.models.compiled import Compiled, tidy, tidy_vector
 from evo_cpg.io.models.mjcf_ground import number_text, place_text, set_effects
 from evo_cpg.io.models.mjcf_shapes import Placed
@@ -60,7 +60,7 @@ def add_joints(element: Element, body: Body, joint: Joint) -> None:
         if limited:
             lower = 0.0 if dof.kind.at_once else dof.lower
             hinge.set("range", number_text(lower, dof.upper))
-        muscle = dof.muscle
+        muscle = dof.actuator if isinstance(dof.actuator, Muscle) else None
         effects = {
             "stiffness": dof.stiffness + (muscle.rest_stiffness if muscle else 0.0),
             "damping": dof.damping + (muscle.damping if muscle else 0.0),
