@@ -84,8 +84,8 @@ class TorqueMotor:
 class Muscle:
     """Two antagonistic muscles about each axis, after Ekeberg and Hill.
 
-    `evo_cpg.physics.tree.muscle` has the equations. Strength is area times stress times arm. The
-    bend sets the stiffness in proportion to the strength, so equal numbers fit animals of any size.
+    Strength is area times stress times arm. The bend sets the stiffness in proportion to the
+    strength, so equal numbers fit animals of any size.
 
     Attributes:
         area: cross-section of the muscle on each side, m^2.

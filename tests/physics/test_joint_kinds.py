@@ -57,7 +57,7 @@ def jointed(name: str, rotor: float = 0.0, passive: float = 1.0) -> Creature:
         directions = rng.normal(size=(len(kinds), 3))
         axes = directions / np.linalg.norm(directions, axis=1)[:, None]
         places = [
-            tuple(rng.normal(scale=0.2, size=3)) if own and kind == "turn" else None
+            tuple(rng.normal(scale=0.2, size=3)) if own and kind == Turn() else None
             for kind in kinds
         ]
         joint = Joint(
