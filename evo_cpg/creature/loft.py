@@ -155,7 +155,9 @@ def _rings(sections: tuple[LoftSection, ...], corners: int | None) -> list[np.nd
         MeshError: the spine turns back, sections cross, or a section has no size.
     """
     places = np.array([each.at for each in sections])
-    _require_sizes(sections)
+    for i, each in enumerate(sections):
+        if not each.width * each.height and 0 < i < len(sections) - 1:
+            raise MeshError(f"section {i} has no area. Only the first and the last may be a tip")
     normals = _normals(places)
     corners_at = outline(corners)
     rings = []
@@ -206,12 +208,6 @@ def _common_radius(one: np.ndarray, other: np.ndarray) -> float:
     rows = np.concatenate([ConvexHull(points).equations for points in (one, other)])
     inside = np.column_stack([rows[:, :3], np.ones(len(rows))])
     return linprog([0, 0, 0, -1], inside, -rows[:, 3], bounds=[(None, None)] * 4).x[3]
-
-
-def _require_sizes(sections: tuple[LoftSection, ...]) -> None:
-    for i, each in enumerate(sections):
-        if not each.width * each.height and 0 < i < len(sections) - 1:
-            raise MeshError(f"section {i} has no area. Only the first and the last may be a tip")
 
 
 def _normals(places: np.ndarray) -> np.ndarray:

@@ -409,7 +409,8 @@ class Ellipsoid(Shape):
     @override
     def surface(self, resolution: int) -> Surface:
         """Map the sphere's product rule (Gauss in x, uniform around x) to the ellipsoid."""
-        directions, solid_angles = _sphere_rule(resolution)
+        nodes, weights = np.polynomial.legendre.leggauss(2 * resolution)
+        directions, solid_angles = _around_x(nodes, weights, ring(resolution))
         scaled = directions / xp.maximum(self.half_extents, LEAST)
         stretch = xp.linalg.norm(scaled, axis=-1)
         return Surface(
@@ -695,11 +696,6 @@ def _cube_rule(resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     ]
     places, normals = (np.concatenate(columns) for columns in zip(*faces, strict=True))
     return places, normals, np.tile(np.outer(weights, weights).ravel() / 4, 6)
-
-
-def _sphere_rule(resolution: int) -> tuple[Numbers, Numbers]:
-    """Return directions ``(n, 3)``, solid angles ``(n,)``: Gauss-Legendre in x, uniform around."""
-    return _around_x(*np.polynomial.legendre.leggauss(2 * resolution), ring(resolution))
 
 
 def _around_x(nodes: Numbers, weights: Numbers, around: Numbers) -> tuple[Numbers, Numbers]:

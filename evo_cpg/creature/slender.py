@@ -60,6 +60,10 @@ _TINY = 1e-9
 _FORWARD = 0.5
 
 
+# Two bodies that a joint links, by their indices.
+_Link = frozenset[int]
+
+
 class SlenderChain(NamedTuple):
     """Bodies joined end to end, from the nose to the tail.
 
@@ -130,110 +134,69 @@ class ChainOutline(NamedTuple):
         return lengths @ along / lengths.sum()
 
 
-class _Link(NamedTuple):
-    """Joint between two bodies, by their indices; the first is the parent."""
-
-    parent: int
-    child: int
-
-    def other(self, body: int) -> int:
-        return self.child if body == self.parent else self.parent
-
-
 def slender_chains(creature: Creature) -> tuple[SlenderChain, ...]:
     """Return the chains of a creature, which contain each body once."""
-    pose = neutral_pose(creature)
-    joints = _joints(creature)
+    pose, places = neutral_pose(creature), {}
+    for i, body in enumerate(creature.bodies):
+        # A body and its parts are no neighbours at a joint.
+        if body.joint is not None and body.whole is None:
+            place = pose[0][i] + pose[1][i] @ xp.array(body.joint.child_anchor)
+            places[frozenset((creature.body_index(body.joint.parent), i))] = place
 
     def choose() -> tuple[tuple[int, ...], ...]:
-        links = _links(creature, pose, joints)
+        links = _links(creature, pose, places)
         return tuple(_noses_first(creature, pose, bodies) for bodies in _paths(creature, links))
 
     def still(chains: tuple[tuple[int, ...], ...]) -> Condition:
-        made = [_Link(*pair) for bodies in chains for pair in itertools.pairwise(bodies)]
-        turns = [_turn(creature, pose, link) for link in made]
-        return all_hold(turn > _STRAIGHT - 0.2 for turn in turns)
+        made = [frozenset(pair) for bodies in chains for pair in itertools.pairwise(bodies)]
+        return all_hold(_turn(pose, link, places[link]) > _STRAIGHT - 0.2 for link in made)
 
     chains = chosen(choose, still)
-    return tuple(_chain(creature, pose, joints, tuple(bodies)) for bodies in chains)
-
-
-def _joints(creature: Creature) -> list[_Link]:
-    return [
-        _Link(creature.body_index(body.joint.parent), i)
-        for i, body in enumerate(creature.bodies)
-        if body.joint is not None and body.whole is None
-    ]
-
-
-def _place(creature: Creature, pose: tuple[Numbers, Numbers], link: _Link) -> Numbers:
-    """Return the position of the joint between two linked bodies in the neutral pose, m."""
-    centres, rotations = pose
-    for body in link:
-        joint = creature.bodies[body].joint
-        if joint is not None and creature.body_index(joint.parent) == link.other(body):
-            return centres[body] + rotations[body] @ xp.array(joint.child_anchor)
-    raise ValueError(f"bodies {link.parent} and {link.child} have no joint")
+    return tuple(_chain(creature, pose, places, tuple(bodies)) for bodies in chains)
 
 
 def _unit(vector: Numbers) -> Numbers:
     return vector / xp.maximum(xp.linalg.norm(vector), 1e-12)
 
 
-def _turn(creature: Creature, pose: tuple[Numbers, Numbers], link: _Link) -> Number:
+def _turn(pose: tuple[Numbers, Numbers], link: _Link, place: Numbers) -> Number:
     """Return the cosine of the turn between the two halves of the way from centre to centre."""
-    centres, _ = pose
-    place = _place(creature, pose, link)
-    return _unit(place - centres[link.parent]) @ _unit(centres[link.child] - place)
-
-
-def _extents(shape: Shape, direction: np.ndarray) -> tuple[float, float]:
-    """Return width and thickness of a shape across a unit vector of its frame, m."""
-    half, axes = (np.asarray(x, float) for x in shape.stretch)
-    across = axes - np.outer(direction, direction @ axes)
-    _, thickness, width = np.sort(2 * np.linalg.norm(across, axis=0) * half)
-    return float(width), float(thickness)
-
-
-def _fits(extents: list[tuple[float, float]], ends: list[bool]) -> bool:
-    """Return whether two bodies may be linked.
-
-    Args:
-        extents: width and thickness of each, m.
-        ends: whether each has no other joint.
-    """
-    (narrow, _, _), (wide, thickness, end) = sorted(
-        (*each, last) for each, last in zip(extents, ends, strict=True)
-    )
-    return wide < _SIMILAR * narrow or (end and narrow > 0 and wide >= _THIN * thickness)
+    one, two = (pose[0][body] for body in link)
+    return _unit(place - one) @ _unit(two - place)
 
 
 def _links(
-    creature: Creature, pose: tuple[np.ndarray, np.ndarray], joints: list[_Link]
+    creature: Creature, pose: tuple[np.ndarray, np.ndarray], places: dict[_Link, np.ndarray]
 ) -> list[_Link]:
-    """Return the joints that continue a chain."""
+    """Return the joints that continue a chain.
+
+    Args:
+        creature: the creature.
+        pose: centres and rotations of its bodies.
+        places: position of the joint between every two bodies, m.
+    """
     centres, rotations = pose
-    extents = {}
-    for link in joints:
-        place = _place(creature, pose, link)
-        extents[link] = [
-            _extents(creature.bodies[body].shape, rotations[body].T @ _unit(place - centres[body]))
-            for body in link
-        ]
-    count = Counter(body for link in joints for body in link)
-    straight = [
-        link
-        for link, each in extents.items()
-        if _turn(creature, pose, link) > _STRAIGHT
-        and _fits(each, [count[body] == 1 for body in link])
-    ]
-    widths = {link: [width for width, _ in each] for link, each in extents.items()}
+    count = Counter(body for link in places for body in link)
+    extents: dict[_Link, list[tuple[float, float, bool]]] = {}
+    straight = []
+    for link, place in places.items():
+        extents[link] = []
+        for body in link:
+            # Width and thickness across the direction to the joint, and whether the body is an end.
+            half, axes = (np.asarray(x, float) for x in creature.bodies[body].shape.stretch)
+            direction = rotations[body].T @ _unit(place - centres[body])
+            across = axes - np.outer(direction, direction @ axes)
+            _, thickness, width = np.sort(2 * np.linalg.norm(across, axis=0) * half).tolist()
+            extents[link].append((width, thickness, count[body] == 1))
+        (narrow, _, _), (wide, thickness, end) = sorted(extents[link])
+        fits = wide < _SIMILAR * narrow or (end and narrow > 0 and wide >= _THIN * thickness)
+        if fits and _turn(pose, link, place) > _STRAIGHT:
+            straight.append(link)
+    widths = {link: [width for width, _, _ in each] for link, each in extents.items()}
 
     kept: list[set[_Link]] = []
     for body, centre in enumerate(centres):
-        toward = {
-            link: _unit(_place(creature, pose, link) - centre) for link in straight if body in link
-        }
+        toward = {link: _unit(places[link] - centre) for link in straight if body in link}
         alike = {link: min(widths[link]) / max(widths[link]) for link in toward}
         pairs = list(itertools.combinations(toward, 2))
         opposite = [pair for pair in pairs if np.dot(*(toward[x] for x in pair)) < _OPPOSITE]
@@ -257,7 +220,7 @@ def _paths(creature: Creature, links: list[_Link]) -> list[tuple[int, ...]]:
     beside: dict[int, list[int]] = {i: [] for i in range(len(creature.bodies))}
     for link in links:
         for body in link:
-            beside[body].append(link.other(body))
+            beside[body] += link - {body}
     paths, seen = [], set()
     for start, near in beside.items():
         if start in seen or len(near) > 1:
@@ -287,7 +250,7 @@ def _noses_first(
 def _chain(
     creature: Creature,
     pose: tuple[Numbers, Numbers],
-    joints: list[_Link],
+    at: dict[_Link, Numbers],
     bodies: tuple[int, ...],
 ) -> SlenderChain:
     centres, rotations = pose
@@ -296,10 +259,7 @@ def _chain(
         half, axes = shapes[0].stretch
         front = axes[:, chosen(lambda: int(np.argmax(half)))] * xp.max(half)
         return SlenderChain(bodies, front[None], -front[None])
-    places = [
-        _place(creature, pose, next(x for x in joints if set(x) == {one, two}))
-        for one, two in itertools.pairwise(bodies)
-    ]
+    places = [at[frozenset(pair)] for pair in itertools.pairwise(bodies)]
     front, rear = [], []
     for k, (body, shape) in enumerate(zip(bodies, shapes, strict=True)):
         ends = [

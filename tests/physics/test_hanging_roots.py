@@ -49,7 +49,9 @@ def hung(creature: Creature, kinds: tuple[AxisKind, ...], rng: np.random.Generat
     """Return a creature whose root hangs on the world by some axes."""
     count = len(kinds)
     # MuJoCo has the velocity of a ball in the child's own axes.
-    axes = np.eye(3) if BallComponent() in kinds else np.linalg.qr(rng.normal(size=(3, 3)))[0][:count]
+    axes = (
+        np.eye(3) if BallComponent() in kinds else np.linalg.qr(rng.normal(size=(3, 3)))[0][:count]
+    )
     joint = Joint(
         WORLD,
         tuple(rng.normal(scale=0.2, size=3)),

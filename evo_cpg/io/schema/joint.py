@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from evo_cpg.creature.algebra.numerics import Number, Triple, as_vector, xp
+from evo_cpg.creature.algebra.numerics import Triple, as_vector, xp
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.axis_kinds import AxisKind, BallComponent, Slide, Turn
 from evo_cpg.creature.creature import NO_LIMIT, Actuator, Joint, Muscle, TorqueMotor
@@ -83,9 +83,8 @@ _MotorConfig = Annotated[
 ]
 
 
-def _as_tuple(given: Any) -> Any:
-    """Return a list of values of each axis as a tuple, and a value of all axes as it is."""
-    return tuple(given) if isinstance(given, list) else given
+# Numbers of a joint that are one for all axes, or a list with one for each.
+_NUMBERS = ("stiffness", "rest_deg", "damping", "armature", "friction_loss")
 
 
 class TurnConfig(Section):
@@ -241,31 +240,25 @@ class JointConfig(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "JointConfig":
-        each = ("stiffness", "rest_deg", "damping", "armature", "friction_loss")
         axes, ball = self.every_axis, self.axes == "ball"
-        for name in (*each, "actuator"):
-            given = getattr(self, name)
+        for name in (*_NUMBERS, "actuator", "limits_deg"):
+            given, what = getattr(self, name), "pairs" if name == "limits_deg" else "values"
             if not isinstance(given, list):
                 continue
-            if ball and name in each:
+            if ball and name in _NUMBERS:
                 raise ValueError(f"{name}: a ball has one value for all directions, not a list")
             if len(given) != len(axes):
                 raise ValueError(
-                    f"{name} gives {len(given)} values for {len(axes)} axes. "
-                    "Give one value for all axes, or one for each"
+                    f"{name} gives {len(given)} {what} for {len(axes)} axes. "
+                    f"Give one {what[:-1]} for all axes, or one for each"
                 )
-        limits = self._given_limits()
-        if len(limits) != len(axes):
-            raise ValueError(
-                f"limits_deg gives {len(limits)} pairs for {len(axes)} axes. "
-                "Give one pair for all axes, or one for each"
-            )
-        for lower, upper in filter(None, limits):
+        for lower, upper in filter(None, self._each("limits_deg")):
             if not lower < upper:
                 raise ValueError(f"limits_deg: {lower:g} is not below {upper:g}")
         if ball:
             self._check_ball()
-        self._check_kinds(axes, limits)
+        for i, axis in enumerate(axes):
+            self._check_axis(i, axis)
         if axes and not _are_independent(axes, self.child_at):
             raise ValueError("axes: must be linearly independent and not zero")
         return self
@@ -286,28 +279,29 @@ class JointConfig(Section):
                 f"[{lower:g}, {upper:g}]"
             )
 
-    def _check_kinds(self, axes: list[JointAxis], limits: list[tuple[float, float] | None]) -> None:
+    def _check_axis(self, i: int, axis: JointAxis) -> None:
         """Check values that only some kinds of axes may have."""
-        rest = self.rest_deg if isinstance(self.rest_deg, list) else [0.0] * len(axes)
-        for i, (axis, limit, angle, motor) in enumerate(
-            zip(axes, limits, rest, self.motors, strict=True)
-        ):
-            muscular, length = isinstance(motor, MuscleConfig), axis.kind.unit == "m"
-            if length and limit is not None and isinstance(self.limits_deg, list):
-                raise ValueError(
-                    f"limits_deg: axis {i} slides. Write null for it, and its limits_m in axes"
-                )
-            if length and angle != 0:
-                raise ValueError(
-                    f"rest_deg: axis {i} slides. Write 0 for it, and its rest_m in axes"
-                )
-            if muscular and axis.kind != Turn():
+        rest = self.rest_deg[i] if isinstance(self.rest_deg, list) else 0.0
+        limits = self.limits_deg[i] if isinstance(self.limits_deg, list) else None
+        if axis.kind.unit == "m" and limits is not None:
+            raise ValueError(
+                f"limits_deg: axis {i} slides. Write null for it, and its limits_m in axes"
+            )
+        if axis.kind.unit == "m" and rest != 0:
+            raise ValueError(f"rest_deg: axis {i} slides. Write 0 for it, and its rest_m in axes")
+        if isinstance(self.motors[i], MuscleConfig):
+            if axis.kind != Turn():
                 raise ValueError(
                     f"actuator: muscles turn one axis, and axis {i} {axis.kind.motion}. Give it a "
                     "servo or a torque motor"
                 )
-            if muscular and np.any(self.rest_deg):
+            if np.any(self.rest_deg):
                 raise ValueError("rest_deg: must be 0 for a joint with muscles")
+
+    def _each(self, name: str) -> list[Any]:
+        """Return the value of each axis."""
+        given = getattr(self, name)
+        return given if isinstance(given, list) else [given] * len(self.every_axis)
 
     @property
     def every_axis(self) -> list[JointAxis]:
@@ -316,25 +310,16 @@ class JointConfig(Section):
             return [JointAxis(BallComponent(), _AXES[name]) for name in "xyz"]
         return list(map(JointAxis.of, self.axes))
 
-    def _given_limits(self) -> list[tuple[float, float] | None]:
-        if isinstance(self.limits_deg, list):
-            return self.limits_deg
-        return [self.limits_deg] * len(self.every_axis)
-
     @property
     def limits(self) -> list[tuple[float, float] | None]:
         """Limits of each angle, as pairs, degrees, or None for no limits and for slides."""
-        return [
-            None if axis.kind.unit == "m" else pair
-            for axis, pair in zip(self.every_axis, self._given_limits(), strict=True)
-        ]
+        every = zip(self.every_axis, self._each("limits_deg"), strict=True)
+        return [None if axis.kind.unit == "m" else pair for axis, pair in every]
 
     @property
     def motors(self) -> list[_MotorConfig | None]:
         """Motor or muscles of each axis."""
-        if isinstance(self.actuator, list):
-            return self.actuator
-        return [self.actuator] * len(self.every_axis)
+        return self._each("actuator")
 
     def turned(self, angle_deg: float) -> "JointConfig":
         """Return the joint, turned with its limb about the parent's vertical axis."""
@@ -368,11 +353,18 @@ class JointConfig(Section):
             centre: centre of mass of the body in the frame of ``child_at``, m.
         """
         rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
-        axes = self.every_axis
-        limits = [_range_of(axis, pair) for axis, pair in zip(axes, self.limits, strict=True)]
-        each = isinstance(self.actuator, list)
+        axes, limits, rest = self.every_axis, [], []
+        for axis, pair, angle in zip(axes, self.limits, self._each("rest_deg"), strict=True):
+            if axis.kind.unit == "m":
+                limits.append(axis.limits or (-NO_LIMIT, NO_LIMIT))
+                rest.append(axis.rest)
+                continue
+            rest.append(xp.deg2rad(angle))
+            lower, upper = (-NO_LIMIT, NO_LIMIT) if pair is None else xp.deg2rad(xp.array(pair))
+            limits.append((-upper if axis.kind.at_once else lower, upper))
         motors = tuple(motor and motor.build() for motor in self.motors)
         places = [axis.place and moved(axis.place, centre) for axis in axes]
+        numbers = {name: getattr(self, name) for name in _NUMBERS if name != "rest_deg"}
         return Joint(
             parent=parent,
             parent_anchor=moved(self.at, parent_centre),
@@ -381,33 +373,9 @@ class JointConfig(Section):
             lower=tuple(pair[0] for pair in limits),
             upper=tuple(pair[1] for pair in limits),
             orientation=tuple(map(as_vector, rotation)),
-            stiffness=_as_tuple(self.stiffness),
-            damping=_as_tuple(self.damping),
-            armature=_as_tuple(self.armature),
-            friction_loss=_as_tuple(self.friction_loss),
-            actuator=motors if each or not motors else motors[0],
-            rest=_as_tuple(self._rest()),
+            actuator=motors if isinstance(self.actuator, list) or not motors else motors[0],
+            rest=tuple(rest),
             kinds=tuple(axis.kind for axis in axes),
             places=tuple(places) if any(places) else None,
+            **{name: tuple(x) if isinstance(x, list) else x for name, x in numbers.items()},
         )
-
-    def _rest(self) -> Any:
-        """Return the relaxed angle or displacement, for all axes or for each, rad and m."""
-        given = self.rest_deg
-        if not any(axis.kind.unit == "m" for axis in self.every_axis):
-            return [xp.deg2rad(x) for x in given] if isinstance(given, list) else xp.deg2rad(given)
-        every = given if isinstance(given, list) else [given] * len(self.every_axis)
-        return [
-            axis.rest if axis.kind.unit == "m" else xp.deg2rad(x)
-            for axis, x in zip(self.every_axis, every, strict=True)
-        ]
-
-
-def _range_of(axis: JointAxis, limits_deg: tuple[float, float] | None) -> tuple[Number, Number]:
-    """Return the lower and the upper limit of an axis, rad or m."""
-    if axis.kind.unit == "m":
-        return axis.limits or (-NO_LIMIT, NO_LIMIT)
-    if limits_deg is None:
-        return -NO_LIMIT, NO_LIMIT
-    lower, upper = xp.deg2rad(xp.array(limits_deg))
-    return (-upper, upper) if axis.kind.at_once else (lower, upper)
