@@ -548,6 +548,22 @@ def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:
     return xp.array(centres), xp.array(rotations)
 
 
+def joint_places(
+    creature: Creature, pose: tuple[Numbers, Numbers]
+) -> dict[tuple[int, int], Numbers]:
+    """Return the position of the joint between every parent and child, m, by their indices.
+
+    A body and its further parts have no joint between them.
+    """
+    centres, rotations = pose
+    return {
+        (creature.body_index(body.joint.parent), i): centres[i]
+        + rotations[i] @ xp.array(body.joint.child_anchor)
+        for i, body in enumerate(creature.bodies)
+        if body.joint is not None and body.whole is None
+    }
+
+
 def lowest_height(creature: Creature, pose: tuple[Numbers, Numbers] | None = None) -> Number:
     """Return the height of the creature's lowest point, m.
 

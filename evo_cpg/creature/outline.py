@@ -32,7 +32,7 @@ from jaxtyping import Bool, Float
 
 from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
-from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.creature import Creature, joint_places
 from evo_cpg.creature.shapes import Barrel, Shape, Surface
 
 # Bounds between which bodies cease to be in line. Cosine of the angle between their axes.
@@ -82,13 +82,6 @@ class BodyOutline:
     extension: Float[Numbers, " 2"]
 
 
-class _Link(NamedTuple):
-    """Joint between two bodies: their indices, and its place in the world, m."""
-
-    bodies: tuple[int, int]
-    place: Numbers
-
-
 class _End(NamedTuple):
     """End of a body in the world.
 
@@ -120,21 +113,21 @@ def outlines(
         creature: the creature.
         pose: centres and rotations of its bodies.
     """
-    links = _links(creature, pose)
+    links = joint_places(creature, pose)
     barrels = [_barrel(creature, pose, i, links) for i in range(len(creature.bodies))]
     beside: list[list[tuple[Number, Number, Number]]] = [[] for _ in barrels]
     table = np.zeros((len(barrels), len(barrels)))
-    for link in links:
-        if all(barrels[i].ends == "flat" for i in link.bodies):
+    for bodies, place in links.items():
+        if all(barrels[i].ends == "flat" for i in bodies):
             continue
-        ends = [_end(barrels[i], pose[0][i], pose[1][i], link.place) for i in link.bodies]
+        ends = [_end(barrels[i], pose[0][i], pose[1][i], place) for i in bodies]
         weight, apart = _in_line(*ends)
-        flat = any(barrels[i].ends == "flat" for i in link.bodies)
-        for i, end in zip(link.bodies, ends, strict=True):
+        flat = any(barrels[i].ends == "flat" for i in bodies)
+        for i, end in zip(bodies, ends, strict=True):
             part = 0.5 if flat else end.tip / (ends[0].tip + ends[1].tip)
             beside[i].append((end.in_front, weight, apart * part))
         pair = np.zeros((len(barrels), len(barrels)))
-        pair[link.bodies, link.bodies[::-1]] = 1.0
+        pair[bodies, bodies[::-1]] = 1.0
         table = table + pair * weight
     return [_outline(barrel, near) for barrel, near in zip(barrels, beside, strict=True)], table
 
@@ -144,35 +137,25 @@ def fade(x: Number, full: float, none: float) -> Number:
     return smooth_step((x - none) / (full - none))
 
 
-def _links(creature: Creature, pose: tuple[Numbers, Numbers]) -> list[_Link]:
-    centres, rotations = pose
-    return [
-        _Link(
-            (creature.body_index(body.joint.parent), i),
-            centres[i] + rotations[i] @ xp.array(body.joint.child_anchor),
-        )
-        for i, body in enumerate(creature.bodies)
-        # A body and its parts are no neighbours at a joint.
-        if body.joint is not None and body.whole is None
-    ]
-
-
 def _barrel(
-    creature: Creature, pose: tuple[Numbers, Numbers], body: int, links: list[_Link]
+    creature: Creature,
+    pose: tuple[Numbers, Numbers],
+    body: int,
+    links: dict[tuple[int, int], Numbers],
 ) -> Barrel:
     """Return a body as a cylinder along its axis nearest to the line through its neighbours.
 
     The line is the main axis of the directions to the joints, weighted by the neighbours' volumes.
     """
-    shape, own = creature.bodies[body].shape, [link for link in links if body in link.bodies]
+    shape, own = creature.bodies[body].shape, [link for link in links if body in link]
     if not own:
         return shape.barrel(np.eye(3)[0])
     centres, rotations = pose
     spread = _SLIGHT * np.eye(3)
     for link in own:
-        other = creature.bodies[sum(link.bodies) - body].shape
+        other = creature.bodies[sum(link) - body].shape
         size = xp.minimum(other.volume / xp.maximum(shape.volume, _LEAST**3), 1.0)
-        direction = rotations[body].T @ (link.place - centres[body])
+        direction = rotations[body].T @ (links[link] - centres[body])
         squared = xp.maximum(direction @ direction, _LEAST**2)
         spread = spread + size * xp.outer(direction, direction) / squared
     nearest = chosen(

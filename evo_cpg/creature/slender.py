@@ -28,7 +28,7 @@ from jaxtyping import Float
 
 from evo_cpg.creature.algebra.decisions import Condition, all_hold, chosen
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
-from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
+from evo_cpg.creature.creature import Creature, joint_places, neutral_pose, topological_order
 from evo_cpg.creature.shapes import Shape
 
 # Cosine of the largest turn at a link, and largest cosine between the two links of a body.
@@ -136,12 +136,8 @@ class ChainOutline(NamedTuple):
 
 def slender_chains(creature: Creature) -> tuple[SlenderChain, ...]:
     """Return the chains of a creature, which contain each body once."""
-    pose, places = neutral_pose(creature), {}
-    for i, body in enumerate(creature.bodies):
-        # A body and its parts are no neighbours at a joint.
-        if body.joint is not None and body.whole is None:
-            place = pose[0][i] + pose[1][i] @ xp.array(body.joint.child_anchor)
-            places[frozenset((creature.body_index(body.joint.parent), i))] = place
+    pose = neutral_pose(creature)
+    places = {frozenset(pair): place for pair, place in joint_places(creature, pose).items()}
 
     def choose() -> tuple[tuple[int, ...], ...]:
         links = _links(creature, pose, places)
