@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.analysis.along_time import along_time
 from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec
-from evo_cpg.creature.tendons import Tendons
+from evo_cpg.creature.laws import Tendons
 from evo_cpg.physics.contact.contact import find_contacts
 from evo_cpg.physics.contact.pair_contacts import find_pair_contacts
 from evo_cpg.physics.step.step import needs_iteration

@@ -33,8 +33,14 @@ from evo_cpg.creature.creature import (
     rigid_owners,
     topological_order,
 )
-from evo_cpg.creature.laws import BallLimits, ForceLaws, ball_limits_of, laws_of
-from evo_cpg.creature.tendons import Tendons, tendons_of
+from evo_cpg.creature.laws import (
+    BallLimits,
+    ForceLaws,
+    Tendons,
+    ball_limits_of,
+    laws_of,
+    tendons_of,
+)
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
 _LEAST_VOLUME = 1e-30

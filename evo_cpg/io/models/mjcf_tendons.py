@@ -106,7 +106,7 @@ def read_tendons(
         with compiled.refusals.collecting():
             coefficients = _coefficients(compiled, number, joints)
             if number in motors:
-                # The motor follows the command of a joint, as in `evo_cpg.creature.tendons`.
+                # The motor follows the command of a joint, as in `evo_cpg.creature.laws`.
                 free = [joint for joint in coefficients if joint not in taken]
                 taken.update(free[:1])
                 if free:
