@@ -42,13 +42,13 @@ class Mutant(NamedTuple):
 
 MUTANTS = (
     Mutant(
-        "native/converge.py",
+        "native/fuse.py",
         "jax.jvp(lambda p: replay(notes, *p), (replayed,), (changes,))[1]",
         "jax.tree.map(jnp.zeros_like, found)",
         "native/test_loops.py physics/test_gradients.py",
     ),
     Mutant(
-        "native/converge.py",
+        "native/fuse.py",
         "jnp.any(goes_on(x))",
         "jnp.all(goes_on(x))",
         "native/test_loops.py",
@@ -108,7 +108,7 @@ MUTANTS = (
         "api/test_own_force_law.py",
     ),
     Mutant(
-        "physics/water/weight.py",
+        "physics/water/force_law.py",
         "under - tree.mass",
         "tree.mass - under",
         "physics/test_water.py physics/test_implicit_step.py",
@@ -120,7 +120,7 @@ MUTANTS = (
         "physics/test_water.py physics/test_implicit_step.py",
     ),
     Mutant(
-        "physics/step/body_equations.py",
+        "physics/step/equations.py",
         "jnp.concatenate([moment, cross(w, momentum[3:])])",
         "jnp.concatenate([moment, 0 * momentum[3:]])",
         "physics/test_accelerations.py physics/test_free_motion.py",
@@ -156,14 +156,14 @@ MUTANTS = (
         "physics/test_reactive_thrust.py",
     ),
     Mutant(
-        "physics/water/sections.py",
+        "physics/water/reactive_thrust.py",
         "chain.lengths[k] / np.sqrt(12)",
         "chain.lengths[k] / 2",
         "physics/test_sections.py",
     ),
     Mutant(
         "physics/water/lift.py",
-        "- broadside(aspect) * sine",
+        "- broadside(self.aspect) * self.sine",
         "- 0.9 * broadside(aspect) * sine",
         "physics/test_lift.py",
     ),
@@ -222,7 +222,7 @@ MUTANTS = (
         "creature/algebra/test_ldl.py",
     ),
     Mutant(
-        "physics/contact/flat_separation.py",
+        "physics/contact/box_separation.py",
         "gap + (far - near) * climb",
         "gap",
         "physics/test_separation.py",
@@ -253,7 +253,7 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact/obstacles.py",
-        "own = nearest(parts, first)",
+        "own = within(parts, first)",
         "own = parts.centre",
         "physics/test_obstacles.py",
     ),

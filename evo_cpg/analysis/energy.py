@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.analysis.along_time import along_time
-from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec
+from evo_cpg.creature.algebra.linear import as_matrix_of, cross, dot, expand_dims_like, matvec
 from evo_cpg.creature.laws import Tendons
 from evo_cpg.physics.contact.contact import find_contacts
 from evo_cpg.physics.contact.pair_contacts import find_pair_contacts
@@ -47,8 +47,7 @@ from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
 from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.state import State
 from evo_cpg.physics.tree.tendon import length_of, lengths_of, tendon_energy, torque_of
-from evo_cpg.physics.water.force_law import Bodies, body_velocity
-from evo_cpg.physics.water.weight import buoyancy_alone
+from evo_cpg.physics.water.force_law import Bodies, buoyancy_alone, in_body_axes
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.snapshot import Snapshot
 
@@ -163,8 +162,8 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
 def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
     """Return E, J: kinetic (bodies and rotors), gravitational, of passive springs and tendons."""
     tree, state, kin = snapshot.world.tree, snapshot.state, snapshot.kinematics
-    velocity = body_velocity(kin)
-    momentum = matvec(expand_dims_like(tree.inertia, velocity, velocity.ndim + 1), velocity)
+    velocity = in_body_axes(kin.rotation, kin.angular, kin.linear)
+    momentum = matvec(as_matrix_of(tree.inertia, velocity), velocity)
     armature, stiffness = (expand_dims_like(x, state.q) for x in (tree.armature, tree.stiffness))
     stretch = state.q if tree.rest is None else state.q - expand_dims_like(tree.rest, state.q)
     energy = (

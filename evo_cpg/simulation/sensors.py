@@ -7,9 +7,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import dot, expand_dims_like, matvec
-from evo_cpg.creature.algebra.mixed_array import MixedArray
-from evo_cpg.creature.algebra.numerics import Numbers, xp
+from evo_cpg.creature.algebra.linear import as_matrix_of, dot, expand_dims_like, matvec
+from evo_cpg.creature.algebra.numerics import MixedArray, Numbers, xp
 from evo_cpg.creature.creature import Creature, DepthSensor, LightSensor
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.step.world import World
@@ -158,7 +157,7 @@ def _depth(
 ) -> Float[Array, "k *n"]:
     """Return the depth of points of bodies below the water's surface, m, negative above it."""
     own = take(kin.origin[2], bodies, 0)
-    lever = take(kin.rotation[2], bodies) * expand_dims_like(places, own, own.ndim + 1)
+    lever = take(kin.rotation[2], bodies) * as_matrix_of(places, own)
     return jnp.asarray(surface - own - lever.sum(0))
 
 

@@ -217,7 +217,7 @@ class Settling:
                 self.world.tree, (), jnp.float64, situation.start_position, situation.orientation
             )
             found = self.rest(start)
-            scale = np.zeros((root.size_of(self.world.tree.dof_count), len(self.free)))
+            scale = np.zeros((root.ROOT_DOFS + self.world.tree.dof_count, len(self.free)))
             scale[self.free, np.arange(len(self.free))] = self.scale
             give = scale @ found.give @ scale.T / (self.weight * self.size)
             friction = jax.tree.map(np.asarray, found.friction)
@@ -423,7 +423,7 @@ class _Search:
                 moves = (quiet < _QUIET_STEPS) | (index < least)
                 return (index < most) & moves & jnp.isfinite(state.position).all()
 
-            mean = jnp.zeros(root.size_of(tree.dof_count))
+            mean = jnp.zeros(root.ROOT_DOFS + tree.dof_count)
             length = jnp.full_like(mean, radius).at[root.LENGTHS : root.ROOT_DOFS].set(1.0)
             start = state, first_warmstart(world, (), state.q.dtype), mean, 0, 0
             state, _, mean, taken, _ = jax.lax.while_loop(goes_on, advance, start)
@@ -437,7 +437,7 @@ class _Search:
         ) -> tuple[Array, tuple[Array, Array, Touch]]:
             numbers, length, moment = given
             world = plan.world(numbers)
-            x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
+            x = jnp.zeros(root.ROOT_DOFS + world.tree.dof_count).at[free].set(length * y)
             total, touch = static_forces(world, h, base, friction, x)
             scaled = total[free] * length / moment
             return scaled, (scaled, total, touch)
@@ -453,7 +453,7 @@ class _Search:
             if world.contact_model is not None:
                 slip = jnp.where(touch.normal_force > 0, touch.slip, 0.0)
                 friction = FrictionState(touch.point, touch.place, slip, friction.limit)
-            x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
+            x = jnp.zeros(root.ROOT_DOFS + world.tree.dof_count).at[free].set(length * y)
             return base.displaced(world.tree, x), friction
 
         self.fall, self.evaluate = quick_jit(fall), quick_jit(evaluate)

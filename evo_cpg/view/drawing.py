@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.physics.contact.terrain import Part
+from evo_cpg.physics.contact.terrain import GroundPart
 from evo_cpg.view.ghosts import add_ghosts
 from evo_cpg.view.ground import add_ground, add_numbers
 from evo_cpg.view.meshes import surfaces
@@ -117,7 +117,7 @@ def _add_environment(stage: Stage) -> list[Update]:
     return updates
 
 
-def _add_stones(stage: Stage, stones: Sequence[Part]) -> None:
+def _add_stones(stage: Stage, stones: Sequence[GroundPart]) -> None:
     """Draw obstacles with their shadows."""
     if not stones:
         return

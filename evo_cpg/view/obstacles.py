@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.physics.contact.terrain import Block, Boulder, Part
+from evo_cpg.physics.contact.terrain import Block, Boulder, GroundPart
 from evo_cpg.view.offscreen import placed
 
 _STONE = np.array([0.60, 0.57, 0.53])
@@ -24,7 +24,7 @@ _SUNK = 0.02
 
 
 def obstacle_mesh(
-    obstacle: Part, *, shade: bool = False
+    obstacle: GroundPart, *, shade: bool = False
 ) -> tuple[pv.PolyData, np.ndarray, np.ndarray]:
     """Return an obstacle's surface in its frame, its place ``(3,)``, m, and rotation ``(3, 3)``.
 
@@ -51,7 +51,7 @@ def obstacle_mesh(
     raise _unknown(obstacle)
 
 
-def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
+def obstacle_top(obstacle: GroundPart, place: np.ndarray) -> np.ndarray:
     """Return the height of an obstacle's upper side, m, or -inf outside of it.
 
     Args:
@@ -74,7 +74,7 @@ def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
 
 def add_obstacles(
     plotter: pv.Plotter,
-    obstacles: Sequence[Part],
+    obstacles: Sequence[GroundPart],
     ambient: float,
     height: Callable[[np.ndarray], np.ndarray],
 ) -> None:
@@ -130,7 +130,7 @@ def _heading(block: Block) -> np.ndarray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _unknown(obstacle: Part) -> TypeError:
+def _unknown(obstacle: GroundPart) -> TypeError:
     return TypeError(
         f"cannot draw a {type(obstacle).__name__} as an obstacle. Allowed: Boulder, Block"
     )

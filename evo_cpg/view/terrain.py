@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.physics.contact.terrain import Part, Plane, Relief, Shore
+from evo_cpg.physics.contact.terrain import GroundPart, Plane, Relief, Shore
 
 # Distance between the grid's lines near the path, and the margin with this distance, in radii of
 # the animal. Most lines with this distance, and growth of the distance further out. A frame of 960
@@ -82,7 +82,7 @@ class Terrain(NamedTuple):
         return a + (more - less) * (corner - a) + less * (c - a)
 
 
-def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+def heights(floor: GroundPart, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
     """Return the height of the ground above the world's origin, m.
 
     The surface lies ``gap / n_z`` straight below a point at z = 0. This is exact for planes, and
@@ -107,7 +107,9 @@ def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, 
     return high[: len(flat)].reshape(place.shape[:-1])
 
 
-def make_terrain(floor: Part, path: Float[np.ndarray, "n 2"], radius: float, far: float) -> Terrain:
+def make_terrain(
+    floor: GroundPart, path: Float[np.ndarray, "n 2"], radius: float, far: float
+) -> Terrain:
     """Mesh the ground around a path.
 
     Args:
@@ -123,7 +125,7 @@ def make_terrain(floor: Part, path: Float[np.ndarray, "n 2"], radius: float, far
 
 
 @jax.jit
-def _heights(floor: Part, point: Float[Array, "3 n"]) -> Float[Array, " n"]:
+def _heights(floor: GroundPart, point: Float[Array, "3 n"]) -> Float[Array, " n"]:
     gap, normal = floor.distance(point)
     return jnp.broadcast_to(-gap / normal[2], gap.shape)
 
@@ -152,7 +154,7 @@ def _lines(
     return np.sort(np.concatenate([even[clear], inside]))
 
 
-def _creases(floor: Part, axis: str) -> np.ndarray:
+def _creases(floor: GroundPart, axis: str) -> np.ndarray:
     """Return the coordinates along an axis where the slope of the ground jumps, m."""
     if isinstance(floor, Shore) and floor.axis == axis:
         return np.array([floor.start, floor.stop], float)

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from creatures import quick_jit
-from evo_cpg.creature.algebra.mixed_array import MixedArray
+from evo_cpg.creature.algebra.numerics import MixedArray
 from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.load import check_config, load_config
 from evo_cpg.io.parameters import all_parameters, parametrise

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from creatures import accelerations, quick_jit, random_shape, random_state
+from creatures import accelerations, coast, last, quick_jit, random_shape, random_state
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.axis_kinds import BallComponent, Slide, Turn
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, TorqueMotor
@@ -139,21 +139,14 @@ def drifting():
     with jax.enable_x64(True):
         creature = jointed("a few", passive=0.0)
         world = World(build_tree(creature), 0.0)
-        tree, rest = world.tree, jnp.zeros(build_tree(creature).dof_count)
+        tree = world.tree
         start = random_state(tree, np.random.default_rng(2), speed=0.5)
         ends = []
         for h in (1 / 1000, 1 / 2000):
             # Velocities are half a step behind the poses.
             moving = start.moved(tree, h / 2)
-
-            @quick_jit
-            def run(state, h=h):
-                def advance(s, _):
-                    return step(world, s, rest, h)[0], None
-
-                return jax.lax.scan(advance, state, None, round(0.1 / h))[0]
-
-            ends.append(run(moving).moved(tree, -h / 2))
+            end = last(coast(world, moving, 0.1, h))
+            ends.append(end.moved(tree, -h / 2))
         return creature, tree, start, ends
 
 

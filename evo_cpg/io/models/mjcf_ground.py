@@ -12,7 +12,7 @@ import numpy as np
 
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.contact.contact_model import Ground
-from evo_cpg.physics.contact.terrain import Block, Boulder, Part, Plane, Relief, Shore
+from evo_cpg.physics.contact.terrain import Block, Boulder, GroundPart, Plane, Relief, Shore
 
 # Reach of slabs, and thickness of slabs and height fields, m. An animal walks less in a trial, and
 # sinks less in a step.
@@ -70,7 +70,7 @@ def add_ground(root: Element, place: Element, ground: Ground, taken: list[str]) 
     return names
 
 
-def _solids(root: Element, name: str, part: Part) -> list[dict[str, str]]:
+def _solids(root: Element, name: str, part: GroundPart) -> list[dict[str, str]]:
     """Return the attributes of the geoms that make up a part."""
     if isinstance(part, Plane):
         normal = np.array(part.normal) / np.linalg.norm(part.normal)

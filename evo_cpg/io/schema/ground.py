@@ -15,8 +15,8 @@ from evo_cpg.physics.contact.terrain import (
     Axis,
     Block,
     Boulder,
+    GroundPart,
     Obstacle,
-    Part,
     Plane,
     Relief,
     Shore,
@@ -58,7 +58,7 @@ class PlaneConfig(FloorSection):
     def lowest(self) -> float | None:
         return None if self.slope_deg else self.height
 
-    def build(self) -> Part:
+    def build(self) -> GroundPart:
         """Build the floor."""
         slope, downhill = xp.deg2rad(self.slope_deg), xp.deg2rad(self.downhill_deg)
         level = xp.sin(slope)
@@ -85,7 +85,7 @@ class ShoreConfig(FloorSection):
     start_height: Finite = 0.0
     stop_height: Finite
 
-    def build(self) -> Part:
+    def build(self) -> GroundPart:
         """Build the floor."""
         return self.into(Shore)
 
@@ -122,7 +122,7 @@ class HillsConfig(FloorSection):
     spacing: Positive = 0.2
     clearing: NotNegative = 1.0
 
-    def build(self) -> Part:
+    def build(self) -> GroundPart:
         """Build the floor: smoothed noise, 0 at the origin and nearly 0 around it."""
         count = round(self.size / self.spacing) + 1
         place = (np.arange(count) - (count - 1) / 2) * self.spacing
@@ -163,7 +163,7 @@ class ReliefConfig(FloorSection):
     spacing: Positive = 0.1
     corner: Place | None = None
 
-    def build(self) -> Part:
+    def build(self) -> GroundPart:
         """Build the floor."""
         return _relief(np.array(self.heights), self.spacing, self.corner)
 

@@ -95,7 +95,7 @@ def solve(
     if tree.hanging is None:
         free = root.solved(I_A.root(), p_A.root())
         a = PerBody([jax.tree.map(jnp.zeros_like, free) if held else free], batch_ndim)
-        of_root = root.vector(a.root())
+        of_root = jnp.concatenate(a.root())
     else:
         joint = joints_of(tree.hanging, kin.axes, torque, torque_derivative)
         still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))

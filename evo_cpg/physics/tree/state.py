@@ -10,6 +10,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import array_of
+from evo_cpg.creature.algebra.rotation import integrate_quaternion
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree import hanging, joint_kinds, root
 from evo_cpg.physics.tree.hanging import Base
@@ -43,12 +44,12 @@ class State(eqx.Module):
     @property
     def angular_velocity(self) -> Float[Array, "3 *n"]:
         """Angular velocity of the root in the world, rad/s."""
-        return root.angular(self.velocity)
+        return self.velocity[:3]
 
     @property
     def linear_velocity(self) -> Float[Array, "3 *n"]:
         """Linear velocity of the root's centre in the world, m/s."""
-        return root.linear(self.velocity)
+        return self.velocity[3:]
 
     @property
     def rates(self) -> Float[Array, "v *n"]:
@@ -68,8 +69,8 @@ class State(eqx.Module):
         q = joint_kinds.displaced(tree, self.q, root.joint_part(x))
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
-        pose = root.displaced(self.position, self.orientation, x)
-        return State(*pose, self.velocity, q, self.qd)
+        turned = integrate_quaternion(self.orientation, x[root.LENGTHS : root.ROOT_DOFS], 1.0)
+        return State(self.position + x[: root.LENGTHS], turned, self.velocity, q, self.qd)
 
     def placed(self, tree: Tree) -> "State":
         """Return the state with a root that hangs put where its joint holds it."""
@@ -86,15 +87,7 @@ def integrate(
     qdd: Float[Array, "d *n"],
     h: float,
 ) -> State:
-    """Take a semi-implicit Euler step: the new velocities move the positions.
-
-    Args:
-        tree: the creature.
-        state: state at the start of the step.
-        acceleration: acceleration of a free root, rad/s^2 and m/s^2.
-        qdd: joint accelerations, rad/s^2.
-        h: step, s.
-    """
+    """Take a semi-implicit Euler step: the new velocities move the positions."""
     velocity, qd = state.velocity + h * acceleration, state.qd + h * qdd
     return dataclasses.replace(state, velocity=velocity, qd=qd).moved(tree, h)
 

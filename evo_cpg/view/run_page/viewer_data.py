@@ -11,7 +11,7 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.physics.contact.terrain import Part
+from evo_cpg.physics.contact.terrain import GroundPart
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import smooth
 from evo_cpg.view.clip import Clip, quaternions, sample
@@ -128,7 +128,7 @@ def _terrain(scene: Scene, arrays: Arrays) -> dict[str, int]:
     return made | {"normals": arrays.add(terrain.normals() * 127, "i1")}
 
 
-def _obstacle(obstacle: Part, arrays: Arrays) -> dict[str, Any]:
+def _obstacle(obstacle: GroundPart, arrays: Arrays) -> dict[str, Any]:
     mesh, place, turn = obstacle_mesh(obstacle)
     coarse = mesh.triangulate()
     if coarse.n_points > _FINE:
