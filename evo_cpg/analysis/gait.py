@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.creature.tree import body_and_axis
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.simulation.recording import Recording
 
 # The spectrum is interpolated to this fraction of its natural resolution before the peak is

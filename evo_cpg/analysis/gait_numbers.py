@@ -24,8 +24,8 @@ from evo_cpg.analysis.midline import (
     midline_points,
 )
 from evo_cpg.analysis.stride import stride_frequency
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
-from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 

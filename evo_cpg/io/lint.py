@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel
 
-from evo_cpg.creature.creature import SPANNING, Body, Creature, Joint
+from evo_cpg.creature.axis_kinds import SPANNING, Turn
+from evo_cpg.creature.creature import Body, Creature, Joint
 from evo_cpg.io.build import build_creature
 from evo_cpg.io.errors import Key
 from evo_cpg.io.keys import value_at
@@ -343,8 +344,8 @@ def axes_in_a_plane(case: Case) -> Found:
     """Warn of three axes at one place that reach a common plane, without a rotor among them."""
     for joint in case.joints():
         built = joint.built
-        at_one_place = not any(built.kinds or ()) and not any(built.places or ())
-        if len(built.axes) != SPANNING or not at_one_place or built.kind == "turns":
+        pure = all(dof.kind == Turn() and not any(dof.place) for dof in built.dofs)
+        if len(built.axes) != SPANNING or not pure or built.kind == "turns":
             continue
         if not any(dof.armature for dof in built.dofs):
             yield (

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like
+from evo_cpg.creature.axis_kinds import kind_named
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.errors import UserError
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.tree.kinematics import kinematics
@@ -62,9 +62,8 @@ class Recording(NamedTuple):
 
     @property
     def slides(self) -> Bool[np.ndarray, " d"]:
-        """Degrees of freedom that are displacements, with the units m, m/s and N."""
-        axes = [body_and_axis(name)[1] for name in self.dof_names]
-        return np.array([axis.startswith("slide_") for axis in axes], bool)
+        """Degrees of freedom whose coordinate is a length, with the units m, m/s and N."""
+        return np.array([kind_named(name).unit == "m" for name in self.dof_names], bool)
 
     def __repr__(self) -> str:
         span = f" from {self.time[0]:.4g} to {self.time[-1]:.4g} s" if len(self.time) else ""

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from evo_cpg.analysis.feet import stances, touch_downs
 from evo_cpg.analysis.gait import bending_axis
-from evo_cpg.creature.tree import body_and_axis
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.figure import draw_stances, framed
 from evo_cpg.view.legible import legible

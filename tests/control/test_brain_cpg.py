@@ -16,8 +16,7 @@ from evo_cpg.control.controller import Observation
 from evo_cpg.control.couplings import UnfitError
 from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.creature import Muscle, TorqueMotor
-from evo_cpg.creature.muscles import muscles_of
-from evo_cpg.creature.torque_motors import torque_motors_of
+from evo_cpg.creature.laws import muscles_of, torque_motors_of
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.build import build_creature
 from evo_cpg.io.load import load_config

@@ -19,8 +19,7 @@ from evo_cpg.control.postures import (
     build_posture_controller,
 )
 from evo_cpg.creature.creature import Muscle, TorqueMotor
-from evo_cpg.creature.muscles import muscles_of
-from evo_cpg.creature.torque_motors import torque_motors_of
+from evo_cpg.creature.laws import muscles_of, torque_motors_of
 
 ANGLES = [110, 130, 150, 170, 190, 210, 230, 250]  # degrees: Fukui 2003, 2.5
 LEGS = ("front_left", "front_right", "hind_left", "hind_right")

@@ -18,7 +18,6 @@ from creatures import (
     rolled,
 )
 from evo_cpg.analysis.energy import mechanical_energy
-from evo_cpg.creature.axis_laws import LIMIT_FREQUENCY
 from evo_cpg.creature.creature import (
     NO_LIMIT,
     Actuator,
@@ -28,6 +27,7 @@ from evo_cpg.creature.creature import (
     Material,
     TorqueMotor,
 )
+from evo_cpg.creature.laws import LIMIT_FREQUENCY
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.step.step import step

@@ -27,7 +27,9 @@ MASS = 2.0
 # Inertia of each of two equal boxes about its centre, kg m^2. Bent symmetrically, each box turns by
 # half of the joint's angle, and the centres only move apart. The joint sees half of one inertia.
 INERTIA = MASS * (SIZE[0] ** 2 + SIZE[1] ** 2) / 12
-EKEBERG = Muscle(area=1e-3, arm=0.02, fibre_length=0.1, bend=0.3, tone=1.5, hill=False)
+EKEBERG = Muscle(
+    area=1e-3, arm=0.02, fibre_length=0.1, bend_deg=np.rad2deg(0.3), tone=1.5, hill=False
+)
 HILL = dataclasses.replace(EKEBERG, hill=True)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
+from evo_cpg.creature.axis_kinds import Slide, Turn
 from evo_cpg.creature.creature import WORLD, Body, Creature, Joint, Material
 from evo_cpg.creature.limbs import limbs
 from evo_cpg.creature.shapes import Box
@@ -67,9 +68,9 @@ def test_frequency_and_amplitude_leave_out_slides():
         Body("a", Box((0.1,) * 3), Material(1000.0)),
         Body("b", Box((0.1,) * 3), Material(1000.0), hinge),
     )
-    slide = dataclasses.replace(hinge, parent=WORLD, kinds=("slide",))
+    slide = dataclasses.replace(hinge, parent=WORLD, kinds=(Slide(),))
     tree = build_tree(Creature("crab", bodies, root_joint=slide))
-    assert tree.dof_kinds == ("slide", "turn")
+    assert tree.dof_kinds == (Slide(), Turn())
     trial = Trial(World(tree, 9.81), 2.0)
     changes, angle, square = (np.array(x) for x in ([0.0, 16.0], [50.0, 0.0], [900.0, 0.5]))
     assert float(Frequency().finish(Strides(changes, changes), trial)) == 4.0

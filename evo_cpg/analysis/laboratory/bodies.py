@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.analysis.laboratory.settings import NOTHING, LabError, Setting
+from evo_cpg.creature.axis_kinds import kind_named
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.tree import Tree, body_and_axis
+from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
 from evo_cpg.io.batched import batch_of_configs
 from evo_cpg.io.build import build_creature, build_experiment
@@ -189,7 +190,7 @@ def _scaled_creature(config: ExperimentConfig, size: float) -> dict[str, Any]:
         if joint := body["joint"]:
             made["joint"] |= _scaled_axes(joint, size)
     for tendon, made in zip(given.get("tendons", ()), scaled.get("tendons", ()), strict=True):
-        sliding = {name for name in tendon["joints"] if body_and_axis(name)[1].startswith("slide")}
+        sliding = {name for name in tendon["joints"] if kind_named(name).unit == "m"}
         if sliding:
             made |= _scaled(tendon, size, powers=_POWERS | _SLIDING_POWERS)
             # Coefficients of turning axes are lever arms beside a slide.

@@ -118,10 +118,10 @@ def mjcf_model(
         if joint is None:
             continue
         names = joint_names(body, joint)
-        for name, motor, dof in zip(names, joint.motors, joint.dofs, strict=True):
-            if motor:
-                axis = dof.axis if dof.kind == "ball" else None
-                add_motor(actuator, name, motor, axis=axis)
+        for name, dof in zip(names, joint.dofs, strict=True):
+            if dof.actuator:
+                axis = dof.axis if dof.kind.at_once else None
+                add_motor(actuator, name, dof.actuator, axis=axis)
     add_tendons(root, actuator, creature)
     if angles is not None:
         pose = _positions(creature, angles)

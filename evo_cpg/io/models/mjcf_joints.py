@@ -35,20 +35,18 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from evo_cpg.creature.algebra.rotation import matrix_to_euler
-from evo_cpg.creature.creature import NO_LIMIT, Body, Creature, Joint, topological_order
+from evo_cpg.creature.creature import NO_LIMIT, Body, Creature, Joint, Muscle, topological_order
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.models.compiled import Compiled, printed, tidy, tidy_vector
 from evo_cpg.io.models.mjcf_motors import add_motor
 from evo_cpg.io.models.mjcf_shapes import Placed, number_text, place_text, set_effects
+from evo_cpg.io.models.refusals import ExchangeError
 
 # Limits (rad or m) from which on a joint counts as unlimited.
 _UNLIMITED = 1e4
 
 # Largest distance of an axis from the joint's place, m, at which it counts as through it.
 _AT_PLACE = 1e-12
-
-# Type of the MJCF joint of each kind of axis.
-_TYPES = {"turn": "hinge", "slide": "slide", "ball": "ball"}
 
 # MuJoCo replaces the spring length -1 by the length in the neutral pose.
 _NEUTRAL = -1.0
@@ -60,24 +58,26 @@ def joint_names(body: Body, joint: Joint | None) -> list[str]:
     All axes of a ball have the same name.
     """
     dofs = joint.dofs if joint else ()
-    return [f"{body.name}.{1 if dof.kind == 'ball' else i + 1}" for i, dof in enumerate(dofs)]
+    return [f"{body.name}.{1 if dof.kind.at_once else i + 1}" for i, dof in enumerate(dofs)]
 
 
 def add_joints(element: Element, body: Body, joint: Joint) -> None:
     """Add the joint of a body to its element."""
     # The axes of a ball have the same name and the same values.
     for name, dof in dict(zip(joint_names(body, joint), joint.dofs, strict=True)).items():
-        hinge = SubElement(element, "joint", name=name, type=_TYPES[dof.kind])
-        if dof.kind != "ball":
+        if dof.kind.mujoco is None:
+            raise ExchangeError(f"joint of {body.name!r}: no joint of MuJoCo {dof.kind.motion}")
+        hinge = SubElement(element, "joint", name=name, type=dof.kind.mujoco)
+        if not dof.kind.at_once:
             hinge.set("axis", place_text(np.array(dof.axis)))
         if any(dof.place):
             hinge.set("pos", place_text(np.array(dof.place)))
         limited = dof.upper < NO_LIMIT
         hinge.set("limited", "true" if limited else "false")
         if limited:
-            lower = 0.0 if dof.kind == "ball" else dof.lower
+            lower = 0.0 if dof.kind.at_once else dof.lower
             hinge.set("range", number_text(lower, dof.upper))
-        muscle = dof.muscle
+        muscle = dof.actuator if isinstance(dof.actuator, Muscle) else None
         effects = {
             "stiffness": dof.stiffness + (muscle.rest_stiffness if muscle else 0.0),
             "damping": dof.damping + (muscle.damping if muscle else 0.0),
@@ -300,7 +300,7 @@ def read_tendons(
         with compiled.refusals.collecting():
             coefficients = _coefficients(compiled, number, joints)
             if number in motors:
-                # The motor follows the command of a joint, as in `evo_cpg.creature.tendons`.
+                # The motor follows the command of a joint, as in `evo_cpg.creature.laws`.
                 free = [joint for joint in coefficients if joint not in taken]
                 taken.update(free[:1])
                 if free:

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
 
+from evo_cpg.creature.axis_kinds import SPANNING
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.root import ROOT_DOFS
 from evo_cpg.physics.tree.state import State
@@ -116,9 +117,8 @@ def ball_quaternion(
 
 def _kinds_of(tree: Tree) -> tuple[list[int], list[list[int]]]:
     """Return the degrees of freedom that are one number of MuJoCo's pose, and those of balls."""
-    balls = [i for i, kind in enumerate(tree.dof_kinds) if kind == "ball"]
-    plain = [i for i, kind in enumerate(tree.dof_kinds) if kind != "ball"]
-    return plain, [balls[k : k + 3] for k in range(0, len(balls), 3)]
+    plain = [i for i, kind in enumerate(tree.dof_kinds) if not kind.at_once]
+    return plain, [list(range(first, first + SPANNING)) for first in tree.balls]
 
 
 def root_rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:

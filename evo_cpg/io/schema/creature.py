@@ -48,6 +48,7 @@ from evo_cpg.io.schema.section import (
     Section,
     Vector,
     pattern,
+    section_of,
 )
 from evo_cpg.io.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
 from evo_cpg.io.schema.shape import ShapeConfig
@@ -58,20 +59,14 @@ Color = Annotated[
 ]
 
 
-class MaterialConfig(Section):
-    """Material of bodies (Iwadate 2010, Table 1).
-
-    Attributes:
-        density: mass per volume (water: 1000), kg/m^3.
-        restitution: fraction of the normal speed that remains after an impact.
-        static_friction: coefficient of friction at rest.
-        dynamic_friction: coefficient of friction while sliding.
-    """
-
-    density: Positive
-    restitution: Fraction = 0.1
-    static_friction: NotNegative = 0.5
-    dynamic_friction: NotNegative = 0.4
+MaterialConfig = section_of(
+    Material,
+    "MaterialConfig",
+    density=Positive,
+    restitution=Fraction,
+    static_friction=NotNegative,
+    dynamic_friction=NotNegative,
+)
 
 
 class PartConfig(Section):
@@ -231,7 +226,7 @@ class CreatureConfig(Section):
     """
 
     name: PrintedName
-    materials: dict[str, MaterialConfig]
+    materials: dict[str, MaterialConfig]  # pyright: ignore[reportInvalidTypeForm]
     bodies: Annotated[list[BodyConfig], Field(min_length=1)]
     light_sensors: list[LightSensorConfig] = Field(default_factory=list)
     pressure_sensors: Literal["all"] | list[str] = "all"
@@ -424,7 +419,7 @@ class CreatureConfig(Section):
             inertial = _inertial(entry, copy, centre)
 
         def material(name: str) -> Material:
-            made = Material(**dict(self.materials[name]))
+            made = self.materials[name].build()
             return made if density is None else dataclasses.replace(made, density=density)
 
         own = NoShape() if entry.shape is None else shapes.pop(0)

@@ -4,11 +4,13 @@ A typical range is narrower than the allowed range. It is part of a field's anno
 ``Annotated[NotNegative, TypicalRange(0, 30, ...)]``. `evo_cpg.io.lint` warns of values outside it.
 """
 
+import dataclasses
 import importlib
 import inspect
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -17,6 +19,7 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    create_model,
     model_serializer,
 )
 from pydantic_core import PydanticCustomError
@@ -73,6 +76,40 @@ class Section(BaseModel):
             if value != default:
                 long = isinstance(value, (list, tuple)) and len(value) > _SHOWN
                 yield name, _Count(len(value)) if long else value
+
+
+class DescribedSection(Section):
+    """A section with the fields, the defaults and the description of a dataclass (`section_of`)."""
+
+    described: ClassVar[type]
+
+    def build(self) -> Any:
+        """Build the dataclass. A null leaves its default."""
+        given = {name: value for name, value in self if value is not None and name != "type"}
+        return self.described(**given)
+
+
+def section_of(
+    described: type, name: str, kind: str | None = None, default: bool = False, **hints: Any
+) -> type[DescribedSection]:
+    """Return the section of a dataclass. A default of infinity becomes null.
+
+    Args:
+        described: the dataclass.
+        name: name of the section.
+        kind: value of the section's key ``type``, or None for a section without this key.
+        default: whether the key ``type`` may be left out.
+        hints: type of each field, with the range of its values.
+    """
+    fields: dict[str, Any] = {}
+    if kind is not None:
+        fields["type"] = (Literal[kind], kind if default else ...)
+    for field in dataclasses.fields(described):
+        usual = ... if field.default is dataclasses.MISSING else field.default
+        fields[field.name] = (hints[field.name], None if usual == math.inf else usual)
+    made = create_model(name, __base__=DescribedSection, __doc__=described.__doc__, **fields)
+    made.described = described
+    return made
 
 
 class _Count(int):

@@ -168,7 +168,7 @@ class _NeutralPose(NamedTuple):
         chains = [set(chain_to_root(tree, body)) for body in pair]
         dofs = [i for i, body in enumerate(tree.dof_bodies) if body in chains[0] ^ chains[1]]
         boxes = _Case("boxes", (plain, plain), pair)
-        if any(tree.dof_kinds[i] != "turn" for i in dofs):
+        if any(kind.at_once or kind.translation for kind in (tree.dof_kinds[i] for i in dofs)):
             return boxes
         # All joints between the boxes must turn about one axis of both.
         axes = np.array([self.turned[tree.dof_bodies[i]] @ tree.joint_axes[:, i] for i in dofs])

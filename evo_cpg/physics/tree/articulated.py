@@ -9,7 +9,7 @@ derivative ``-dtau/dqdd``, the diagonal ``T``. The velocities at the end of a st
 The solver is the algorithm of Featherstone 2008, table 7.1, with ``I_i + h D_i`` in place of
 ``I_i`` and ``S^T I^A S + T`` in place of ``S^T I^A S``. The first pass, outwards, is
 `evo_cpg.physics.tree.kinematics.kinematics`. `solve` does the other two passes. The algebra of one
-joint and its symbols are in `evo_cpg.physics.tree.joint_elimination`.
+joint and its symbols are in `evo_cpg.physics.tree.joint_kinds`.
 
 Differs from the table in the place of the velocity-product accelerations c_i. Their sums from the
 root are A0_i of `Kinematics`, and p_i includes the wrench for them. The passes solve only for the
@@ -32,7 +32,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree import root
-from evo_cpg.physics.tree.joint_elimination import joints_of
+from evo_cpg.physics.tree.joint_kinds import joints_of
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.per_body import PerBody, in_dof_order
 from evo_cpg.physics.tree.spatial_algebra import (

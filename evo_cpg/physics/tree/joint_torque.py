@@ -29,8 +29,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
-from evo_cpg.creature.ball_limits import BallLimits
-from evo_cpg.creature.tendons import Tendons
+from evo_cpg.creature.laws import BallLimits, Tendons
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.muscle import pull_of
 from evo_cpg.physics.tree.per_body import take

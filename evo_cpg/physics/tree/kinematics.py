@@ -24,8 +24,8 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree import hanging, joints, root
+from evo_cpg.physics.tree.joint_kinds import Link, linked, local_frames
 from evo_cpg.physics.tree.joints import Subspace
-from evo_cpg.physics.tree.links import Link, linked
 from evo_cpg.physics.tree.per_body import PerBody, of_joints
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 from evo_cpg.physics.tree.state import State
@@ -54,10 +54,10 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         # The root comes before the joints, because another order changes the rounding.
         rest, rotation = jnp.zeros_like(state.position), quaternion_to_matrix(state.orientation)
         first = Link(rotation, state.position, *root.motion(state.velocity))
-        bodies, local = PerBody([first], batch_ndim), joints.local_frames(tree, state.q)
+        bodies, local = PerBody([first], batch_ndim), local_frames(tree, state.q)
         offsets, axes = [rest[:, None]], []
     else:
-        local = joints.local_frames(tree, state.q)
+        local = local_frames(tree, state.q)
         i, world = tree.hanging, hanging.fixed_link(hanging.base_of(state.base))
         first, offset, S = linked(tree, i, world, local[i.bodies], state.qd)
         bodies = PerBody[Link]([], batch_ndim).followed_by(first)

@@ -41,7 +41,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
-from evo_cpg.creature.muscles import Muscles
+from evo_cpg.creature.laws import Muscles
 
 # Width of the force-length curve, in fibre lengths (Zajac 1989).
 _WIDTH = 0.45

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.linear import array_of
 from evo_cpg.creature.algebra.rotation import integrate_quaternion
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.tree import hanging, joints, root
+from evo_cpg.physics.tree import hanging, joint_kinds, root
 from evo_cpg.physics.tree.hanging import Base
 
 
@@ -20,8 +20,8 @@ class State(eqx.Module):
     """Pose and velocity of a tree. Trailing axes are individuals.
 
     The first three fields belong to the root (`evo_cpg.physics.tree.root`), the next two to the
-    joints (`evo_cpg.physics.tree.joints`). If the root hangs on the world, its three fields follow
-    from the others (`placed`), and its joint is the first one.
+    joints (`evo_cpg.physics.tree.joint_kinds`). If the root hangs on the world, its three fields
+    follow from the others (`placed`), and its joint is the first one.
 
     Attributes:
         position: position of the root's centre in the world, m.
@@ -58,7 +58,7 @@ class State(eqx.Module):
 
     def moved(self, tree: Tree, h: float) -> "State":
         """Return the state after h seconds (negative: before) at constant velocities."""
-        q = joints.moved(tree, self.q, self.qd, h)
+        q = joint_kinds.moved(tree, self.q, self.qd, h)
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
         pose = root.moved(self.position, self.orientation, self.velocity, h)
@@ -66,7 +66,7 @@ class State(eqx.Module):
 
     def displaced(self, tree: Tree, x: Float[Array, " v"]) -> "State":
         """Return the state at static coordinates from this pose (`step.statics`)."""
-        q = joints.displaced(tree, self.q, root.joint_part(x))
+        q = joint_kinds.displaced(tree, self.q, root.joint_part(x))
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
         turned = integrate_quaternion(self.orientation, x[root.LENGTHS : root.ROOT_DOFS], 1.0)

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
-from evo_cpg.creature.tendons import Tendons
+from evo_cpg.creature.laws import Tendons
 from evo_cpg.physics.tree.joint_torque import (
     MotorCommand,
     MotorTorque,

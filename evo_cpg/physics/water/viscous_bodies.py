@@ -1,7 +1,7 @@
 """Builder of the drag of water with a viscosity (`evo_cpg.physics.water.viscous_drag`).
 
 The constants of a body come from its exposed surface and from the outline of its whole chain
-(`evo_cpg.creature.chain_outline`):
+(`evo_cpg.creature.slender`):
 
 - R of creeping flow is that of an ellipsoid with the proportions of the outline.
 - The coefficients of form drag give the outline its measured drag.
@@ -48,10 +48,9 @@ from jaxtyping import Float
 
 from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
-from evo_cpg.creature.chain_outline import Outline, outline
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Surface
-from evo_cpg.creature.slender import slender_chains
+from evo_cpg.creature.slender import ChainOutline, chain_outline, slender_chains
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.water.fluid import (
@@ -115,7 +114,7 @@ def make_viscous_drag(
     for chain in slender_chains(creature):
         if not creature.bodies[chain.bodies[0]].shape.exists:
             continue
-        shape = outline(creature, chain)
+        shape = chain_outline(creature, chain)
         names = [creature.bodies[body].name for body in chain.bodies]
         fine = creature.bodies[chain.bodies[0]].shape.surface(_FINE)
         points = _form_points(shape, [form[name] for name in names], fine)
@@ -161,7 +160,7 @@ def make_viscous_drag(
 
 
 def _form_points(
-    shape: Outline, surfaces: list[Surface], fine: Surface
+    shape: ChainOutline, surfaces: list[Surface], fine: Surface
 ) -> list[tuple[Surface, Numbers]]:
     """Return the points of form drag of each body of a chain, and their coefficients k.
 
@@ -201,7 +200,7 @@ def _form_points(
     return found
 
 
-def _creep(shape: Outline) -> Float[Numbers, "n 6"]:
+def _creep(shape: ChainOutline) -> Float[Numbers, "n 6"]:
     """Return the resistances of each body about and along the axes of the outline, at its centre.
 
     The ellipsoid has the proportions of the outline and the volume of the bodies. A body gets its
@@ -217,7 +216,7 @@ def _creep(shape: Outline) -> Float[Numbers, "n 6"]:
     return xp.concatenate([about, part * force[None]], 1)
 
 
-def _lengths(shape: Outline) -> Float[Numbers, " n"]:
+def _lengths(shape: ChainOutline) -> Float[Numbers, " n"]:
     return shape.chain.lengths if len(shape.axes) > 1 else 2 * shape.halves[:, 0]
 
 
@@ -227,7 +226,7 @@ def _path(depth: Number, one: Number, other: Number) -> Number:
     return (depth**4 + narrow**4) ** 0.25
 
 
-def _runs_along(shape: Outline) -> Float[Numbers, "n 2"]:
+def _runs_along(shape: ChainOutline) -> Float[Numbers, "n 2"]:
     """Return the squared inverse distances of each body from the nose and from the tail, 1/m^2.
 
     The mean of ``x^-1/2`` over a body from x_0 to x_1 is ``2 / (sqrt(x_0) + sqrt(x_1))``.
@@ -246,7 +245,7 @@ def _runs_along(shape: Outline) -> Float[Numbers, "n 2"]:
 
 
 def _wetted(
-    shape: Outline,
+    shape: ChainOutline,
     i: int,
     middle: Float[Numbers, " 3"],
     placed: Surface,

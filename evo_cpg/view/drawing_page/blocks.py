@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evo_cpg.creature.tree import body_and_axis
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.io.schema.copies import Copy, MirrorAxis, copies_named, fill, opposed, reflected
 from evo_cpg.io.schema.joint import JointConfig
 from evo_cpg.io.schema.tendon import TendonConfig

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from evo_cpg.creature.tree import body_and_axis
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.io.schema.copies import copies_named, fill
 from evo_cpg.io.schema.section import Vector
 from evo_cpg.view.drawing_page.document import Data, EditError

@@ -119,21 +119,21 @@ def _joint(creature: Any, i: int, centres: Any, rotations: Any) -> dict[str, Any
         return None
     place = centres[i] + rotations[i] @ np.asarray(joint.child_anchor, float)
 
-    def written(limit: float, kind: str) -> float | None:
-        """Return a limit in degrees, or in m for a slide, or None for no limit."""
+    def written(limit: float, unit: str) -> float | None:
+        """Return a limit in degrees or in m, or None for no limit."""
         if abs(limit) >= NO_LIMIT:
             return None
-        return float(limit) if kind == "slide" else float(np.degrees(limit))
+        return float(np.degrees(limit)) if unit == "rad" else float(limit)
 
     return {
         "place": place.tolist(),
         "axes": [
             {
-                "kind": dof.kind,
+                "kind": dof.kind.key,
                 "along": (rotations[i] @ np.asarray(dof.axis, float)).tolist(),
                 "at": (place + rotations[i] @ np.asarray(dof.place, float)).tolist(),
-                "lower": written(float(dof.lower), dof.kind),
-                "upper": written(float(dof.upper), dof.kind),
+                "lower": written(float(dof.lower), dof.kind.unit),
+                "upper": written(float(dof.upper), dof.kind.unit),
             }
             for dof in joint.dofs
         ],

@@ -9,7 +9,7 @@ import numpy as np
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.analysis.gait_quantities import Quantity
-from evo_cpg.creature.tree import body_and_axis
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.plots import joint_signals_figure, path_figure
 from evo_cpg.view.run_page import charts
