@@ -19,7 +19,7 @@ import jax
 import pytest
 
 from evo_cpg.native import engine
-from evo_cpg.training import ascent, experiment, replay, running
+from evo_cpg.training import ascent, experiment, replay, train
 
 # Fixtures of tests that get their own programs.
 _OWN = {"monkeypatch", "lowered"}
@@ -48,7 +48,7 @@ def _ascent(made, mesh, steps, free=None):
 
 _MAKERS: dict[Callable, Callable[..., tuple | None]] = {
     experiment.compile_trials: _trials,
-    running.compile_evolution: _evolution,
+    train.compile_evolution: _evolution,
     replay.compile_replay: _replay,
     ascent.compile_ascent: _ascent,
 }

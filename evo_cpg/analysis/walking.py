@@ -8,7 +8,7 @@
 | relative slip | slip of the feet / speed of the animal | |
 
 Duty factors and touch-downs are in `evo_cpg.analysis.footfalls`, slip in
-`evo_cpg.simulation.foot_slip`, the stride length and the cost of transport in
+`evo_cpg.simulation.measures`, the stride length and the cost of transport in
 `evo_cpg.analysis.stride`.
 """
 
@@ -88,7 +88,7 @@ def relative_slip(slip_speed: Values, speed: Values) -> Values:
     """Return the slip of the feet over the animal's speed, no unit.
 
     Args:
-        slip_speed: slip speed of the feet, m/s (`evo_cpg.simulation.foot_slip`).
+        slip_speed: slip speed of the feet, m/s (`evo_cpg.simulation.measures`).
         speed: speed of the animal, m/s. The result is NaN for 0.
     """
     return ratio(slip_speed, speed)

@@ -29,7 +29,7 @@ from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.limits import Limits
 from evo_cpg.native.engine import Engine, described
 from evo_cpg.physics.contact.pairs import make_pairs
-from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps
+from evo_cpg.simulation.observers import EachPhysicsStep, PhysicsSteps
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training import variations

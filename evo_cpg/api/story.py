@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.api.display import working
-from evo_cpg.evolution.random_search import RandomSearch
+from evo_cpg.evolution.strategy import RandomSearch
 from evo_cpg.io.opened import OpenedChampion
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion

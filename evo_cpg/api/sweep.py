@@ -8,7 +8,7 @@
     sweep.png        fitness over generations, and final fitness
 
 Settings with equal trials run together in one program, with any searches
-(`evo_cpg.training.loop`). Others run in turn, each with its own program. The numbers of a body
+(`evo_cpg.training.train`). Others run in turn, each with its own program. The numbers of a body
 are constants of the program, so that evaluations are fast and replays exact to the bit.
 """
 
@@ -228,7 +228,7 @@ def run_group(
         LockedError: another process evolves one of the settings.
         OutputError: a folder cannot be written.
     """
-    from evo_cpg.training.loop import train_together
+    from evo_cpg.training.train import train_together
 
     with contextlib.ExitStack() as stack:
         for member in group:

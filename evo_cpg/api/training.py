@@ -23,7 +23,8 @@ from evo_cpg.io.load import dump_config
 from evo_cpg.io.opened import Opened
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.shipped import shipped_name
-from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement
+from evo_cpg.simulation.measures import DISPLACEMENT
+from evo_cpg.simulation.simulation import with_displacement
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion, genes_digest
@@ -339,7 +340,7 @@ def evolve(
         RunFolderError: no individual of any generation has a finite fitness.
     """
     # Importing the loop takes a second, because it imports JAX.
-    from evo_cpg.training.loop import train as train_generations
+    from evo_cpg.training.train import train as train_generations
 
     done = train_generations(experiment, folder, on_generation, on_compiled=recorder.compile)
     if done.champion is None:

@@ -26,7 +26,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.io.errors import nearest
 from evo_cpg.io.load import load_config
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training.compile_cache import keep_compiled_programs
+from evo_cpg.training.devices import keep_compiled_programs
 
 _COLUMNS = ("joints", "Hz", "lag, deg", "amplitude", "multiplier", "recovery")
 

@@ -161,7 +161,7 @@ def evolve_run(opened: Opened) -> None:
     """Evolve, show the progress, record the champion and report it."""
     experiment, folder = opened.experiment, opened.folder
     with working("starting JAX"):
-        import evo_cpg.training.loop  # noqa: F401
+        import evo_cpg.training.train  # noqa: F401
 
     done = folder.load()
     least, start = first_look_limit(opened.config), done.generation if done else 0

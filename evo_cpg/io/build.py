@@ -47,12 +47,10 @@ from evo_cpg.physics.water.viscous_bodies import make_viscous_drag
 from evo_cpg.physics.water.viscous_drag import ViscousDrag
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.rules import Rules
-from evo_cpg.simulation.sensor import Sensor
-from evo_cpg.simulation.sensors import place_sensors
-from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.sensors import Sensor, place_sensors
+from evo_cpg.simulation.simulation import Rules, Simulation
 from evo_cpg.simulation.task import Task, term_names
-from evo_cpg.simulation.walk import Walk
+from evo_cpg.simulation.tasks import Walk
 from evo_cpg.system import resolved, with_working_folder
 from evo_cpg.training.experiment import ExperimentParts
 

@@ -16,7 +16,7 @@ from evo_cpg.errors import UserError
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.simulation.control_step import Effects
-from evo_cpg.simulation.observer import Observer, Seen
+from evo_cpg.simulation.observers import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.snapshot import Snapshot
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.physics.tree.state import State
-from evo_cpg.simulation.observer import States
+from evo_cpg.simulation.observers import States
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.variations import finer

@@ -4,6 +4,11 @@ The fitness of a whole trial is rough: its gradient may change sign within a hun
 range. A solver that must improve at every step soon stops on a small bump (L-BFGS with a line
 search did). Adam's steps pass over bumps, and the best visited point is kept. No single step size
 or gradient horizon (see `evo_cpg.simulation.backward`) suits all, so each individual draws its own.
+
+Learning in addition to evolution: every few generations the elites take gradient steps.
+
+The improved genomes replace the elites in the population (Lamarckian learning, as in memetic
+algorithms).
 """
 
 from collections.abc import Callable
@@ -23,7 +28,7 @@ from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
-from evo_cpg.training.experiment import ExperimentParts, judge, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, judge, situation_numbers, trial_keys
 
 # Range of step sizes in water, in units of genes. They are drawn evenly on a logarithmic scale.
 _STEP_SIZES = 3e-4, 1e-2
@@ -313,3 +318,58 @@ def compile_ascent(
 def _is_rough(simulation: Simulation) -> bool:
     """Return whether gradients pass through ground contact (`evo_cpg.simulation.backward`)."""
     return simulation.world.contact_model is not None
+
+
+# Tag that keeps the draws of the ascents apart from other draws of the same seed.
+_CLIMB = 3
+
+
+def compile_learning(
+    experiment: ExperimentParts, mesh: Mesh
+) -> Callable[..., Float[np.ndarray, "g all"]]:
+    """Return a function that runs the elites' gradient ascent on the devices of the mesh.
+
+    Returns:
+        A function of the population, the number of its generation, and the task's scales in each
+        run, compiled at its first call. Every run's part of the population begins with its elites.
+        The result is the population with improved elites. Each run draws from its own seed.
+    """
+    learning = experiment.learning
+    assert learning is not None
+    elites, runs = learning.elites, experiment.runs
+    climb = compile_ascent(experiment, mesh, learning.steps)
+
+    def learn(
+        genes: Float[np.ndarray, "g all"], generation: int, scales: dict[str, tuple[float, ...]]
+    ) -> Float[np.ndarray, "g all"]:
+        population = genes.shape[1] // runs
+        places = (population * np.arange(runs)[:, None] + np.arange(elites)).ravel()
+        draws = [
+            draw_settings(
+                np.random.default_rng((experiment.seed + run, generation, _CLIMB)),
+                experiment.simulation,
+                elites,
+            )
+            for run in range(runs)
+        ]
+        settings = jax.tree.map(lambda *x: np.concatenate(x), *draws)
+        own_scales = {
+            name: np.repeat(np.array(values, np.float32), elites) for name, values in scales.items()
+        }
+        climbed = climb(genes[:, places], settings, own_scales, _keys(experiment, generation))
+        genes = genes.copy()
+        genes[:, places] = climbed.genes
+        return genes
+
+    return learn
+
+
+def _keys(experiment: ExperimentParts, generation: int) -> np.ndarray | None:
+    """Return random keys of all elites' trials, ``(w, trials, n)``, or None without noise."""
+    assert experiment.learning is not None
+    shape = experiment.runs, experiment.learning.elites, experiment.trials
+    run, individual, trial = np.indices(shape).reshape(3, -1)
+    keys = jax.device_get(trial_keys(experiment, generation, run, individual, trial))
+    if keys is None:
+        return None
+    return np.moveaxis(keys.reshape(len(keys), -1, experiment.trials), 1, 2)

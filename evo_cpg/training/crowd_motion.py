@@ -28,7 +28,7 @@ from evo_cpg.training.experiment import (
     trial_keys,
 )
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-from evo_cpg.training.running import Running
+from evo_cpg.training.train import Running
 
 # Most animals in a crowd. More of them hide each other, and take memory.
 _MOST = 400

@@ -6,10 +6,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.evolution.archive import Archive, Axis
-from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.evolution.strategy import Archive, Axis
+from evo_cpg.training.checkpoint import Champion, Checkpoint, StrategyError, state_from
 from evo_cpg.training.experiment import ExperimentParts, begin
-from evo_cpg.training.strategy_state import StrategyError, state_from
 
 
 class GaitMap(NamedTuple):

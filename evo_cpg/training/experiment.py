@@ -28,7 +28,7 @@ from evo_cpg.training.devices import Layout, layout, run_in_blocks, sharded
 
 # Tags that keep the random streams of one seed apart.
 _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
-# Tag 3 belongs to `evo_cpg.training.memetic`.
+# Tag 3 belongs to `evo_cpg.training.ascent`.
 _STRATEGY, _ASKS = 4, 5
 
 
@@ -48,7 +48,7 @@ TABLE_COLUMNS = (
 
 
 class Learning(NamedTuple):
-    """Settings of the elites' gradient ascent (see `evo_cpg.training.memetic`).
+    """Settings of the elites' gradient ascent (see `evo_cpg.training.ascent`).
 
     Attributes:
         every: number of generations between two ascents.

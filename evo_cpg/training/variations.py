@@ -16,10 +16,10 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.native.engine import Engine
 from evo_cpg.simulation.batched import batch
-from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement
 from evo_cpg.simulation.judge import Outcome
+from evo_cpg.simulation.measures import DISPLACEMENT
 from evo_cpg.simulation.rollout import rollout
-from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.simulation import Simulation, with_displacement
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import ExperimentParts, champion_keys, judge, situation_numbers
 

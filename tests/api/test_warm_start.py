@@ -75,7 +75,7 @@ def test_the_start_is_the_first_population_even_after_a_kill(earlier, tmp_path):
     begin_run(Opened(folder, config.config, experiment), 2, CONFIG, given)
     assert json.loads(folder.meta.read_text())["start"] == given.provenance
     np.testing.assert_array_equal(RunFolder(folder.path).load_start(), given.genes)
-    from evo_cpg.training.loop import train
+    from evo_cpg.training.train import train
 
     train(experiment._replace(generations=1), RunFolder(folder.path))
     resumed = train(experiment, RunFolder(folder.path))

@@ -19,7 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from evo_cpg.control.controller import Command, Controller
-from evo_cpg.simulation.sensor import Sensor
+from evo_cpg.simulation.sensors import Sensor
 from evo_cpg.simulation.task import Task
 from my_scale import SCALE
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import yaml
 
-from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import TIMING_COLUMNS
 from tiny_run import CONFIG, GENERATIONS, LONG
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from evo_cpg.training import loop, replay
+from evo_cpg.training import replay, train
 from evo_cpg.training.checkpoint import Checkpoint, genes_digest, outcome_digest
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import GENERATIONS
@@ -133,12 +133,12 @@ def test_the_error_for_a_damaged_champion_names_the_cure(copied_run, cli):
 
 def test_a_run_without_finite_fitness_is_an_error(copied_run, cli, monkeypatch):
     dead = Checkpoint(20, np.zeros((1, 8), np.float32), (None,), [], {})
-    monkeypatch.setattr(loop, "train", lambda *_, **__: dead)
+    monkeypatch.setattr(train, "train", lambda *_, **__: dead)
     code, out, err = cli("resume", copied_run.path, "--generations", GENERATIONS + 1)
     assert (code, out) == (2, "") and err.count("\n") == 1
     assert "every individual of every generation diverged, so there is no champion. Try" in err
     row = {"generation": 0, "diverged": 7}
-    monkeypatch.setattr(loop, "train", lambda *_, **__: dead._replace(history=[row]))
+    monkeypatch.setattr(train, "train", lambda *_, **__: dead._replace(history=[row]))
     code, out, err = cli("resume", copied_run.path, "--generations", GENERATIONS + 2)
     assert (code, out) == (2, "") and err.count("\n") == 1
     assert "no individual has a finite fitness, so there is no champion. Check" in err

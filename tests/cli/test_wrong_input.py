@@ -15,7 +15,7 @@ from tiny_run import CONFIG, REPOSITORY, TINY
 TASKS = """
 import jax.numpy as jnp
 from evo_cpg.control.controller import Command, Controller
-from evo_cpg.simulation.sensor import Sensor
+from evo_cpg.simulation.sensors import Sensor
 from evo_cpg.simulation.task import Task
 
 class NotATask: ...
@@ -390,7 +390,7 @@ def test_invalid_task_of_ones_own_is_rejected(
         (
             "creature.sensors=[{type: 'my_tasks:Jump'}]",
             "creature.sensors.0.type: 'my_tasks:Jump' is not a subclass of "
-            "evo_cpg.simulation.sensor:Sensor",
+            "evo_cpg.simulation.sensors:Sensor",
         ),
         ("creature.sensors=[{type: velocty}]", "'velocty' is not known. Allowed: 'velocity', or m"),
         ("creature.sensors=[{body: head}]", "creature.sensors.0.type: is missing and has no de"),

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest, chisquare
 
 from creatures import quick_jit
-from evo_cpg.evolution.bits import (
+from evo_cpg.evolution.genetics import (
     MUTATIONS,
     BitGenetics,
     bit_mutation,

@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.simulation.genome import Genome, Phenotype
-from evo_cpg.training.loop import train
+from evo_cpg.simulation.simulation import Genome, Phenotype
 from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 from trials import SineController, experiment
 
 

@@ -17,9 +17,9 @@ import xla_flags
 from evo_cpg.api.machine import machine_changes, machine_fingerprint
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import dump_config, load_config
-from evo_cpg.training.loop import TIMING_COLUMNS, train
 from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import TIMING_COLUMNS, train
 from tiny_run import CONFIG, PAIR
 
 CPUINFO = Path("/proc/cpuinfo")

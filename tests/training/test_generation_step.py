@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.evolution.selection import rank_order
+from evo_cpg.evolution.operators import rank_order
 from evo_cpg.simulation.judge import Outcome, score
 from evo_cpg.simulation.recording import as_recording
 from evo_cpg.simulation.rollout import rollout
@@ -19,9 +19,9 @@ from evo_cpg.training.experiment import (
     compile_trials,
     first_population,
 )
-from evo_cpg.training.loop import train
 from evo_cpg.training.replay import replay
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 from trials import SineController, experiment
 
 STEPS = 20

@@ -10,7 +10,7 @@ from evo_cpg.native import machine_constants
 from evo_cpg.native.machine_constants import LANES
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.training import experiment as training_experiment
-from evo_cpg.training import loop
+from evo_cpg.training import train as evolution
 from evo_cpg.training.devices import (
     Layout,
     chunk_width,
@@ -170,13 +170,13 @@ def test_more_generations_and_individuals_take_no_more_memory(monkeypatch, tmp_p
         return functions[-1]
 
     monkeypatch.setattr(training_experiment, "sharded", noted)
-    monkeypatch.setattr(loop, "compile_trials", kept)
+    monkeypatch.setattr(evolution, "compile_trials", kept)
     count = 500 * jax.local_device_count()
     made = experiment(2, count)._replace(generations=6)
     folder = RunFolder(tmp_path / "run")
     folder.create("", {})
     held = []
-    done = loop.train(made, folder, lambda rows: held.append(len(jax.live_arrays())))
+    done = evolution.train(made, folder, lambda rows: held.append(len(jax.live_arrays())))
     assert len(held) == 6 and len(set(held[1:])) == 1
     (live,) = functions
     few = live(done.genes)

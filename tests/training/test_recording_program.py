@@ -12,7 +12,7 @@ from evo_cpg.cli import interrupts, training
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.opened import Opened
-from evo_cpg.training import loop, replay
+from evo_cpg.training import replay, train
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, TINY
 
@@ -62,9 +62,9 @@ def test_on_compiled_is_called_once_after_the_first_trials(tmp_path):
     """Compiling two programs at once would delay the first generation."""
     experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
     told, rows = [], []
-    loop.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
+    train.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
     assert told == [0]
-    loop.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
+    train.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
     assert told == [0], "nothing is left to do, and nothing was compiled"
 
 
@@ -73,7 +73,7 @@ def test_one_program_replays_any_champion(tmp_path):
     """The program is compiled before there is a champion, and each champion has its own noise."""
     experiment, folder = folder_of(tmp_path / "run", NOISY)
     run = replay.compile_replay(experiment, 2)
-    champion = loop.train(experiment, folder).champion
+    champion = train.train(experiment, folder).champion
     assert champion is not None
     fitness, terms, _ = run(champion)
     assert fitness == champion.fitness and terms == champion.terms

@@ -18,10 +18,10 @@ from evo_cpg.training.checkpoint import (
     read_champion,
 )
 from evo_cpg.training.experiment import generation_keys, trial_keys
-from evo_cpg.training.loop import train
 from evo_cpg.training.reevaluation import EVALUATIONS, FIRST_ROUND, Choice, Contest
 from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 from evo_cpg.view.live_page.standing import Standing
 from tiny_run import REPOSITORY
 from trials import experiment

@@ -7,7 +7,6 @@ import pytest
 from evo_cpg.physics.water.fluid import Drag
 from evo_cpg.training.ascent import Free
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.loop import train
 from evo_cpg.training.refine import (
     Refinement,
     _Parent,
@@ -17,6 +16,7 @@ from evo_cpg.training.refine import (
 )
 from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 from trials import experiment
 
 MADE = experiment(60, 6)._replace(generations=2, runs=2)

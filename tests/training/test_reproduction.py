@@ -7,9 +7,9 @@ import pytest
 from evo_cpg.analysis.gait import gait
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import dump_config, load_config
-from evo_cpg.training.loop import train
 from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 
 CONFIG = Path(__file__).parents[2] / "configs" / "iwadate2010_swimmer.yaml"
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.evolution.bits import BitGenetics
-from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.genetics import BitGenetics, RealGenetics
 from evo_cpg.simulation.judge import Outcome, no_terms, score
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.training.devices import chunk_width, population_mesh
@@ -25,9 +24,9 @@ from evo_cpg.training.experiment import (
     judge_each,
     trial_keys,
 )
-from evo_cpg.training.loop import TIMING_COLUMNS, train
 from evo_cpg.training.replay import replay, replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import TIMING_COLUMNS, train
 from trials import OneTerm, SineController, experiment
 
 SEED, SIZE, GENERATIONS = 5, 6, 3

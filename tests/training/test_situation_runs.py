@@ -19,9 +19,9 @@ from evo_cpg.training.experiment import (
     generation_keys,
     situation_numbers,
 )
-from evo_cpg.training.loop import TIMING_COLUMNS, train
 from evo_cpg.training.replay import replay, replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import TIMING_COLUMNS, train
 from trials import experiment
 from watching import Watcher
 

@@ -8,17 +8,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag, model_validator
 from typing_extensions import override
 
-from evo_cpg.evolution.archive import Axis
-from evo_cpg.evolution.bits import BitGenetics
-from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.genetics import BitGenetics, RealGenetics
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
-from evo_cpg.evolution.random_search import RandomSearch
-from evo_cpg.evolution.strategy import Strategy
+from evo_cpg.evolution.strategy import Axis, RandomSearch, Strategy
 from evo_cpg.installation import command_for
 from evo_cpg.io.errors import KeyProblem, nearest
 from evo_cpg.io.schema.choice import CustomConfig, Options, by_type
 from evo_cpg.io.schema.section import Count, Finite, Fraction, NotNegative, Positive, Section
-from evo_cpg.simulation.genome import Genome
+from evo_cpg.simulation.simulation import Genome
 from evo_cpg.training.experiment import Learning
 
 # Number of individuals of a generation.
@@ -342,10 +339,10 @@ class EvosaxConfig(MapSection):
 
     def build(self, genome: Genome, population: int) -> Strategy:
         """Build the search (see `MapSection.build`)."""
-        from evo_cpg.evolution import from_evosax
+        from evo_cpg.evolution.evosax import Evosax, algorithms
 
         try:
-            known = from_evosax.algorithms()
+            known = algorithms()
         except ImportError as error:
             raise _missing("evosax", error) from None
         if self.algorithm not in known:
@@ -353,7 +350,7 @@ class EvosaxConfig(MapSection):
             raise KeyProblem(("algorithm",), problem)
         try:
             return self.into(
-                from_evosax.Evosax,
+                Evosax,
                 **_of_genome(genome, self.gene_bound),
                 population=population,
                 params=tuple(sorted(self.params.items())),

@@ -18,9 +18,8 @@ from evo_cpg.io.schema.section import (
     Vector,
 )
 from evo_cpg.io.schema.typical import Direction
-from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.task import Task
-from evo_cpg.simulation.walk import Distance, Heading, Walk
+from evo_cpg.simulation.tasks import Distance, Heading, ReachLight, Walk
 
 
 class LightConfig(OpenSection):
