@@ -14,7 +14,7 @@ from evo_cpg.api.progress import working
 from evo_cpg.api.training import now
 from evo_cpg.api.version import version
 from evo_cpg.files import read_json, write_text
-from evo_cpg.io.opened import OpenedChampion, open_run
+from evo_cpg.io.run import Run, open_run
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.recording import Recording
@@ -59,7 +59,7 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
     with trusting(trust), folder.locked():
         use_cores(None)
         with working(f"building {folder.path}"):
-            opened = open_run(run).load_champion()
+            opened = open_run(run).with_champion()
         _require_trial(opened, trial)
 
         def warn(words: str) -> None:
@@ -102,13 +102,13 @@ def gait_numbers(run: Path | str, trial: int = 0, trust: bool = False) -> GaitNu
     with trusting(trust):
         use_cores(None)
         with working(f"measuring {run}"):
-            opened = open_run(run).load_champion()
+            opened = open_run(run).with_champion()
             _require_trial(opened, trial)
             opened.require_configured()
             return measure(opened, trial).numbers
 
 
-def measure(opened: OpenedChampion, trial: int) -> Measured:
+def measure(opened: Run, trial: int) -> Measured:
     """Replay a champion's trial and return its motion with the numbers.
 
     Args:
@@ -120,12 +120,13 @@ def measure(opened: OpenedChampion, trial: int) -> Measured:
     experiment = opened.experiment
     # Velocities are needed for the power into the water only.
     full = experiment.simulation.world.water is not None
-    ((_, frames, recording),) = opened.replay([opened.champion], trial, full)
+    (replay,) = opened.replay([opened.champion], trial, full)
+    frames, recording = replay.frames, replay.recording
     numbers = measuring.gait_numbers(experiment.simulation, experiment.creature, frames, recording)
     return Measured(recording, numbers)
 
 
-def _require_trial(opened: OpenedChampion, trial: int) -> None:
+def _require_trial(opened: Run, trial: int) -> None:
     trials = opened.experiment.trials
     if not 0 <= trial < trials:
         raise ValueError(f"trial must be 0 to {trials - 1}, got {trial}")
@@ -146,7 +147,7 @@ class Written(NamedTuple):
 
 
 def write_page(
-    opened: OpenedChampion,
+    opened: Run,
     trial: int = 0,
     number: int | None = None,
     output: Path | None = None,
@@ -191,7 +192,7 @@ def numbers_path(page: Path) -> Path:
 
 
 def page(
-    opened: OpenedChampion,
+    opened: Run,
     trial: int,
     measured: Measured,
     doing: Callable[[str], object],

@@ -34,10 +34,10 @@ from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.judge import Outcome, no_terms
 from evo_cpg.simulation.recording import Recorder, as_recording
-from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.task import Task
 from evo_cpg.training import experiment as training
 from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_trials
 
 Terms = Mapping[str, Float[Array, " *n"]]
 
@@ -369,7 +369,7 @@ class Experiment:
 
     @functools.cached_property
     def _run_trials(self) -> Callable[..., Outcome]:
-        return training.compile_trials(self.parts.simulation, population_mesh())
+        return compile_trials(self.parts.simulation, population_mesh())
 
     @functools.cached_property
     def _bodies(self) -> Bodies:
@@ -385,7 +385,7 @@ class Experiment:
     @functools.cached_property
     def _record(self) -> Callable:
         recorder = Recorder(full=True)
-        return jax.jit(functools.partial(rollout, self.parts.simulation, observers=recorder))
+        return compile_trials(self.parts.simulation, population_mesh(1), observers=recorder)
 
     def _genes(self, genomes: ArrayLike) -> np.ndarray:
         """Check genomes and return them transposed, ``(genes, n)``, in float32."""

@@ -8,7 +8,7 @@ from evo_cpg.analysis.laboratory.ask import Answer, Subject, ask
 from evo_cpg.analysis.laboratory.settings import LabError
 from evo_cpg.api.progress import working
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import class_folders, open_run
+from evo_cpg.io.run import class_folders, open_run
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
 from evo_cpg.training.devices import use_cores
@@ -58,7 +58,7 @@ def subject_of(animal: Path, number: int | None = None) -> Subject:
         return Subject(load_config(animal), animal)
     opened = open_run(animal)
     opened.require_configured()
-    genes = opened.load_champion().champion.genes
+    genes = opened.with_champion().champion.genes
     if number is not None:
         checkpoint = opened.folder.load()
         champions = checkpoint.champions if checkpoint else ()

@@ -8,7 +8,7 @@ from evo_cpg.api.experiment import Experiment
 from evo_cpg.api.progress import working
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import as_overrides, complete_config, load_config
-from evo_cpg.io.opened import class_folders
+from evo_cpg.io.run import class_folders
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
 from evo_cpg.training.devices import use_cores

@@ -13,10 +13,10 @@ from jaxtyping import Float
 
 from evo_cpg.api.display import working
 from evo_cpg.evolution.strategy import RandomSearch
-from evo_cpg.io.opened import OpenedChampion
+from evo_cpg.io.run import Run
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at
+from evo_cpg.training.crowd import CrowdMotion, compile_crowd_motion, populations_at
 from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.clip import sample
@@ -82,7 +82,7 @@ class Material(NamedTuple):
 
 
 def film_of_run(
-    opened: OpenedChampion,
+    opened: Run,
     recording: Recording,
     path: Path,
     size: tuple[int, int],
@@ -116,7 +116,7 @@ def film_of_run(
 
 
 def _material(
-    opened: OpenedChampion, recording: Recording, trial: int, warn: Callable[[str], object]
+    opened: Run, recording: Recording, trial: int, warn: Callable[[str], object]
 ) -> Material:
     """Return the champion of a run, and the populations that can be made anew."""
     creature, task = opened.experiment.creature, opened.experiment.simulation.task
@@ -233,7 +233,7 @@ def generations_of(done: int, champion: int) -> list[int]:
 
 
 def _crowds(
-    opened: OpenedChampion,
+    opened: Run,
     trial: int,
     chosen: list[int],
     seconds: float,
@@ -279,7 +279,7 @@ def _led_by(best: np.ndarray, genes: np.ndarray) -> np.ndarray:
 
 
 def _racers(
-    opened: OpenedChampion, recording: Recording, trial: int, end: float, least: float
+    opened: Run, recording: Recording, trial: int, end: float, least: float
 ) -> list[tuple[int, Recording]]:
     """Return generations and motion of earlier champions, each clearly behind the next one.
 
@@ -311,7 +311,7 @@ def _racers(
     return [(found[i].generation, motions[i]) for i in chosen]
 
 
-def _earlier_champions(opened: OpenedChampion) -> list[Champion]:
+def _earlier_champions(opened: Run) -> list[Champion]:
     """Return the champions of the run that came before its final one, the first one first."""
     final = opened.champion
     try:
@@ -362,7 +362,7 @@ def _speed(recording: Recording, root: int, length: float) -> float:
     return float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
 
 
-def _aim(opened: OpenedChampion, recording: Recording, course: Course) -> str:
+def _aim(opened: Run, recording: Recording, course: Course) -> str:
     """Return the animal's task in words, or nothing for a task of the user's own."""
     if np.isfinite(recording.goal).all():
         return "Its task: reach the light."

@@ -33,7 +33,7 @@ from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.fingerprint import fingerprint
 from evo_cpg.io.keys import parts_of
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run
 from evo_cpg.io.settings import Setting, is_folder_name
 from evo_cpg.system import name_of, named, resolved
 from evo_cpg.training.checkpoint import Checkpoint
@@ -48,7 +48,7 @@ _SEARCH = ("name", "seed", "runs", "evolution", "audit")
 
 
 @dataclasses.dataclass(frozen=True)
-class Member(Opened):
+class Member(Run):
     """Setting of a sweep, with its run folder and experiment.
 
     Attributes:

@@ -20,7 +20,7 @@ from evo_cpg.api.warm_start import Start
 from evo_cpg.io.build import require_genes
 from evo_cpg.io.fingerprint import changes, changes_of_fitness, fingerprint
 from evo_cpg.io.load import dump_config
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.shipped import shipped_name
 from evo_cpg.simulation.measures import DISPLACEMENT
@@ -99,7 +99,7 @@ def _train(
     import jax
 
     devices = len(jax.local_devices())
-    run = Opened(folder, experiment.config, experiment.parts)
+    run = Run(folder, experiment.config, experiment.parts)
     begin_run(run, devices, experiment.source, given)
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))
@@ -125,7 +125,7 @@ def _train(
     return Trained(folder.path, *noted, history, champion.expected)
 
 
-def begin_run(run: Opened, devices: int, source: Path, start: Start | None = None) -> None:
+def begin_run(run: Run, devices: int, source: Path, start: Start | None = None) -> None:
     """Make a run folder, with its configuration and meta.json.
 
     Args:
@@ -148,7 +148,7 @@ def begin_run(run: Opened, devices: int, source: Path, start: Start | None = Non
     run.folder.create(dump_config(run.config), meta, None if start is None else start.genes)
 
 
-def _known(run: Opened, devices: int, source: Path) -> dict[str, Any]:
+def _known(run: Run, devices: int, source: Path) -> dict[str, Any]:
     """Return the contents of meta.json for a run that begins."""
     meta: dict[str, Any] = {
         "name": run.config.name,
@@ -164,7 +164,7 @@ def _known(run: Opened, devices: int, source: Path) -> dict[str, Any]:
     return meta
 
 
-def reopen_run(run: Opened, devices: int, source: Path | None = None) -> list[str]:
+def reopen_run(run: Run, devices: int, source: Path | None = None) -> list[str]:
     """Record the configuration and machine that a run continues with.
 
     Args:
@@ -268,7 +268,7 @@ class Recorder:
 
     def compile(self) -> None:
         """Start to compile the programs, one after the other."""
-        from evo_cpg.training.replay import compile_replay
+        from evo_cpg.training.evaluate import compile_replay
 
         devices = self._folder.read_meta()["devices"]
         recorded = self._experiment
@@ -291,10 +291,10 @@ class Recorder:
         if self._program is None:
             self.compile()
         assert self._program is not None
-        _, terms, motion = self._program.result()(champion)
+        replay = self._program.result()(champion)
         if self._measures_displacement:
-            self._displacement = float(np.nan_to_num(terms[DISPLACEMENT]))
-        self._folder.save_champion(champion, motion)
+            self._displacement = float(np.nan_to_num(replay.terms[DISPLACEMENT]))
+        self._folder.save_champion(champion, replay.recording)
 
     def look(self, champion: Champion) -> None:
         """Check a recorded champion at half the step, if a check is configured."""

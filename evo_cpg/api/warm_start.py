@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.io.opened import open_run
+from evo_cpg.io.run import open_run
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import ExperimentParts

@@ -16,8 +16,9 @@ from evo_cpg.cli.champions import open_champion
 from evo_cpg.cli.errors import ExitCode, UsageError, tell
 from evo_cpg.cli.options import Which
 from evo_cpg.cli.tables import show_table, show_words
+from evo_cpg.io.run import class_folders
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.probe import UNSEEING
+from evo_cpg.training.conditions import UNSEEING
 from evo_cpg.training.run_folder import RunFolder
 
 # Head of the summary's column for each key of a check.
@@ -59,7 +60,7 @@ def audit_champions(run: Path, limits: Sequence[str], which: Which, every: bool)
             work.doing(f"auditing, {done + 1} of {total}: {what}")
 
         made = audit.audits(
-            experiment, champions, allowed, config, folder.config, opened.class_folders, tell
+            experiment, champions, allowed, config, folder.config, class_folders(folder), tell
         )
     for champion, done in zip(champions, made, strict=True):
         of_run = f"_run{champion.run}" if every else which.of_run

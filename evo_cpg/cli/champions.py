@@ -7,9 +7,10 @@ from evo_cpg.api.display import working
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.options import BEST, Which
-from evo_cpg.io.opened import Opened, OpenedChampion, open_run
+from evo_cpg.io.run import Run, open_run
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import use_cores
+from evo_cpg.training.evaluate import Replay
 from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -20,12 +21,12 @@ if TYPE_CHECKING:
 REPLAY_TOLERANCE = 1e-3
 
 
-def open_and_build(run: Path) -> Opened:
+def open_and_build(run: Path) -> Run:
     """Open a run and build its experiment, with a progress line if the build takes long."""
     return open_run(run, build)
 
 
-def open_champion(run: Path, which: Which = BEST) -> OpenedChampion:
+def open_champion(run: Path, which: Which = BEST) -> Run:
     """Open a run with a champion or elite.
 
     Raises:
@@ -33,7 +34,7 @@ def open_champion(run: Path, which: Which = BEST) -> OpenedChampion:
     """
     use_cores_of(run)
     opened = open_and_build(run)
-    found = opened.load_champion()
+    found = opened.with_champion()
     own = found.champion.run if which.number is None else which.number
     if which.cell is not None:
         found = opened.with_champion(_elite_of(opened, which.cell, own))
@@ -45,12 +46,12 @@ def open_champion(run: Path, which: Which = BEST) -> OpenedChampion:
     return found
 
 
-def champion_motion(run: Path, which: Which = BEST) -> tuple[OpenedChampion, Any]:
+def champion_motion(run: Path, which: Which = BEST) -> tuple[Run, Any]:
     """Open a run with a champion and the motion of a trial, which is replayed if not recorded."""
     opened = open_champion(run, which)
     # The folder keeps only the motion of the first trial.
     if opened.recording is None or which.trial > 0:
-        return opened, replayed(opened, opened.champion, which.trial)[2]
+        return opened, replayed(opened, opened.champion, which.trial).recording
     return opened, opened.recording
 
 
@@ -84,18 +85,16 @@ def use_cores_of(run: Path, cores: int | None = None) -> int:
     return use_cores(cores or RunFolder(run).read_meta().get("devices"))
 
 
-def replayed(opened: Opened, champion: Champion, trial: int = 0) -> Any:
-    """Replay a champion and return its fitness, terms and motion."""
-    # This import takes a second, because it imports JAX.
-    from evo_cpg.training.replay import replay_champion
-
+def replayed(opened: Run, champion: Champion, trial: int = 0) -> Replay:
+    """Replay a champion, with a progress line."""
     with working("replaying the champion"):
-        return replay_champion(opened.experiment, champion, opened.devices, trial)
+        (replay,) = opened.replay([champion], trial)
+    return replay
 
 
-def _elite_of(opened: Opened, cell: str, number: int) -> Champion:
+def _elite_of(opened: Run, cell: str, number: int) -> Champion:
     """Return the elite of a cell, from the newest checkpoint."""
-    from evo_cpg.training.elites import elite
+    from evo_cpg.io.run import elite
 
     try:
         place = tuple(int(part) for part in cell.split(","))

@@ -11,9 +11,9 @@ from evo_cpg.api.display import working
 from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_motion, open_champion
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.options import Which
-from evo_cpg.io.opened import OpenedChampion, Replay
+from evo_cpg.io.run import Replay, Run
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
+from evo_cpg.training.crowd import compile_crowd_motion, populations_at
 from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.frames import Film
@@ -48,7 +48,7 @@ def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
     return panel_of(experiment, recording, title, strip, terms_text(opened.champion.terms))
 
 
-def crowd_panel(opened: OpenedChampion, generation: int, trial: int, film: Film) -> Panel:
+def crowd_panel(opened: Run, generation: int, trial: int, film: Film) -> Panel:
     """Return a panel with all animals of a generation: the leader, and the others as ghosts.
 
     Args:
@@ -107,7 +107,7 @@ def lineage_panels(
     return panels
 
 
-def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champion]:
+def _chosen(opened: Run, generations: list[int] | None) -> list[Champion]:
     """Return champions of a run in the order of generations, each once.
 
     Args:
@@ -144,12 +144,12 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
     return found
 
 
-def _replayed(opened: OpenedChampion, champions: Sequence[Champion], trial: int) -> list[Replay]:
+def _replayed(opened: Run, champions: Sequence[Champion], trial: int) -> list[Replay]:
     with working("replaying the champion"):
         return opened.replay(champions, trial)
 
 
-def _signals(opened: OpenedChampion, replay: Replay) -> Signals:
+def _signals(opened: Run, replay: Replay) -> Signals:
     """Return the controller signals of an individual, and the contacts of its feet."""
     experiment, simulation = opened.experiment, opened.experiment.simulation
     word, _, unit = simulation.controller.signal_label.partition(" (")

@@ -10,11 +10,11 @@ from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.options import Which
 from evo_cpg.cli.tables import show_table
 from evo_cpg.files import make_folder, write_table
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run
 from evo_cpg.io.situations import out_of_reach
 from evo_cpg.simulation.situation import Situation
+from evo_cpg.training.conditions import UNSEEING, Probe, around, blinded, probe, seen_from_start
 from evo_cpg.training.experiment import ExperimentParts
-from evo_cpg.training.probe import UNSEEING, Probe, around, blinded, probe, seen_from_start
 from evo_cpg.view.answer_plots import probe_figure
 from evo_cpg.view.figure import save_figure
 
@@ -168,7 +168,7 @@ def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:
     return rows
 
 
-def own_situations(opened: Opened) -> tuple[Situation, ...]:
+def own_situations(opened: Run) -> tuple[Situation, ...]:
     """Return the situations that the animal evolved in, with their lights.
 
     Raises:

@@ -57,6 +57,7 @@ def _refine(
     from evo_cpg.io.fingerprint import fingerprint
     from evo_cpg.io.load import dump_config
     from evo_cpg.io.parameters import parametrise
+    from evo_cpg.io.run import class_folders
     from evo_cpg.training.refine import Refinement, Round, compile_refinement
     from evo_cpg.training.run_folder import refinements
 
@@ -67,7 +68,7 @@ def _refine(
     if number is not None and number != champion.run:
         champion, motion = champion_of(folder, number), None
     opened.with_champion(champion)
-    beside = opened.class_folders
+    beside = class_folders(opened.folder)
     if not getattr(config.controller, "graded", True):
         controller = config.controller.model_copy(update={"graded": True})
         config = config.model_copy(update={"controller": controller})
@@ -134,7 +135,7 @@ def _refine(
         return
     best, _, _ = folder.load_champion()
     opened = open_and_build(run)
-    folder.save_champion(best, replayed(opened, best)[2])
+    folder.save_champion(best, replayed(opened, best).recording)
     done = {"finished": now(), "command": sys.argv[1:], "from": last.initial_fitness}
     done["to"] = last.champion.fitness
     before = refinements(folder.read_meta())

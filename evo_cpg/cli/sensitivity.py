@@ -52,12 +52,13 @@ def sensitivity(
     from evo_cpg.cli.tables import show_table
     from evo_cpg.files import make_folder, write_table
     from evo_cpg.io.parameters import all_parameters, parametrise
+    from evo_cpg.io.run import class_folders
     from evo_cpg.view.answer_plots import sensitivity_figure
     from evo_cpg.view.figure import save_figure
 
     which = Which(number)
     opened = open_champion(run, which)
-    experiment, config, beside = opened.experiment, opened.config, opened.class_folders
+    experiment, config, beside = opened.experiment, opened.config, class_folders(opened.folder)
     if experiment.simulation.situations[1:]:
         print(f"{run}: using the first of {experiment.trials} trials")
     rate, steps = experiment.simulation.control_rate, experiment.simulation.steps

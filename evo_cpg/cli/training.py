@@ -22,7 +22,7 @@ from evo_cpg.cli.champions import open_and_build
 from evo_cpg.cli.errors import UsageError, tell, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
@@ -49,7 +49,7 @@ def train_run(
     """
     folder = RunFolder(run)
     experiment = build(config, source)
-    opened = Opened(folder, config, experiment)
+    opened = Run(folder, config, experiment)
     with folder.locked(new=True):
         start = None
         if earlier is not None:
@@ -68,7 +68,7 @@ def resume_run(run: Path, generations: int | None, devices: int) -> None:
     if generations is not None:
         config = load_config(folder.config, [f"evolution.generations={generations}"])
         experiment = experiment._replace(generations=generations)
-        opened = Opened(folder, config, experiment)
+        opened = Run(folder, config, experiment)
     done = _require_alike(opened)
     if _finished(folder, done, experiment):
         _say_finished(folder, experiment.generations)
@@ -78,7 +78,7 @@ def resume_run(run: Path, generations: int | None, devices: int) -> None:
     evolve_run(opened)
 
 
-def _require_alike(opened: Opened) -> Checkpoint | None:
+def _require_alike(opened: Run) -> Checkpoint | None:
     """Check that a run fits its configuration, and return the newest checkpoint, if any.
 
     Raises:
@@ -157,7 +157,7 @@ def _say_finished(folder: RunFolder, done: int) -> None:
     print(folder.path)
 
 
-def evolve_run(opened: Opened) -> None:
+def evolve_run(opened: Run) -> None:
     """Evolve, show the progress, record the champion and report it."""
     experiment, folder = opened.experiment, opened.folder
     with working("starting JAX"):

@@ -36,9 +36,9 @@ def verify(run: Run, cores: CoresOfRun = None) -> None:
     wrong = experiment.simulation.genome.misfit(champion.genes)
     if wrong:
         _report(run, [*differences, wrong])
-    fitness, terms, _ = replayed(opened, champion)
+    replay = replayed(opened, champion)
     recorded = {"fitness": champion.fitness, **champion.terms}
-    found = {"fitness": fitness, **terms}
+    found = {"fitness": replay.fitness, **replay.terms}
     for name, value in recorded.items():
         if name not in found:
             differences.append(f"{name}: recorded {value:.6g}, but missing in the replay")

@@ -180,9 +180,10 @@ def _tilt(seen: Transition) -> Float[Array, " *n"]:
 
 
 def _turned(
-    sign: Float[Array, "d *n"], changes: Float[Array, "d *n"], rate: Float[Array, "d *n"]
+    old: tuple[Float[Array, "d *n"], Float[Array, "d *n"]], rate: Float[Array, "d *n"]
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the signs of the joints' velocities and the number of their changes so far."""
+    sign, changes = old
     new = jnp.where(rate > 0, 1.0, jnp.where(rate < 0, -1.0, sign)).astype(rate.dtype)
     return new, changes + jnp.where(new * sign < 0, 1.0, 0.0).astype(rate.dtype)
 
@@ -259,7 +260,7 @@ _TALLIES: dict[str, Callable[[Any, Transition, Sequence[tuple[int, ...]]], Any]]
         old + seen.before.control_step * seen.after.state.q * seen.after.state.q
     ),
     # For each joint axis: last sign of its velocity (0 at first), and number of sign changes.
-    "strides": lambda old, seen, _: _turned(*old, seen.after.state.qd),
+    "strides": lambda old, seen, _: _turned(old, seen.after.state.qd),
     # Time on the ground of each group of bodies, s.
     "contact": lambda old, seen, groups: (
         old + seen.before.control_step * _touched(seen, groups).astype(old.dtype)

@@ -22,7 +22,7 @@ from evo_cpg.studies.stills import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import compile_trials
+from evo_cpg.training.evaluate import compile_trials
 
 TORSO = 0.6  # m
 # Indices of the leg boxes among the bodies of Model 1: upper and lower boxes alternate.

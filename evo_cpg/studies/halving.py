@@ -17,7 +17,7 @@ from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.observers import States
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training.variations import finer
+from evo_cpg.training.conditions import finer
 
 # Rotation of each joint at the start, rad.
 HAIR = 1e-6

@@ -12,7 +12,7 @@ from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.study import Table, beside, middle, percent, tabled
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import compile_trials
+from evo_cpg.training.evaluate import compile_trials
 
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop

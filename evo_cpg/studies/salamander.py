@@ -12,7 +12,7 @@ from evo_cpg.studies.lights import evaluate, light_table, still
 from evo_cpg.studies.stills import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, middle, percent, tabled
 from evo_cpg.studies.workshop import Workshop
-from evo_cpg.training.probe import around, blinded, probe
+from evo_cpg.training.conditions import around, blinded, probe
 
 _REACHED = 0.2  # largest fraction of the distance left
 _BELLY_DOWN = 60  # largest tilt, from the mean cosine, degrees

@@ -8,7 +8,7 @@ from evo_cpg.studies.audits import audit_part
 from evo_cpg.studies.lights import evaluate
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle
 from evo_cpg.studies.workshop import Workshop
-from evo_cpg.training.probe import around
+from evo_cpg.training.conditions import around
 
 # Largest fraction of the distance left at a reached light. Fraction for a diverged animal.
 _REACHED, _LOST = 0.2, 9.0

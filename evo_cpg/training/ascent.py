@@ -289,11 +289,7 @@ def compile_ascent(
         lengths, *_ = memory.transformed
         return memory.best, -memory.least, lengths.finite
 
-    def climb_all(*lanes: Any) -> tuple[Array, Array, Array]:
-        best, value, finite = jax.vmap(climb, in_axes=-1, out_axes=-1)(*lanes)
-        return best, value[None], finite[None]
-
-    program = sharded(climb_all, mesh, (2, 1, 1, 3), 2)
+    program = sharded(jax.vmap(climb, in_axes=-1, out_axes=-1), mesh, (2, 1, 1, 3))
 
     def run(
         genes: Float[np.ndarray, "g n"],
@@ -310,7 +306,7 @@ def compile_ascent(
         if bound is not None:
             bounded = np.clip(best[:gene_count], -bound, bound)
             best = np.concatenate([bounded, best[gene_count:]])
-        return Climbed(best, value[0], finite[0])
+        return Climbed(best, value, finite)
 
     return run
 

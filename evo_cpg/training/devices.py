@@ -22,6 +22,7 @@ the cache off.
 """
 
 import contextlib
+import functools
 import hashlib
 import os
 import platform
@@ -30,6 +31,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int
@@ -134,27 +136,34 @@ def chunk_width(count: int, devices: int) -> int:
 
 
 def sharded(
-    function: Callable[..., Tree], mesh: Mesh, ranks: tuple[Any, ...], result_rank: Any
+    function: Callable[..., Tree], mesh: Mesh, ranks: tuple[Any, ...]
 ) -> jax.stages.Wrapped:
-    """Return a function of one block, compiled at its first call. Devices never communicate.
+    """Return a function of one block for `run_in_blocks`, compiled at its first call.
+
+    Devices never communicate. The results have the population on the first axis, because then
+    arrays of all ranks are split alike.
 
     Args:
         function: function of one chunk. Arguments are arrays with the population on the last axis,
             numbers, or None. Results are arrays with the population on the last axis.
         mesh: the devices.
         ranks: number of axes of each argument, or of each of its arrays if they differ.
-        result_rank: number of axes of each array of the result, or of each of its arrays if they
-            differ.
     """
+
+    @functools.wraps(function)
+    def of_chunk(*arguments: Any) -> Any:
+        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), function(*arguments))
+
+    results = PartitionSpec(POPULATION_AXIS)
+    given = jax.tree.map(_spec, ranks)
     return jax.jit(
-        jax.shard_map(
-            function,
-            mesh=mesh,
-            in_specs=jax.tree.map(_spec, ranks),
-            out_specs=jax.tree.map(_spec, result_rank),
-            check_vma=False,
-        )
+        jax.shard_map(of_chunk, mesh=mesh, in_specs=given, out_specs=results, check_vma=False)
     )
+
+
+def placed(block: Tree, mesh: Mesh) -> Tree:
+    """Return the host arrays of a block on the devices, split on the population axis."""
+    return jax.tree.map(lambda x: jax.device_put(x, NamedSharding(mesh, _spec(np.ndim(x)))), block)
 
 
 def run_in_blocks(
@@ -172,22 +181,19 @@ def run_in_blocks(
         pick: function that returns the program's host arguments, given individuals' indices.
 
     Returns:
-        Host arrays of all individuals.
+        Host arrays of all individuals, with the population on the last axis.
     """
-
-    def placed(x: np.ndarray) -> jax.Array:
-        return jax.device_put(x, NamedSharding(spread.mesh, _spec(x.ndim)))
-
     results: list = []
     for first in range(0, count, spread.block):
         numbers = np.minimum(np.arange(first, first + spread.block), count - 1)
-        results.append(program(*jax.tree.map(placed, pick(numbers))))
+        results.append(program(*placed(pick(numbers), spread.mesh)))
         # Only one block waits while another is computed, to limit memory.
         if len(results) > 1:
             jax.block_until_ready(results[-2])
 
     def join(*parts: jax.Array) -> np.ndarray:
-        return np.concatenate([np.asarray(part) for part in parts], axis=-1)[..., :count]
+        whole = np.concatenate([np.asarray(part) for part in parts])[:count]
+        return np.moveaxis(whole, 0, -1)
 
     return jax.tree.map(join, *results)
 

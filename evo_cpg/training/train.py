@@ -28,12 +28,12 @@ from evo_cpg.training.checkpoint import (
     state_from,
 )
 from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import (
     ExperimentParts,
     Generation,
     begin,
     breed,
-    compile_trials,
     generation_keys,
     placeholder_scales,
     situation_numbers,

@@ -44,7 +44,7 @@ from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.tasks import Distance
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.variations import (
+from evo_cpg.training.conditions import (
     Variation,
     Varied,
     compile_variation,

@@ -18,8 +18,8 @@ from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.schema.limits import Limits
 from evo_cpg.training.checkpoint import Champion, genes_digest
+from evo_cpg.training.conditions import Variation, compile_variation, finer
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.variations import Variation, compile_variation, finer
 from evo_cpg.view.run_page import origin
 from pictures import ink
 from tiny_run import CONFIG, PAIR

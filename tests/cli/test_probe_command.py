@@ -10,7 +10,7 @@ import yaml
 
 from evo_cpg.cli.probed import missed, unseeing
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.training.probe import Probe, around
+from evo_cpg.training.conditions import Probe, around
 from evo_cpg.training.run_folder import RunFolder
 from pictures import ink
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import yaml
 
-from evo_cpg.training import replay, train
+from evo_cpg.io import run
+from evo_cpg.training import evaluate, train
 from evo_cpg.training.checkpoint import Checkpoint, genes_digest, outcome_digest
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import GENERATIONS
@@ -23,9 +24,8 @@ def copied_run(finished_run, tmp_path) -> RunFolder:
 def without_replay(finished_run, monkeypatch):
     """Make each replay return the record of the unchanged run, for tests without a replay."""
     champion, motion, _ = RunFolder(finished_run).load_champion()
-    monkeypatch.setattr(
-        replay, "replay_champion", lambda *_: (champion.fitness, champion.terms, motion)
-    )
+    replay = evaluate.Replay(champion.fitness, champion.terms, {}, motion)
+    monkeypatch.setattr(run, "compile_replay", lambda *_: lambda _: replay)
 
 
 def alter(folder: RunFolder, **arrays: object) -> None:

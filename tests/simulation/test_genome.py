@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.simulation.simulation import Genome, Phenotype
-from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.train import train
 from trials import SineController, experiment

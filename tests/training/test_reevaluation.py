@@ -17,9 +17,9 @@ from evo_cpg.training.checkpoint import (
     champion_arrays,
     read_champion,
 )
+from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.experiment import generation_keys, trial_keys
 from evo_cpg.training.reevaluation import EVALUATIONS, FIRST_ROUND, Choice, Contest
-from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.train import train
 from evo_cpg.view.live_page.standing import Standing
@@ -180,14 +180,14 @@ def test_expected_fitness_is_the_mean_over_the_fresh_draws(evolved):
             place = (6 + draw) * 2
             np.testing.assert_array_equal(np.asarray(keys)[:, place : place + 2], own)
             again = chosen._replace(generation=FIRST_ROUND + number, index=draw)
-            fitness.append(replay_champion(NOISY, again, jax.local_device_count())[0])
+            fitness.append(compile_replay(NOISY, jax.local_device_count())(again)[0])
     assert chosen.expected == pytest.approx(np.mean(fitness), rel=1e-5)
 
 
 def test_chosen_champions_replay_as_recorded(evolved):
     _, done, _ = evolved
     for champion in done.chosen:
-        fitness, terms, _ = replay_champion(NOISY, champion, jax.local_device_count())
+        fitness, terms, _, _ = compile_replay(NOISY, jax.local_device_count())(champion)
         assert fitness == champion.fitness
         assert terms == champion.terms
 

@@ -7,6 +7,7 @@ import pytest
 from evo_cpg.physics.water.fluid import Drag
 from evo_cpg.training.ascent import Free
 from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.refine import (
     Refinement,
     _Parent,
@@ -14,7 +15,6 @@ from evo_cpg.training.refine import (
     compile_evaluation,
     compile_refinement,
 )
-from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.train import train
 from trials import experiment
@@ -62,7 +62,7 @@ def test_rounds_only_gain_and_add_up(refined):
 @pytest.mark.slow
 def test_a_refined_champion_replays_exactly(refined):
     _, after, _ = refined
-    fitness, terms, _ = replay_champion(MADE, after, 2)
+    fitness, terms, _, _ = compile_replay(MADE, 2)(after)
     assert (fitness, terms) == (after.fitness, after.terms)
 
 

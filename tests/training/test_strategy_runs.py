@@ -13,9 +13,8 @@ from evo_cpg.evolution.genetics import RealGenetics
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites
 from evo_cpg.evolution.strategy import Axis, Strategy
+from evo_cpg.io.run import elite, gait_map
 from evo_cpg.training.checkpoint import StrategyError, state_arrays
-from evo_cpg.training.elites import elite, gait_map
-from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.train import TIMING_COLUMNS, train
 from trials import experiment

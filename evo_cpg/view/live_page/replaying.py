@@ -7,7 +7,7 @@ import numpy as np
 
 from evo_cpg.errors import UserError
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run
 from evo_cpg.native.machine_constants import LANES
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
@@ -117,7 +117,7 @@ class Replaying:
         if self._replays is None or settings != self._settings:
             self._forget()
             self._replays = Replays(self._folder)
-            Opened(self._folder, config, self._replays.experiment).require_configured()
+            Run(self._folder, config, self._replays.experiment).require_configured()
             self._settings = settings
         return self._replays
 
@@ -153,11 +153,11 @@ class Replaying:
         tiles = [
             {
                 "place": place,
-                "value": float(fitness),
-                "fitness": number(fitness),
-                "motion": _motion(recording),
+                "value": replay.fitness,
+                "fitness": number(replay.fitness),
+                "motion": _motion(replay.recording),
             }
-            for place, fitness, recording in zip(own, found.fitness, found.recordings, strict=True)
+            for place, replay in zip(own, found, strict=True)
         ]
         shown = self.wall.content
         self.wall = self.wall._replace(content={**shown, "tiles": shown["tiles"] + tiles})

@@ -6,13 +6,12 @@ from typing import Literal
 
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import class_folders
+from evo_cpg.io.run import class_folders
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.devices import use_cores
+from evo_cpg.training.evaluate import Replay, compile_population_replay, compile_replay
 from evo_cpg.training.experiment import ExperimentParts
-from evo_cpg.training.population_replay import PopulationReplay, compile_population_replay
-from evo_cpg.training.replay import compile_replay
 from evo_cpg.training.run_folder import RunFolder
 
 
@@ -42,19 +41,17 @@ class Replays:
 
     def champion(self, champion: Champion) -> Recording:
         """Return the motion of a champion in its first trial."""
-        return self._champion(champion)[2]
+        return self._champion(champion).recording
 
-    def population(
-        self, checkpoint: Checkpoint, run: int, places: Sequence[int]
-    ) -> PopulationReplay:
+    def population(self, checkpoint: Checkpoint, run: int, places: Sequence[int]) -> list[Replay]:
         """Run individuals of the next generation (see `compile_population_replay`)."""
         return self._population(checkpoint, run, places)
 
     @functools.cached_property
-    def _champion(self) -> Callable[[Champion], tuple]:
+    def _champion(self) -> Callable[[Champion], Replay]:
         # The trainer compiles the same program, and keeps it on disk.
         return compile_replay(self.experiment, self._devices)
 
     @functools.cached_property
-    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], PopulationReplay]:
+    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], list[Replay]]:
         return compile_population_replay(self.experiment)

@@ -14,7 +14,7 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, neutral_pose
-from evo_cpg.training.crowd_motion import CrowdMotion
+from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.clip import quaternions
 from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.look import Look
