@@ -366,13 +366,13 @@ MUTANTS = (
         "evolution/test_variation.py",
     ),
     Mutant(
-        "evolution/genetics.py",
+        "evolution/operators.py",
         "number_key, (individuals,), fewest, most + 1)",
         "number_key, (individuals,), fewest, most)",
         "evolution/test_bits.py",
     ),
     Mutant(
-        "evolution/genetics.py",
+        "evolution/operators.py",
         "place = jnp.where(taken, last[i], drawn[i])",
         "place = drawn[i]",
         "evolution/test_bits.py",
@@ -492,7 +492,7 @@ MUTANTS = (
         "evolution/test_bits.py",
     ),
     Mutant(
-        "evolution/genetics.py",
+        "evolution/operators.py",
         "values = 1.0 - changed.get(",
         "values = 0.0 * changed.get(",
         "evolution/test_bits.py",

@@ -1,16 +1,13 @@
-"""Step from one generation to the next: elites, rank roulette, crossover, mutation.
+"""Genetic algorithms: elites, selection of parents, crossover and mutation.
 
-`Genetics` is the common part of the genetic algorithms. `RealGenetics` is for real-valued genomes,
-and `BitGenetics` for genomes of bits. Population, mutation rate and crossover probability
-of `RealGenetics` are from Iwadate 2010 (Table 4). Elites and rank roulette are from Fukui 2003.
-Genes come first and individuals last, ``(g, n)``.
+`RealGenetics` is for real-valued genomes. Its population, mutation rate and crossover probability
+are from Iwadate 2010 (Table 4). Elites and rank roulette are from Fukui 2003.
 
-The genetic algorithm on bits of Fukui 2003, chapter 3.
-
-The best 7 of 15 individuals stay unchanged. Eight children overwrite the other 8: two children of
-each of 4 pairs of parents. The 8 parents are drawn independently by rank, so one may be both
-parents of a pair. Ranks 9 to 15 are never parents. One-point crossover makes the children. A child
-mutates with probability 1/2. A mutation changes 2 to 30 random genes.
+`BitGenetics` is the algorithm on bits of Fukui 2003, chapter 3. The best 7 of 15 individuals stay
+unchanged. Eight children overwrite the other 8: two children of each of 4 pairs of parents. The 8
+parents are drawn independently by rank, so one may be both parents of a pair. Ranks 9 to 15 are
+never parents. One-point crossover makes the children. A child mutates with probability 1/2. A
+mutation changes 2 to 30 random genes.
 
 The thesis does not say whether mutation is per child or per pair, or how a gene changes. Here each
 child has its own mutation. A gene is redrawn unless ``mutation`` is "flip". Chapter 4 describes a
@@ -28,9 +25,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, ScalarLike
+from jaxtyping import Array, Float
 
 from evo_cpg.evolution.operators import (
+    MUTATIONS,
+    bit_mutation,
     draw_by_lexicase,
     draw_parents,
     gaussian_mutation,
@@ -176,10 +175,6 @@ def keep_elites(
     return children.at[:, :elite_count].set(elites)
 
 
-# Change of a mutated gene. A redrawn gene keeps its value with probability 1/2. A flipped gene
-# becomes the other bit.
-MUTATIONS = ("redraw", "flip")
-
 # Sums of decimal probabilities such as the thesis's differ from 1 by rounding.
 _SUM_TOLERANCE = 1e-6
 
@@ -286,85 +281,3 @@ class BitGenetics(Genetics):
         """Return the genomes, with a mutation in each but the first."""
         changed = bit_mutation(key, genes, 1.0, *self.mutated_genes, self.mutation)
         return changed.at[:, 0].set(genes[:, 0])
-
-
-def random_bits(
-    key: Array, gene_count: int, population: int, dtype: jnp.dtype | type
-) -> Float[Array, "g n"]:
-    """Return random genomes: 0 or 1 with equal chances.
-
-    Args:
-        key: random key.
-        gene_count: bits in a genome.
-        population: number of individuals.
-        dtype: floating-point type.
-    """
-    return jax.random.bernoulli(key, 0.5, (gene_count, population)).astype(dtype)
-
-
-def bit_mutation(
-    key: Array,
-    genes: Float[Array, "g n"],
-    probability: ScalarLike,
-    fewest: ScalarLike,
-    most: int,
-    mutation: str,
-) -> Float[Array, "g n"]:
-    """Change a random number of different random genes in some individuals.
-
-    Args:
-        key: random key.
-        genes: genomes, 0 or 1.
-        probability: probability that an individual mutates.
-        fewest: smallest number of changed genes in a mutation.
-        most: largest number of changed genes. All numbers in between are equally likely.
-        mutation: change of a mutated gene, one of ``MUTATIONS``.
-
-    Raises:
-        ValueError: genomes have fewer genes than a mutation may change.
-    """
-    count, individuals = genes.shape
-    if most > count:
-        raise ValueError(f"a mutation may change {most} genes, but a genome has only {count}")
-    whether_key, number_key, which_key, value_key = jax.random.split(key, 4)
-    mutates = jax.random.bernoulli(whether_key, probability, (individuals,))
-    number = jax.random.randint(number_key, (individuals,), fewest, most + 1)
-    places = different_places(which_key, count, jnp.where(mutates, number, 0), most)
-    changed = genes.at[places, jnp.arange(individuals)[None]]
-    if mutation == "flip":
-        values = 1.0 - changed.get(mode="fill", fill_value=0.0)
-    else:
-        values = random_bits(value_key, most, individuals, genes.dtype)
-    return changed.set(values, mode="drop")
-
-
-def different_places(
-    key: Array, count: int, number: Int[Array, " n"], most: int
-) -> Int[Array, "most n"]:
-    """Draw a set of indices from 0 to ``count`` - 1 for each individual, all sets equally likely.
-
-    Floyd's algorithm (Bentley and Floyd 1987, Communications of the ACM 30, 754) extends a set of
-    indices below ``j``. It adds a random index from 0 to ``j``, or ``j`` itself if that index is in
-    the set. ``j`` rises to ``count`` - 1.
-
-    Args:
-        key: random key.
-        count: number of indices to draw from.
-        number: number of indices to draw for each individual.
-        most: upper bound of these numbers.
-
-    Returns:
-        The indices of each individual in arbitrary order, then ``count`` as padding.
-    """
-    step = jnp.arange(most)[:, None]
-    needed = step < number[None]
-    last = jnp.where(needed, count - number[None] + step, 0)
-    drawn = jax.random.randint(key, last.shape, 0, last + 1)
-    none = jnp.full_like(drawn, count)
-
-    def choose(places: Array, i: Array) -> tuple[Array, None]:
-        taken = (places == drawn[i][None]).any(0)
-        place = jnp.where(taken, last[i], drawn[i])
-        return places.at[i].set(jnp.where(needed[i], place, count)), None
-
-    return jax.lax.scan(choose, none, jnp.arange(most))[0]

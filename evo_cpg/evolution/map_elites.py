@@ -25,8 +25,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
-from evo_cpg.evolution.genetics import bit_mutation
-from evo_cpg.evolution.operators import one_point_crossover
+from evo_cpg.evolution.operators import bit_mutation, one_point_crossover
 from evo_cpg.evolution.strategy import Archive, Axis, Evaluation, Strategy, descriptor_rows
 
 # Metrics of every map.

@@ -1,4 +1,4 @@
-"""Selection of parents: rank roulette, and lexicase selection for several trials.
+"""Genetic operators: selection of parents, crossover, and mutation of numbers and of bits.
 
 Fukui 2003, chapter 3, draws parents by rank, not by the size of their fitness, with fixed
 probabilities for ranks 1 to 8. Iwadate 2010 does not say how parents were drawn, so `draw_parents`
@@ -10,11 +10,9 @@ keeps individuals that do well in a single trial. A tolerance adapts it to real 
 Spector and Danai 2016, epsilon-lexicase selection). Moore and Stanton (2017) found that virtual
 creatures evolve better with it.
 
-Crossover of any genomes, and mutation of real-valued genomes.
-
 Genes come first and individuals last. Random numbers take most of the time: to draw one for each of
-600,000 genes takes longer than to rank, cross and copy the genes. So mutation draws random numbers
-only for the distances between genes that change, and for their noise.
+600,000 genes takes longer than to rank, cross and copy the genes. So mutation of real numbers draws
+them only for the distances between genes that change, and for their noise.
 """
 
 import math
@@ -102,6 +100,10 @@ def draw_by_lexicase(
     return jax.lax.map(draw, jax.random.split(key, count), batch_size=_DRAWS_AT_ONCE)
 
 
+# Change of a mutated gene. A redrawn gene keeps its value with probability 1/2. A flipped gene
+# becomes the other bit.
+MUTATIONS = ("redraw", "flip")
+
 # In one generation the array of changed genes is too short with a probability below exp(-50), about
 # 2e-22. A float32 random number does not resolve such probabilities.
 _LOG_CHANCE_OF_MORE = 50.0
@@ -134,7 +136,12 @@ def one_point_crossover(
     cut = jnp.repeat(jnp.where(crossed, cut, count), 2)
     before = jnp.stack([first, second], axis=1).reshape(-1)
     after = jnp.stack([second, first], axis=1).reshape(-1)
-    cut, before, after = _computed_once(cut, before, after)
+    # XLA:CPU would fuse the producers of these rows (products and remainders of random bits) into
+    # every gene that uses them, which takes 1.4 ms instead of 0.6 ms for 200 individuals of 3000
+    # genes. XLA:CPU drops `jax.lax.optimization_barrier`, but never fuses a sort. This sort keeps
+    # the order.
+    rows = jnp.arange(len(cut)), cut, before, after
+    _, cut, before, after = jax.lax.sort(rows, num_keys=1)
     # Read every gene once, from its parent. Reading both and selecting takes twice the time.
     parent = jnp.where(jnp.arange(count)[:, None] < cut[None], before[None], after[None])
     return jnp.take_along_axis(genes, parent, axis=1, mode="promise_in_bounds")
@@ -188,26 +195,92 @@ def random_places(key: Array, count: int, rate: float) -> UInt32[Array, " m"]:
     uniform = jax.random.uniform(key, (room,), jnp.float32)
     # Shift to the middle between two possible numbers, so that neither 0 nor 1 occurs.
     uniform = uniform + jnp.finfo(jnp.float32).eps / 2
-    left_out = jnp.floor(_gap_per_log(rate) * jnp.log(uniform))
+    # The factor 1 / log(1 - rate) has these limits at rates of 0 and 1.
+    gap = -math.inf if rate <= 0 else 1 / math.log1p(-rate) if rate < 1 else 0.0
+    left_out = jnp.floor(gap * jnp.log(uniform))
     steps = 1 + jnp.minimum(left_out, count).astype(jnp.uint32)
     # Sums are capped just beyond the last index, so they cannot overflow.
     ends = jax.lax.associative_scan(lambda a, b: jnp.minimum(a + b, count + 1), steps)
     return ends - 1
 
 
-def _gap_per_log(rate: float) -> float:
-    """Return ``1 / log(1 - rate)``, with its limits at rates of 0 and 1."""
-    if rate <= 0:
-        return -math.inf
-    return 1 / math.log1p(-rate) if rate < 1 else 0.0
+def random_bits(
+    key: Array, gene_count: int, population: int, dtype: jnp.dtype | type
+) -> Float[Array, "g n"]:
+    """Return random genomes: 0 or 1 with equal chances.
 
-
-def _computed_once(*rows: Int[Array, " n"]) -> tuple[Int[Array, " n"], ...]:
-    """Return the arrays unchanged, after a sort that keeps their order.
-
-    XLA:CPU would fuse their producers (products and remainders of random bits) into every gene that
-    uses them. That takes 1.4 ms instead of 0.6 ms for 200 individuals of 3000 genes. XLA:CPU drops
-    `jax.lax.optimization_barrier`, but never fuses a sort.
+    Args:
+        key: random key.
+        gene_count: bits in a genome.
+        population: number of individuals.
+        dtype: floating-point type.
     """
-    order = jnp.arange(len(rows[0]))
-    return tuple(jax.lax.sort((order, *rows), num_keys=1)[1:])
+    return jax.random.bernoulli(key, 0.5, (gene_count, population)).astype(dtype)
+
+
+def bit_mutation(
+    key: Array,
+    genes: Float[Array, "g n"],
+    probability: ScalarLike,
+    fewest: ScalarLike,
+    most: int,
+    mutation: str,
+) -> Float[Array, "g n"]:
+    """Change a random number of different random genes in some individuals.
+
+    Args:
+        key: random key.
+        genes: genomes, 0 or 1.
+        probability: probability that an individual mutates.
+        fewest: smallest number of changed genes in a mutation.
+        most: largest number of changed genes. All numbers in between are equally likely.
+        mutation: change of a mutated gene, one of ``MUTATIONS``.
+
+    Raises:
+        ValueError: genomes have fewer genes than a mutation may change.
+    """
+    count, individuals = genes.shape
+    if most > count:
+        raise ValueError(f"a mutation may change {most} genes, but a genome has only {count}")
+    whether_key, number_key, which_key, value_key = jax.random.split(key, 4)
+    mutates = jax.random.bernoulli(whether_key, probability, (individuals,))
+    number = jax.random.randint(number_key, (individuals,), fewest, most + 1)
+    places = different_places(which_key, count, jnp.where(mutates, number, 0), most)
+    changed = genes.at[places, jnp.arange(individuals)[None]]
+    if mutation == "flip":
+        values = 1.0 - changed.get(mode="fill", fill_value=0.0)
+    else:
+        values = random_bits(value_key, most, individuals, genes.dtype)
+    return changed.set(values, mode="drop")
+
+
+def different_places(
+    key: Array, count: int, number: Int[Array, " n"], most: int
+) -> Int[Array, "most n"]:
+    """Draw a set of indices from 0 to ``count`` - 1 for each individual, all sets equally likely.
+
+    Floyd's algorithm (Bentley and Floyd 1987, Communications of the ACM 30, 754) extends a set of
+    indices below ``j``. It adds a random index from 0 to ``j``, or ``j`` itself if that index is in
+    the set. ``j`` rises to ``count`` - 1.
+
+    Args:
+        key: random key.
+        count: number of indices to draw from.
+        number: number of indices to draw for each individual.
+        most: upper bound of these numbers.
+
+    Returns:
+        The indices of each individual in arbitrary order, then ``count`` as padding.
+    """
+    step = jnp.arange(most)[:, None]
+    needed = step < number[None]
+    last = jnp.where(needed, count - number[None] + step, 0)
+    drawn = jax.random.randint(key, last.shape, 0, last + 1)
+    none = jnp.full_like(drawn, count)
+
+    def choose(places: Array, i: Array) -> tuple[Array, None]:
+        taken = (places == drawn[i][None]).any(0)
+        place = jnp.where(taken, last[i], drawn[i])
+        return places.at[i].set(jnp.where(needed[i], place, count)), None
+
+    return jax.lax.scan(choose, none, jnp.arange(most))[0]

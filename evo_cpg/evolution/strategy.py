@@ -1,6 +1,4 @@
-"""Map of behaviour: axes divided into cells, and the fittest individual of each cell.
-
-Interface of all searches: they propose genomes and receive their evaluation.
+"""Interface of all searches, their map of behaviour, and random search as the baseline.
 
 A *strategy* is structure and settings, like a controller or a task. Its *state* is any pytree of
 arrays, which the checkpoint stores with the population. Every generation calls `ask` for genomes
@@ -11,9 +9,8 @@ and `tell` with their evaluation:
 Both are pure JAX functions. One compiled program per generation contains both. Genes come first and
 individuals last, ``(g, n)``. Fitness is maximised.
 
-Random search: every generation consists of new random genomes, like the first one.
-
-It is the baseline for any search with an equal number of evaluations.
+A search may fill a map of behaviour: axes divided into cells, with the fittest individual of each
+cell.
 """
 
 import abc

@@ -1,9 +1,8 @@
-"""Rules that disqualify an animal in the control step in which it breaks them.
+"""Outcome of a trial: terms of the task, measures of gait, and which individuals are alive.
 
-Evolution exploits the errors of a simulator. A rule removes such a motion from the search at once.
-Otherwise only an audit of the champion (`evo-cpg audit`) would find it.
-
-Outcome of a trial: terms of the task, measures of gait, and which individuals are alive.
+Rules disqualify an animal in the control step in which it breaks them. Evolution exploits the
+errors of a simulator, and a rule removes such a motion from the search at once. Otherwise only an
+audit of the champion (`evo-cpg audit`) would find it.
 """
 
 import dataclasses

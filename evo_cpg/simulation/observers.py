@@ -5,12 +5,10 @@
 | `Judge` | `evo_cpg.simulation.judge` | terms of the task, survivors | the whole trial |
 | `Recorder` | `evo_cpg.simulation.recording` | poses, commands, forces | every control step |
 | `States` | here | states of the body | every control step |
-| `EachPhysicsStep` | `evo_cpg.simulation.observers` | states, forces | every physics step |
+| `EachPhysicsStep` | here | states, forces | every physics step |
 
-Physics steps of a trial, for an audit.
-
-A recording has the motion once per control step, for films and plots. This module returns the
-states before and after every physics step, with the forces of motors, ground and limbs.
+Films and plots need the motion once per control step. An audit needs the states before and after
+every physics step, with the forces of motors, ground and limbs.
 """
 
 import dataclasses

@@ -1,11 +1,8 @@
-"""Readings of the sensors: light, pressure, attitude (Iwadate 2010, eq. 1 and Table 2), depth.
+"""Sensors: light, pressure, attitude (Iwadate 2010, eq. 1 and Table 2), depth, and others.
 
-Interface of further sensors, in addition to eyes, pressure sensors and depth gauges.
-
-A kind of sensor is a class. The config names the class in ``creature.sensors``, as a built-in kind
-or as ``my_module:MySensor``. Its readings go into `Observation.custom`.
-
-Sensor of a body's velocity in its own axes, like a lateral line or an ear.
+Eyes, pressure sensors and depth gauges are built in, and `Sensors` has their places. Any further
+kind of sensor is a subclass of `Sensor`. The config names the class in ``creature.sensors``, as a
+built-in kind or as ``my_module:MySensor``. Its readings go into `Observation.custom`.
 """
 
 import abc

@@ -1,10 +1,8 @@
-"""Meaning of the genes of an individual, defined here only.
+"""Everything that a trial needs, and the meaning of the genes, which is defined here only.
 
 A genome is a vector of numbers. At present all of them belong to the controller. Anything else that
 evolves is counted, drawn, bounded and decoded here, and gets a field of `Phenotype`. Searches, run
 folders, commands and the API treat a genome as a vector of `Genome.count` numbers.
-
-Everything that a trial needs except the genes.
 """
 
 import dataclasses

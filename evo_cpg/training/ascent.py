@@ -5,10 +5,8 @@ range. A solver that must improve at every step soon stops on a small bump (L-BF
 search did). Adam's steps pass over bumps, and the best visited point is kept. No single step size
 or gradient horizon (see `evo_cpg.simulation.backward`) suits all, so each individual draws its own.
 
-Learning in addition to evolution: every few generations the elites take gradient steps.
-
-The improved genomes replace the elites in the population (Lamarckian learning, as in memetic
-algorithms).
+Evolution may learn in addition: every few generations the elites take gradient steps, and the
+improved genomes replace them in the population (Lamarckian learning, as in memetic algorithms).
 """
 
 from collections.abc import Callable

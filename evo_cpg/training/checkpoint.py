@@ -1,14 +1,10 @@
-"""Champions and checkpoints of a run, as named arrays.
-
-Conversion of a strategy's state to named arrays and back.
+"""Champions and checkpoints of a run, as named arrays in .npz files.
 
 Files hold NumPy's own number types directly. They hold the bits of other types, such as bfloat16,
 and the raw data of random keys. The type is then part of the name, as in ``best.bfloat16``.
 
-Reading of .npz files that may be damaged or malicious.
-
-A file from elsewhere must neither run code nor fill all memory. So this module refuses pickles, and
-arrays that claim to be larger than their part of the file.
+A file from elsewhere may be damaged or malicious. It must neither run code nor fill all memory. So
+`read_arrays` refuses pickles, and arrays that claim to be larger than their part of the file.
 """
 
 import hashlib
@@ -172,8 +168,8 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
         arrays["genes"],
         arrays["fitness"].item(),
         arrays["generation"].item(),
-        _numbers(arrays, TERM_PREFIX),
-        _numbers(arrays, SCALE_PREFIX),
+        {name: value.item() for name, value in _below(arrays, TERM_PREFIX).items()},
+        {name: value.item() for name, value in _below(arrays, SCALE_PREFIX).items()},
         arrays["run"].item(),
         arrays["index"].item(),
         arrays["lives"].item(),
@@ -226,7 +222,10 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         raise ValueError("the columns of its table of generations are empty or differ in length")
     runs = int(arrays["runs"])
     records, chosen = (
-        tuple(_champion_or_none(_below(arrays, f"{kind}{run}.")) for run in range(runs))
+        tuple(
+            read_champion(own) if (own := _below(arrays, f"{kind}{run}.")) else None
+            for run in range(runs)
+        )
         for kind in ("champion", "chosen")
     )
     if any(one and len(one.genes) != len(arrays["genes"]) for one in (*records, *chosen)):
@@ -240,14 +239,6 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         _below(arrays, _STATE_PREFIX),
         chosen if "chose" in arrays else (),
     )
-
-
-def _champion_or_none(arrays: Mapping[str, np.ndarray]) -> Champion | None:
-    return read_champion(arrays) if arrays else None
-
-
-def _numbers(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, float]:
-    return {name: value.item() for name, value in _below(arrays, prefix).items()}
 
 
 def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
@@ -267,8 +258,14 @@ def state_arrays(state: PyTree) -> dict[str, np.ndarray]:
 
     If two arrays have the same path, the later name ends with an apostrophe.
     """
-    leaves, _ = jax.tree.flatten_with_path(jax.device_get(state))
-    return {name: _stored(leaf) for name, leaf in _named(leaves).items()}
+    arrays = {}
+    for name, leaf in _named(jax.tree.flatten_with_path(jax.device_get(state))[0]).items():
+        if _is_key(leaf):
+            arrays[name] = np.asarray(jax.random.key_data(leaf))
+        else:
+            array = np.asarray(leaf)
+            arrays[name] = array.view(_bits(array)) if _is_foreign(array) else array
+    return arrays
 
 
 def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
@@ -282,21 +279,34 @@ def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
         StrategyError: the arrays come from another strategy or from other settings.
     """
     leaves, structure = jax.tree.flatten_with_path(like)
-    named = _named(leaves)
-    expected = {name: _stored_like(leaf) for name, leaf in named.items()}
-
-    def kinds(given: Mapping[str, Any]) -> dict[str, tuple]:
-        return {name: (leaf.shape, np.dtype(leaf.dtype)) for name, leaf in given.items()}
-
-    if kinds(arrays) != kinds(expected):
-        found, described = (_described(given) for given in (arrays, expected))
+    named, expected, restored = _named(leaves), {}, []
+    for name, leaf in named.items():
+        if _is_key(leaf):
+            expected[name] = jax.eval_shape(jax.random.key_data, leaf)
+        else:
+            stored = _bits(leaf) if _is_foreign(leaf) else leaf.dtype
+            expected[name] = jax.ShapeDtypeStruct(leaf.shape, stored)
+    shapes, needed = (
+        {name: (leaf.shape, np.dtype(leaf.dtype)) for name, leaf in given.items()}
+        for given in (arrays, expected)
+    )
+    if shapes != needed:
+        found, described = (
+            ", ".join(f"{name} {shape}" for name, (shape, _) in given.items()) or "nothing"
+            for given in (shapes, needed)
+        )
         raise StrategyError(
             f"the checkpoint holds the state of another strategy ({found}). This strategy needs "
             f"{described}. Was the section `evolution` changed?"
         )
-    return jax.tree.unflatten(
-        structure, [_restored(arrays[name], leaf) for name, leaf in named.items()]
-    )
+    for name, leaf in named.items():
+        if _is_key(leaf):
+            made = []
+            jax.eval_shape(lambda key, made=made: made.append(jax.random.key_impl(key)), leaf)
+            restored.append(jax.random.wrap_key_data(jnp.asarray(arrays[name]), impl=made[0]))
+        else:
+            restored.append(arrays[name].view(leaf.dtype) if _is_foreign(leaf) else arrays[name])
+    return jax.tree.unflatten(structure, restored)
 
 
 def _named(leaves: Iterable[tuple[tuple, Any]]) -> dict[str, Any]:
@@ -322,36 +332,6 @@ def _is_foreign(leaf: Any) -> bool:
 
 def _bits(leaf: Any) -> np.dtype:
     return np.dtype(f"u{np.dtype(leaf.dtype).itemsize}")
-
-
-def _stored(leaf: Any) -> np.ndarray:
-    """Return a leaf as files hold it."""
-    if _is_key(leaf):
-        return np.asarray(jax.random.key_data(leaf))
-    array = np.asarray(leaf)
-    return array.view(_bits(array)) if _is_foreign(array) else array
-
-
-def _stored_like(leaf: Any) -> Any:
-    """Return an object with the shape and type of the result of `_stored`."""
-    if _is_key(leaf):
-        return jax.eval_shape(jax.random.key_data, leaf)
-    return jax.ShapeDtypeStruct(leaf.shape, _bits(leaf)) if _is_foreign(leaf) else leaf
-
-
-def _restored(array: np.ndarray, like: Any) -> Any:
-    """Invert `_stored`."""
-    if _is_key(like):
-        made = []
-        jax.eval_shape(lambda key: made.append(jax.random.key_impl(key)), like)
-        return jax.random.wrap_key_data(jnp.asarray(array), impl=made[0])
-    return array.view(like.dtype) if _is_foreign(like) else array
-
-
-def _described(arrays: Mapping[str, Any]) -> str:
-    if not arrays:
-        return "nothing"
-    return ", ".join(f"{name} {leaf.shape}" for name, leaf in arrays.items())
 
 
 DAMAGED = (

@@ -1,4 +1,4 @@
-"""CPU cores as JAX devices, and the population in chunks on the devices.
+"""CPU cores as JAX devices, the population in chunks on them, and the disk cache of programs.
 
 Each core becomes a device, the population is sharded over the devices, and XLA keeps to one thread
 per device. These settings are process-wide. So the program (the command line, a benchmark) makes
@@ -9,16 +9,12 @@ devices are a *block*. The host feeds one block after the other to a program tha
 one block. So compile time and memory of the physics do not depend on the number of individuals.
 If individuals have several trials, each trial counts as an individual here.
 
-Disk cache of compiled programs, so that an experiment starts quickly the second time.
-
-Every later command that needs an already compiled program loads it: `train` with another seed,
-`resume`, `render` or `verify`. JAX keeps XLA's programs under a key of program, options and
-version. Native code is kept next to them (`evo_cpg.native.backend.machine`). Machine code for one
-processor may not run on another. A cluster may share the home folder, so each kind of processor has
-a folder of its own.
-
-`JAX_COMPILATION_CACHE_DIR` names another folder. `JAX_ENABLE_COMPILATION_CACHE=false` switches
-the cache off.
+Every later command that needs an already compiled program loads it from the cache: `train` with
+another seed, `resume`, `render` or `verify`. JAX keeps XLA's programs under a key of program,
+options and version. Native code is kept next to them (`evo_cpg.native.backend.machine`). Machine
+code for one processor may not run on another. A cluster may share the home folder, so each kind of
+processor has a folder of its own. `JAX_COMPILATION_CACHE_DIR` names another folder.
+`JAX_ENABLE_COMPILATION_CACHE=false` switches the cache off.
 """
 
 import contextlib

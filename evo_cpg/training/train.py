@@ -1,6 +1,4 @@
-"""Run in progress: trials of the next generation, and the use of their outcome.
-
-Generation loop: evolve one experiment, or several together in one program of trials.
+"""Training: generation after generation of one experiment, or of several together.
 
 Experiments evolve together if their animals have equal trials. Their populations are concatenated
 on the population axis. So a machine's vectors and cores are full however small each population is,
@@ -42,19 +40,12 @@ from evo_cpg.training.lineage import extended, until
 from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
 from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
 
-
-class Trials(NamedTuple):
-    """Arguments of the trials of a generation, see `compile_trials`.
-
-    Attributes:
-        genes: genome of every individual.
-        keys: random key of every trial, or None without noise.
-        numbers: number of the situation of every trial, or None if there is only one.
-    """
-
-    genes: Float[np.ndarray, "g individuals"]
-    keys: UInt32[np.ndarray, "w n"] | None
-    numbers: Int[np.ndarray, " n"] | None
+Trials = tuple[
+    Float[np.ndarray, "g individuals"],
+    UInt32[np.ndarray, "w n"] | None,
+    Int[np.ndarray, " n"] | None,
+]
+"""Genomes, random keys of all trials or None without noise, and numbers of their situations."""
 
 
 class Evolution(NamedTuple):
@@ -118,11 +109,13 @@ class Running:
 
     def trials(self) -> Trials:
         """Return the trials of the next generation or round."""
-        genes = self._genes()
+        genes, keys = self._genes(), jax.device_get(self._programs.keys(np.int32(self._number)))
+        if self._choice:
+            keys = self._choice.keys(keys, self._experiment.trials)
         numbers = situation_numbers(self._experiment)
         if numbers is not None:
             numbers = np.tile(numbers, genes.shape[1])
-        return Trials(genes, self._keys(), numbers)
+        return genes, keys, numbers
 
     def tell(self, outcome: Outcome, start: float) -> list[dict[str, float]]:
         """Take the outcome of the trials, breed, and write a checkpoint.
@@ -136,8 +129,10 @@ class Running:
         """
         experiment, before = self._experiment, self.checkpoint
         genes, number = self._genes(), self._number
-        index, scales = np.int32(number), _float32(before.scales)
-        result = jax.device_get(self._programs.breed(genes, outcome, index, scales, self._state))
+        scales = {name: np.array(values, np.float32) for name, values in before.scales.items()}
+        result = jax.device_get(
+            self._programs.breed(genes, outcome, np.int32(number), scales, self._state)
+        )
         if before.generation >= experiment.generations:
             # This was a round that chooses the champion. Only its fitness is used, because no
             # generation follows.
@@ -150,25 +145,22 @@ class Running:
         if self._learn and experiment.learning and done % experiment.learning.every == 0:
             population = self._learn(population, done, scales)
         seconds = time.perf_counter() - start
-        records = tuple(
-            _better(champion, result, before.generation, run)
-            for run, champion in enumerate(before.records)
-        )
-        rows = [
-            _metrics(experiment, before.generation, result, run, champion, seconds)
-            for run, champion in enumerate(records)
-        ]
+        records, found, rows = list(before.records), [], []
+        for run, champion in enumerate(before.records):
+            best = int(result.best[run])
+            fitness = float(result.fitness[run, best])
+            if np.isfinite(fitness) and (champion is None or fitness > champion.fitness):
+                best_genes = np.asarray(result.best_genes[run])
+                champion = _individual(best_genes, result, before.generation, run, best)
+                records[run] = champion
+                found.append(champion)
+            rows.append(_metrics(experiment, before.generation, result, run, champion, seconds))
         history = [*before.history, *rows]
         self.checkpoint = Checkpoint(
-            done, population, records, history, scales, state_arrays(self._state)
+            done, population, tuple(records), history, scales, state_arrays(self._state)
         )
         # Save the lineage first: after a kill between the two writes it is ahead of the
         # checkpoint, and `until` drops the newer champions.
-        found = [
-            new
-            for new, old in zip(records, before.records, strict=True)
-            if new is not None and new is not old
-        ]
         if found:
             self._lineage = extended(self._lineage, found)
             self._folder.save_lineage(self._lineage)
@@ -211,11 +203,6 @@ class Running:
         """Return the genomes to evaluate next."""
         return self._choice.genes(self.checkpoint.genes) if self._choice else self.checkpoint.genes
 
-    def _keys(self) -> np.ndarray | None:
-        """Return the random keys of all next trials, or None without noise."""
-        keys = jax.device_get(self._programs.keys(np.int32(self._number)))
-        return self._choice.keys(keys, self._experiment.trials) if self._choice else keys
-
 
 def compile_evolution(experiment: ExperimentParts) -> Evolution:
     """Return the functions that a run needs besides its trials, for any number of generations."""
@@ -233,10 +220,6 @@ def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
     return until(lineage, checkpoint.records, checkpoint.generation)
 
 
-def _float32(scales: dict[str, tuple[float, ...]]) -> dict[str, np.ndarray]:
-    return {name: np.array(values, np.float32) for name, values in scales.items()}
-
-
 def _require_finite(
     experiment: ExperimentParts, genes: Float[np.ndarray, "g all"], done: int
 ) -> None:
@@ -252,17 +235,6 @@ def _require_finite(
             f"finite for generation {done} ({wrong} of {genes.shape[1]}). The run folder holds the "
             "earlier generations"
         )
-
-
-def _better(
-    champion: Champion | None, result: Generation, generation: int, run: int
-) -> Champion | None:
-    best = int(result.best[run])
-    fitness = float(result.fitness[run, best])
-    if not np.isfinite(fitness) or (champion is not None and fitness <= champion.fitness):
-        return champion
-    genes = np.asarray(result.best_genes[run])
-    return _individual(genes, result, generation, run, best)
 
 
 def _candidates(
@@ -371,46 +343,26 @@ def train_together(
     trials = experiments[0].trials
     run_trials = compile_trials(experiments[0].simulation, mesh)
     compiled = False
-    while behind := _behind(running):
+    while left := [number for number, each in enumerate(running) if not each.finished]:
+        # After a kill some experiments may be one generation ahead of the others.
+        fewest = min(running[number].checkpoint.generation for number in left)
+        behind = [number for number in left if running[number].checkpoint.generation == fewest]
         start = time.perf_counter()
         given = [running[number].trials() for number in behind]
-        outcome = run_trials(*_joined(given), trials)
+        joined = jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=-1), *given)
+        outcome = run_trials(*(joined if len(given) > 1 else given[0]), trials)
         if not compiled:
             on_compiled()
             compiled = True
-        widths = [part.genes.shape[1] for part in given]
+        widths = [genes.shape[1] for genes, _, _ in given]
+        ends = [trials * end for end in itertools.accumulate(widths)]
         spent = time.perf_counter() - start
-        parts = _split(outcome, widths, trials)
-        for number, part, width in zip(behind, parts, widths, strict=True):
+        for number, width, end in zip(behind, widths, ends, strict=True):
+            own = slice(end - trials * width, end)
+            part = jax.tree.map(lambda x, own=own: x[..., own], outcome)
             # Each experiment's time includes its part of the time for the common trials.
             own_start = time.perf_counter() - spent * width / sum(widths)
             rows = running[number].tell(part, own_start)
             if rows:
                 on_generation(number, rows)
     return [each.checkpoint for each in running]
-
-
-def _behind(running: Sequence[Running]) -> list[int]:
-    """Return the indices of the unfinished experiments with the fewest generations done.
-
-    After a kill some experiments may be one generation ahead of the others.
-    """
-    left = {i: each.checkpoint.generation for i, each in enumerate(running) if not each.finished}
-    fewest = min(left.values(), default=0)
-    return [number for number, done in left.items() if done == fewest]
-
-
-def _joined(parts: Sequence[Trials]) -> Trials:
-    """Return the trials of all experiments, concatenated."""
-    if len(parts) == 1:
-        return parts[0]
-    return jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=-1), *parts)
-
-
-def _split(outcome: Outcome, widths: Sequence[int], trials: int) -> list[Outcome]:
-    """Return the outcome of each experiment."""
-    ends = [trials * end for end in itertools.accumulate(widths, initial=0)]
-    return [
-        jax.tree.map(lambda x, own=slice(first, last): x[..., own], outcome)
-        for first, last in itertools.pairwise(ends)
-    ]

@@ -40,8 +40,7 @@ def fight(contest: Contest, life) -> None:
     """Run all rounds. ``life`` returns the fitness from candidate, round and draw."""
     number = 0
     while not contest.done:
-        places = contest.places()
-        pairs = zip(places.candidates, places.draws, strict=True)
+        pairs = contest.places().T
         contest.take(
             np.array([life(int(individual), number, int(draw)) for individual, draw in pairs])
         )
@@ -65,13 +64,13 @@ def test_the_best_mean_wins_over_lucky_fitness(population):
 
 def test_candidates_share_draws_and_are_halved():
     contest = Contest([candidate(i) for i in range(16)], 48)
-    places = contest.places()
-    np.testing.assert_array_equal(places.candidates, np.repeat(np.arange(16), 3))
-    np.testing.assert_array_equal(places.draws, np.tile(np.arange(3), 16))
-    contest.take(places.candidates.astype(float))
-    places = contest.places()
-    assert sorted(set(places.candidates)) == list(range(8, 16))
-    np.testing.assert_array_equal(places.draws, np.tile(np.arange(6), 8))
+    candidates, draws = contest.places()
+    np.testing.assert_array_equal(candidates, np.repeat(np.arange(16), 3))
+    np.testing.assert_array_equal(draws, np.tile(np.arange(3), 16))
+    contest.take(candidates.astype(float))
+    candidates, draws = contest.places()
+    assert sorted(set(candidates)) == list(range(8, 16))
+    np.testing.assert_array_equal(draws, np.tile(np.arange(6), 8))
     fight(contest, lambda individual, *_: float(individual))
     rows = contest.rows()
     # The rounds have 3, 6 and 12 evaluations.

@@ -141,7 +141,7 @@ def test_every_elite_of_a_map_replays_as_recorded(tmp_path):
     assert pytest.approx(done.history[-1]["coverage"]) == np.isfinite(found.fitness).mean() > 0.2
     for cell in np.argwhere(np.isfinite(found.fitness)):
         one = elite(several, done, tuple(cell.tolist()), 1)
-        fitness, terms, _ = replay_champion(several, one, len(jax.devices()))
+        fitness, terms, *_ = compile_replay(several, len(jax.devices()))(one)
         assert one.fitness == np.float32(found.fitness[tuple(cell)])
         # The replay rounds the last bit differently for one individual in a hundred.
         assert abs(fitness - one.fitness) <= 2.5e-7 * abs(one.fitness)
