@@ -42,13 +42,13 @@ class Mutant(NamedTuple):
 
 MUTANTS = (
     Mutant(
-        "native/converge.py",
+        "native/fuse.py",
         "jax.jvp(lambda p: replay(notes, *p), (replayed,), (changes,))[1]",
         "jax.tree.map(jnp.zeros_like, found)",
         "native/test_loops.py physics/test_gradients.py",
     ),
     Mutant(
-        "native/converge.py",
+        "native/fuse.py",
         "jnp.any(goes_on(x))",
         "jnp.all(goes_on(x))",
         "native/test_loops.py",

@@ -41,7 +41,7 @@ def main(arguments: list[str]) -> int:
 def _has_avx512() -> bool:
     """Return whether native code can use AVX-512 here."""
     from evo_cpg.native.backend import machine
-    from evo_cpg.native.unsupported import Unsupported
+    from evo_cpg.native.ir import Unsupported
 
     try:
         return machine.host("avx512").name == "avx512"

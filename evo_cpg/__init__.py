@@ -42,7 +42,7 @@ _HOMES = {
     "Forces": "simulation.snapshot",
     "Observation": "control.controller",
     "Record": "api.record",
-    "Sensor": "simulation.sensor",
+    "Sensor": "simulation.sensors",
     "Snapshot": "simulation.snapshot",
     "Strategy": "evolution.strategy",
     "Task": "simulation.task",

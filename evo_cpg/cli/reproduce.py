@@ -49,8 +49,7 @@ def reproduce(
 ) -> None:
     """Recompute the tables and pictures of a study."""
     from evo_cpg.io.errors import nearest
-    from evo_cpg.studies.catalogue import NAMES
-    from evo_cpg.studies.catalogue import study as study_called
+    from evo_cpg.studies import NAMES, find_study
     from evo_cpg.training.devices import use_cores
 
     if study is not None and study not in NAMES:
@@ -60,7 +59,7 @@ def reproduce(
         return
     if study is None:
         raise UsageError(f"reproduce: name a study: {', '.join(NAMES)}. --list shows their parts")
-    chosen = study_called(study)
+    chosen = find_study(study)
     for part in parts or []:
         if part not in chosen.parts:
             raise UsageError(
@@ -115,13 +114,12 @@ def default_folder(name: str, quick: bool) -> Path:
 
 def _list(names: Sequence[str], out: Path | None) -> None:
     from evo_cpg.cli.tables import show_table
-    from evo_cpg.studies import provenance
-    from evo_cpg.studies.catalogue import study
+    from evo_cpg.studies import find_study, provenance
 
     rows = []
     for name in names:
         known = provenance.read(out or default_folder(name, quick=False))
-        for part, declared in study(name).parts.items():
+        for part, declared in find_study(name).parts.items():
             record = known.get(part, {})
             made = f"{record['date'][:10]}, {record['commit']}" if "date" in record else "never"
             rows.append((name, part, declared.title, made))

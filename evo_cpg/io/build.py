@@ -33,7 +33,7 @@ from evo_cpg.io.schema.world import WaterConfig
 from evo_cpg.io.situations import build_situations, require_light
 from evo_cpg.io.trust import code_folders
 from evo_cpg.native.engine import Engine, target, using
-from evo_cpg.native.unsupported import Unsupported
+from evo_cpg.native.ir import Unsupported
 from evo_cpg.physics.contact.contact_model import make_contact_model
 from evo_cpg.physics.contact.pairs import make_pairs
 from evo_cpg.physics.step.world import World

@@ -20,7 +20,7 @@ import jax
 
 from evo_cpg.native import machine_constants
 from evo_cpg.native.backend import machine
-from evo_cpg.native.unsupported import Unsupported
+from evo_cpg.native.ir import Unsupported
 
 EngineName = Literal["auto", "native", "jax"]
 InstructionSet = Literal["host", "avx512", "avx2", "sse", "neon"]
@@ -65,7 +65,7 @@ def is_native() -> bool:
     """Return whether programs traced now become native code.
 
     Raises:
-        Unsupported: the engine is "native", and this machine has no native code.
+        Unsupported: if the engine is "native", and this machine has no native code.
     """
     engine = _chosen.get(_AUTO)
     if engine.name == "jax":
@@ -85,7 +85,7 @@ def target() -> machine.Target:
     """Return the machine that native code is made for.
 
     Raises:
-        Unsupported: this machine has no native code, or failed the self-test.
+        Unsupported: if this machine has no native code, or failed the self-test.
     """
     if jax.default_backend() != "cpu":
         raise Unsupported(f"JAX runs on {jax.default_backend()}, but native code needs a CPU")
@@ -130,12 +130,7 @@ def warn_of_size(operations: int) -> None:
 
 @contextlib.contextmanager
 def smallest_fallback(name: str, error: Exception) -> Iterator[None]:
-    """Compute a program in parts, and warn of it unless a part falls back to plain JAX, too.
-
-    Args:
-        name: name of the program.
-        error: reason why the program cannot become native code.
-    """
+    """Compute a program in parts, and warn of it unless a part falls back to plain JAX, too."""
     parts: list[str] = []
     token = _fallbacks.set(parts)
     try:
@@ -168,7 +163,9 @@ def _warn_once(message: str) -> None:
 @functools.cache
 def _wrong(found: machine.Target) -> str:
     """Return the fault of native code on this machine, or "" if it passed its self-test."""
-    if machine.passed_self_test(found, jax.__version__):
+    record = machine.self_test_record(found, jax.__version__)
+    # Unlike `Path.exists`, this does not raise for a folder of another user.
+    if record is not None and os.path.exists(record):
         return ""
     command = [sys.executable, "-m", "evo_cpg.native.self_test", found.name]
     # The last line of the output must be the error. If JAX filtered the traceback, the last line
@@ -188,5 +185,7 @@ def _wrong(found: machine.Target) -> str:
     if test.returncode:
         last = (test.stderr.strip().splitlines() or ["no message"])[-1]
         return f"the self-test failed (exit status {test.returncode}: {last})"
-    machine.remember_self_test(found, jax.__version__)
+    if record is not None:
+        with contextlib.suppress(OSError):
+            record.touch()
     return ""

@@ -1,29 +1,40 @@
-"""Evaluate an array program for all individuals as one piece of native code.
+"""What physics, controllers and sensors call: array programs for all individuals in native code.
+
+| function | use |
+|---|---|
+| `fuse` | evaluate a function for all individuals as one piece of native code |
+| `while_each` | iterate until every individual has converged |
+| `implicit` | differentiate the result of a search by the implicit function theorem |
+| `solve_symmetric` | solve linear equations with a symmetric positive definite matrix |
+| `symmetric` | say that a matrix is symmetric, so that half of it costs nothing |
 
 XLA:CPU makes a kernel of every small matrix product of an articulated body. Memory traffic and the
-start of hundreds of kernels then cost several times the arithmetic. This module traces the program
-for one individual down to scalars (`frontend.lower`). Every scalar becomes one instruction on a
-vector of individuals (`backend.allocate`).
+start of hundreds of kernels then cost several times the arithmetic. `fuse` traces the program for
+one individual down to scalars (`frontend.lower`). Every scalar becomes one instruction on a vector
+of individuals (`backend.allocate`).
 
 Fused functions may call other fused functions: a trial is one program, and a control step is a
 program within it. If an operation is unsupported, only the smallest part around it runs on JAX.
 """
 
-import contextlib
 import contextvars
-from collections.abc import Callable, Iterator
-from typing import Any
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from evo_cpg.native import engine
 from evo_cpg.native import jax_internals as internals
 from evo_cpg.native.frontend.lower import is_supported
-from evo_cpg.native.frontend.primitives import Program, fused_p
+from evo_cpg.native.frontend.primitives import Program, eliminate_p, fused_p
+from evo_cpg.native.ir import Unsupported
 from evo_cpg.native.stopwatch import counted
-from evo_cpg.native.unsupported import Unsupported
+
+Value = TypeVar("Value")
 
 _tracing = contextvars.ContextVar("tracing", default=False)
 
@@ -56,21 +67,23 @@ def _bind(function: Callable, args: tuple, batch_ndim: int, name: str) -> Any:
     """Return the results of the primitive.
 
     Raises:
-        Unsupported: the outermost program holds a primitive that native code has no rule for.
+        Unsupported: if the outermost program holds a primitive that native code has no rule for.
     """
     leaves, structure = jax.tree.flatten(args)
     batch = leaves[0].shape[leaves[0].ndim - batch_ndim :]
     singles = [
         jax.ShapeDtypeStruct(leaf.shape[: leaf.ndim - batch_ndim], leaf.dtype) for leaf in leaves
     ]
-    with _within_a_program():
+    token = _tracing.set(True)
+    try:
         closed, result = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(singles))
-    traced = [isinstance(value, internals.Tracer) for value in closed.consts]
+    finally:
+        _tracing.reset(token)
+    shared = [value for value in closed.consts if isinstance(value, internals.Tracer)]
     own = tuple(
-        None if is_traced else np.asarray(value)
-        for value, is_traced in zip(closed.consts, traced, strict=True)
+        None if isinstance(value, internals.Tracer) else np.asarray(value)
+        for value in closed.consts
     )
-    shared = [value for value, is_traced in zip(closed.consts, traced, strict=True) if is_traced]
     program = Program(name, internals.opened(closed), own, len(shared))
     unknown = sorted(each for each in program.primitives if not is_supported(each))
     if unknown and not _tracing.get():
@@ -92,10 +105,70 @@ def symmetric(m: jax.Array) -> jax.Array:
     return jnp.stack(upper).reshape(m.shape)
 
 
-@contextlib.contextmanager
-def _within_a_program() -> Iterator[None]:
-    token = _tracing.set(True)
-    try:
-        yield
-    finally:
-        _tracing.reset(token)
+def solve_symmetric(H: Float[Array, "v v *n"], b: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
+    """Return ``H^-1 b``. Its derivative solves equations with the same matrix."""
+    return jax.lax.custom_linear_solve(
+        lambda x: (H * x[None]).sum(1), b, lambda _, b: eliminate_p.bind(H, b)[0], symmetric=True
+    )
+
+
+def while_each(
+    goes_on: Callable[[Value], jax.Array], advance: Callable[[Value], Value], x: Value
+) -> Value:
+    """Run ``jax.lax.while_loop`` with a separate condition for every individual.
+
+    Args:
+        goes_on: function that returns whether each individual continues, ``(*n)``.
+        advance: function from a pytree of arrays, individuals on their last axes, to the next one.
+        x: initial value.
+    """
+
+    def step(x: Value) -> Value:
+        going, new = goes_on(x), advance(x)
+        if not going.ndim:
+            return new
+        return jax.tree.map(
+            lambda new, old: jnp.where(
+                jnp.expand_dims(going, tuple(range(new.ndim - going.ndim))), new, old
+            ),
+            new,
+            x,
+        )
+
+    return jax.lax.while_loop(lambda x: jnp.any(goes_on(x)), step, x)
+
+
+def implicit(
+    search: Callable[[Value], tuple[Any, Any]], replay: Callable[[Any], Any], x: Value, like: Any
+) -> Any:
+    """Return the first result of ``search(x)``, with the derivatives of ``replay``.
+
+    JAX has no reverse mode through ``while_loop``. By the implicit function theorem, the derivative
+    of a solution does not depend on the iterations. It equals the derivative of one more Newton
+    step at the solution, which JAX can differentiate.
+
+    Args:
+        search: function that returns an answer, and the arrays from which ``replay`` repeats it
+            (notes).
+        replay: function from the notes to the same answer, by operations that JAX can
+            differentiate. It runs only if a derivative is requested.
+        x: initial value of the search. The derivative by ``x`` is zero.
+        like: example of the notes, with their shapes and types.
+    """
+    found, found_closed = jax.closure_convert(search, x)
+    again, again_closed = jax.closure_convert(replay, like)
+    return _implicit(found, again, x, found_closed, again_closed)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _implicit(search: Callable, replay: Callable, x: Any, closed: list, replayed: list) -> Any:
+    del replay, replayed
+    return search(x, *closed)[0]
+
+
+@_implicit.defjvp
+def _implicit_jvp(search: Callable, replay: Callable, primals: tuple, tangents: tuple) -> Any:
+    x, closed, replayed = primals
+    found, notes = search(x, *closed)
+    *_, changes = tangents
+    return found, jax.jvp(lambda p: replay(notes, *p), (replayed,), (changes,))[1]

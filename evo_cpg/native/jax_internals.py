@@ -6,11 +6,11 @@ from typing import Any
 
 import jax
 import jax.core
-from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive
 from jax.interpreters import ad, batching, mlir
 
-from evo_cpg.native.frontend.threefry import threefry2x32
-from evo_cpg.native.unsupported import Unsupported
+from evo_cpg.native.ir import Unsupported
 
 Zero = ad.Zero
 instantiate_zeros = ad.instantiate_zeros
@@ -22,10 +22,11 @@ try:
 except ImportError:
     from jax._src.core import ShapedArray
 
-_RANDOM = {
+RANDOM = {
     "random_bits", "random_fold_in", "random_seed", "random_split", "random_unwrap", "random_wrap",
     "threefry2x32",
 }  # fmt: skip
+"""Primitives that make random numbers or keys. Keys are traced as their words."""
 
 
 def primitive(name: str) -> Primitive:
@@ -39,7 +40,7 @@ def implement(
     primitive: Primitive,
     shapes: Callable[..., Sequence[Any]],
     evaluate: Callable[..., Sequence[jax.Array]],
-    differentiate: Callable,
+    differentiate: Callable | None,
     batch: Callable,
     transpose: Callable | None = None,
 ) -> None:
@@ -49,16 +50,21 @@ def implement(
         primitive: the primitive.
         shapes: function from arguments and parameters to result shapes (`jax.ShapeDtypeStruct`).
         evaluate: definition in terms of other primitives.
-        differentiate: rule of forward mode.
+        differentiate: rule of forward mode, or None to differentiate the definition.
         batch: rule of `jax.vmap`.
         transpose: rule of reverse mode, if the primitive is linear.
     """
+
+    def of_definition(primals: Sequence[Any], tangents: Sequence[Any], **params: Any) -> tuple:
+        given = [instantiate_zeros(tangent) for tangent in tangents]
+        return jax.jvp(functools.partial(evaluate, **params), list(primals), given)
+
     primitive.def_abstract_eval(
         lambda *x, **params: [ShapedArray(s.shape, s.dtype) for s in shapes(*x, **params)]
     )
     primitive.def_impl(evaluate)
     mlir.register_lowering(primitive, mlir.lower_fun(evaluate, multiple_results=True))
-    ad.primitive_jvps[primitive] = differentiate
+    ad.primitive_jvps[primitive] = differentiate or of_definition
     batching.primitive_batchers[primitive] = batch
     if transpose is not None:
         ad.primitive_transposes[primitive] = transpose
@@ -69,19 +75,20 @@ def no_tangent(x: jax.Array) -> Any:
     return Zero(jax.typeof(x).to_tangent_aval())
 
 
-def is_random(name: str) -> bool:
-    """Return whether a primitive makes random numbers or keys. Keys are traced as their words."""
-    return name in _RANDOM
-
-
 def random_program(equation: Any) -> ClosedJaxpr:
-    """Return the program of a random-number primitive on the words of keys.
+    """Return the program of a random-number primitive (`RANDOM`) on the words of keys.
 
     Raises:
-        Unsupported: the keys are not threefry keys, or this JAX version keeps them elsewhere.
+        Unsupported: if the keys are not threefry keys, or this JAX version keeps them elsewhere.
     """
     name, params = equation.primitive.name, equation.params
-    shapes = [_words(atom.aval) for atom in equation.invars]
+    shapes = []
+    for aval in [atom.aval for atom in equation.invars]:
+        # A random key is traced as two uint32 words.
+        is_key = jax.numpy.issubdtype(aval.dtype, jax.dtypes.prng_key)
+        own = aval.dtype._impl.key_shape if is_key else ()
+        dtype = "uint32" if is_key else aval.dtype
+        shapes.append(jax.ShapeDtypeStruct((*aval.shape, *own), dtype))
     try:
         return jax.make_jaxpr(_random_function(name, params, equation))(*shapes)
     except (AttributeError, ImportError, TypeError) as error:
@@ -109,11 +116,28 @@ def _random_function(name: str, params: dict, equation: Any) -> Callable:
     return one
 
 
-def _words(aval: Any) -> jax.ShapeDtypeStruct:
-    """Return the shape and type of an array as traced: a random key is two uint32 words."""
-    if jax.numpy.issubdtype(aval.dtype, jax.dtypes.prng_key):
-        return jax.ShapeDtypeStruct((*aval.shape, *aval.dtype._impl.key_shape), "uint32")
-    return jax.ShapeDtypeStruct(aval.shape, aval.dtype)
+def threefry2x32(
+    key_0: jax.Array, key_1: jax.Array, count_0: jax.Array, count_1: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Return two random words (uint32) for each pair of counter words, as JAX does.
+
+    The function is threefry-2x32 of Salmon et al. 2011 with 20 rounds. The words of a key encrypt
+    the words of a counter by additions, rotations and exclusive ors. Every four rounds another pair
+    of key words is added.
+    """
+    bits, rotations = 32, ((13, 15, 26, 6), (17, 29, 16, 24))
+    keys = key_0, key_1, key_0 ^ key_1 ^ np.uint32(0x1BD11BDA)
+    x, y = count_0 + key_0, count_1 + key_1
+    for group in range(5):
+        for turn in rotations[group % 2]:
+            x = x + y
+            y = jax.lax.shift_left(y, np.uint32(turn)) | jax.lax.shift_right_logical(
+                y, np.uint32(bits - turn)
+            )
+            y = y ^ x
+        x = x + keys[(group + 1) % 3]
+        y = y + keys[(group + 2) % 3] + np.uint32(group + 1)
+    return x, y
 
 
 # Options that make XLA compile fast. They change with the version: jaxlib 0.11.2 lacks the last.
@@ -129,14 +153,13 @@ def quick_jit(function: Callable, **options: Any) -> Callable:
 
     Use it for a function that takes longer to compile than to run.
     """
-
-    @functools.cache
-    def jitted() -> Callable:
-        return jax.jit(function, compiler_options=_quick_options(), **options)
+    jitted = None
 
     @functools.wraps(function)
     def call(*args: Any) -> Any:
-        return jitted()(*args)
+        nonlocal jitted
+        jitted = jitted or jax.jit(function, compiler_options=_quick_options(), **options)
+        return jitted(*args)
 
     return call
 
@@ -144,17 +167,17 @@ def quick_jit(function: Callable, **options: Any) -> Callable:
 @functools.cache
 def _quick_options() -> dict[str, Any]:
     """Return the options of `_QUICK` that this XLA has. This call starts the back end."""
-    if _has(_QUICK):
+
+    def has(options: dict[str, Any]) -> bool:
+        try:
+            jax.jit(lambda: 0, compiler_options=options).lower().compile()
+        except jax.errors.JaxRuntimeError:
+            return False
+        return True
+
+    if has(_QUICK):
         return _QUICK
-    return {name: value for name, value in _QUICK.items() if _has({name: value})}
-
-
-def _has(options: dict[str, Any]) -> bool:
-    try:
-        jax.jit(lambda: 0, compiler_options=options).lower().compile()
-    except jax.errors.JaxRuntimeError:
-        return False
-    return True
+    return {name: value for name, value in _QUICK.items() if has({name: value})}
 
 
 def opened(closed: ClosedJaxpr) -> Jaxpr:
@@ -172,8 +195,3 @@ def scan_counts(params: dict[str, Any]) -> tuple[int, int]:
         constants, carried, _ = params["ft_in"].unpack()
         return len(constants), len(carried)
     return params["num_consts"], params["num_carry"]
-
-
-def run(closed: ClosedJaxpr, arrays: Sequence[Any]) -> list[Any]:
-    """Return the results of a program."""
-    return list(jaxpr_as_fun(closed)(*arrays))

@@ -12,7 +12,7 @@ at each use.
 from typing import NamedTuple
 
 
-class InstructionSet(NamedTuple):
+class VectorUnit(NamedTuple):
     """The vectors of a processor.
 
     Attributes:
@@ -27,10 +27,10 @@ class InstructionSet(NamedTuple):
 
 
 INSTRUCTION_SETS = {
-    "avx512": InstructionSet(64, 32, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma")),
-    "avx2": InstructionSet(32, 16, ("avx2", "fma")),
-    "sse": InstructionSet(16, 16, ("sse2",)),
-    "neon": InstructionSet(16, 32, ("neon",)),
+    "avx512": VectorUnit(64, 32, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma")),
+    "avx2": VectorUnit(32, 16, ("avx2", "fma")),
+    "sse": VectorUnit(16, 16, ("sse2",)),
+    "neon": VectorUnit(16, 32, ("neon",)),
 }
 """A fact: instruction sets by name. A processor uses the first one that it has."""
 

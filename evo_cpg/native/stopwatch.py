@@ -27,7 +27,7 @@ class Made(NamedTuple):
 
 
 @dataclass
-class Spent:
+class NativeTime:
     """Time spent on native code.
 
     Attributes:
@@ -41,13 +41,13 @@ class Spent:
     programs: list[Made] = field(default_factory=list)
 
 
-_spent: contextvars.ContextVar[Spent | None] = contextvars.ContextVar("spent", default=None)
+_spent: contextvars.ContextVar[NativeTime | None] = contextvars.ContextVar("spent", default=None)
 
 
 @contextlib.contextmanager
-def measuring() -> Iterator[Spent]:
+def measuring() -> Iterator[NativeTime]:
     """Measure the time that this thread spends on native code within the block."""
-    spent = Spent()
+    spent = NativeTime()
     token = _spent.set(spent)
     try:
         yield spent
@@ -55,23 +55,16 @@ def measuring() -> Iterator[Spent]:
         _spent.reset(token)
 
 
-def record(made: Made) -> None:
-    """Record a program that became machine code, if this thread measures."""
-    spent = _spent.get()
-    if spent is not None:
-        spent.programs.append(made)
-
-
 @contextlib.contextmanager
-def counted(compiler: bool = False) -> Iterator[None]:
-    """Add the time of the block to the measurement.
+def counted(compiler: bool = False) -> Iterator[NativeTime | None]:
+    """Add the time of the block to the measurement of this thread, if there is one.
 
     Args:
         compiler: True for the time in LLVM, which lies within a block that is counted already.
     """
     spent, start = _spent.get(), time.perf_counter()
     try:
-        yield
+        yield spent
     finally:
         if spent is not None:
             took = time.perf_counter() - start

@@ -3,7 +3,7 @@
 Neither changes the forward computation.
 
 *Memory.* The backward pass needs the inputs of the programs of each control step
-(`fusion.frontend.derivatives`), which are kept. If they are too large for the whole trial, only the
+(`fusion.native`), which are kept. If they are too large for the whole trial, only the
 states between segments are kept. Each segment is then recomputed (Griewank's checkpoints in two
 levels).
 

@@ -8,7 +8,7 @@ from functools import partial
 
 from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.api.lab import lab
-from evo_cpg.studies import card_land, card_nerves, card_water
+from evo_cpg.studies import card_rows
 from evo_cpg.studies.card import (
     Absent,
     Question,
@@ -74,13 +74,13 @@ STUDY = Study(
     RUNS,
     {
         "swimming": Part("speed, efficiency and shape of swimmers", (),
-                         partial(card, rows=card_water.EFFICIENCY + card_water.SHAPE)),
+                         partial(card, rows=card_rows.EFFICIENCY + card_rows.SHAPE)),
         "nerves": Part("viscous water, feedback, cuts and muscles", (),
-                       partial(card, rows=card_nerves.VISCOSITY + card_nerves.SENSES
-                               + card_nerves.MUSCLES)),
+                       partial(card, rows=card_rows.VISCOSITY + card_rows.SENSES
+                               + card_rows.MUSCLES)),
         "land": Part("water and land, and walkers", ("trot", "tripod"),
-                     partial(card, rows=card_land.WALKERS)),
+                     partial(card, rows=card_rows.WALKERS)),
         "absent": Part("figures without an answer", (),
-                       partial(absent, rows=card_land.ABSENT)),
+                       partial(absent, rows=card_rows.ABSENT)),
     },
 )  # fmt: skip

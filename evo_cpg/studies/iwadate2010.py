@@ -8,9 +8,7 @@ from evo_cpg.analysis.gait import Gait, gait
 from evo_cpg.simulation.recording import Recorder, Recording, as_recording
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.studies.audits import audit_table, audited
-from evo_cpg.studies.lights import light_table, still
-from evo_cpg.studies.stills import pictures_part
+from evo_cpg.studies.parts import audit_table, audited, light_table, pictures_part, still
 from evo_cpg.studies.study import Part, Runs, Study, Table, percent, tabled
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.experiment import first_population

@@ -7,9 +7,7 @@ import numpy as np
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.simulation.measures import measures
-from evo_cpg.studies.audits import audit_part
-from evo_cpg.studies.lights import evaluate, light_table, still
-from evo_cpg.studies.stills import pictures_part
+from evo_cpg.studies.parts import audit_part, evaluate, light_table, pictures_part, still
 from evo_cpg.studies.study import Part, Runs, Study, Table, middle, percent, tabled
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.conditions import around, blinded, probe

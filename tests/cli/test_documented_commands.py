@@ -10,7 +10,7 @@ import typer
 
 from evo_cpg.cli import run_names
 from evo_cpg.cli.main import app
-from evo_cpg.studies.catalogue import study
+from evo_cpg.studies import find_study
 from tiny_run import PAIR
 
 ROOT = Path(__file__).parents[2]
@@ -67,7 +67,7 @@ def test_every_named_study_and_part_exists():
     named = [words.split() for page in PAGES for words in re.findall(names, page.read_text())]
     assert len(named) > 5
     for name, *parts in named:
-        assert set(parts) <= set(study(name).parts), name
+        assert set(parts) <= set(find_study(name).parts), name
 
 
 def test_every_picture_exists():

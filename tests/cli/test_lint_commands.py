@@ -7,7 +7,7 @@ import pytest
 from evo_cpg.native import engine as engines
 from evo_cpg.native.backend.machine import llvm_version
 from evo_cpg.native.engine import is_native
-from evo_cpg.native.unsupported import Unsupported
+from evo_cpg.native.ir import Unsupported
 from tiny_run import CONFIG, PAIR, REPOSITORY
 
 GRAMS = "creature.materials.body.density=1"

@@ -13,9 +13,8 @@ from evo_cpg.cli import reproduce
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.reproduce import default_folder, make
 from evo_cpg.files import OutputError
-from evo_cpg.studies import provenance, workshop
-from evo_cpg.studies.catalogue import NAMES, study
-from evo_cpg.studies.stills import pictures_part, stills
+from evo_cpg.studies import NAMES, find_study, provenance, workshop
+from evo_cpg.studies.parts import pictures_part, stills
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle, percent
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -179,7 +178,7 @@ def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
 
     pictures = pictures_part("moments", {"a few": "few", "many": "many"}, {"one": "few"})
     drawn = TWIN._replace(parts={"pictures": pictures})
-    monkeypatch.setattr("evo_cpg.studies.stills._SIZE", (64, 36))
+    monkeypatch.setattr("evo_cpg.studies.parts._SIZE", (64, 36))
     make(drawn, ["pictures"], folder, False, False, 2)
     record = provenance.read(folder)["pictures"]
     assert set(record["files"]) == {"pictures.md", "pictures.png", "pictures_few.png"}
@@ -238,7 +237,7 @@ def test_the_list_has_all_studies_and_parts(capsys):
     reproduce.reproduce(None, [], None, False, True, False, None)
     shown = capsys.readouterr().out
     assert all(name in shown for name in NAMES)
-    for part in study("fukui2003").parts:
+    for part in find_study("fukui2003").parts:
         assert part in shown
 
 
@@ -263,11 +262,11 @@ def test_cells_of_tables():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "part"), [(name, part) for name in NAMES for part in study(name).parts]
+    ("name", "part"), [(name, part) for name in NAMES for part in find_study(name).parts]
 )
 def test_every_part_of_every_study_runs(name, part, tmp_path_factory):
     # The parts of a study share runs, so they share a folder.
     folder = tmp_path_factory.getbasetemp() / f"quick_{name}"
-    make(study(name), [part], folder, True, False, 2)
+    make(find_study(name), [part], folder, True, False, 2)
     assert provenance.problems(folder) == []
     assert json.loads((folder / provenance.FILE).read_text())["parts"][part]["quick"] is True

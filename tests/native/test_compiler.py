@@ -1,21 +1,25 @@
 """LLVM in a separate process: its code, and the fallback if the process dies."""
 
+import ctypes
+import functools
 import os
+import re
 import subprocess
 import sys
 import threading
-import warnings
+import time
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from against_jax import sample
+from against_jax import sample, warned
 
 from evo_cpg.native import engine, machine_constants, native
-from evo_cpg.native.backend import compiler, compiler_process, machine
+from evo_cpg.native.backend import compiler_process, llvm, machine
 from evo_cpg.native.backend.compiler_process import Request
-from evo_cpg.native.engine import EngineWarning
 from evo_cpg.native.fuse import fuse
+from evo_cpg.native.stopwatch import counted, measuring
 
 SEVEN = "define i32 @handler() { ret i32 7 }"
 
@@ -34,20 +38,20 @@ def request(text):
 @pytest.fixture
 def compiles(monkeypatch):
     """Compile a module as the library does, in a new process that ends afterwards."""
-    compiler._stop()
-    yield lambda text: compiler.object_code(request(text))
-    compiler._stop()
+    machine._stop()
+    yield lambda text: machine.object_code(request(text))
+    machine._stop()
 
 
 def test_separate_process_makes_the_same_code(compiles):
     here = compiler_process.object_code(request(SEVEN))
     assert compiles(SEVEN) == here
-    assert compiler._process is not None and compiler._process.pid != os.getpid()
+    assert machine._process is not None and machine._process.pid != os.getpid()
 
 
 def test_process_serves_several_requests(compiles):
     first = compiles(SEVEN)
-    process = compiler._process
+    process = machine._process
     with pytest.raises(RuntimeError, match="LLVM IR parsing error"):
         compiles("this is no code")
     assert compiles(SEVEN) == first
@@ -55,9 +59,9 @@ def test_process_serves_several_requests(compiles):
 
 
 def test_large_text_ends_the_process(compiles, monkeypatch):
-    monkeypatch.setattr(compiler, "_LARGE_TEXT", 1)
+    monkeypatch.setattr(machine, "_LARGE_TEXT", 1)
     compiles(SEVEN)
-    assert compiler._process is None
+    assert machine._process is None
 
 
 def test_without_processes_this_process_compiles(compiles, monkeypatch):
@@ -66,27 +70,23 @@ def test_without_processes_this_process_compiles(compiles, monkeypatch):
 
     monkeypatch.setattr(subprocess, "Popen", refuse)
     assert compiles(SEVEN)
-    assert compiler._process is None
+    assert machine._process is None
 
 
 def test_program_falls_back_when_compiler_dies(monkeypatch):
     """Replace the compiler by a process that ends as after a stack overflow."""
-    compiler._stop()
+    machine._stop()
     start = subprocess.Popen
     command = [sys.executable, "-c", "import os; os.kill(os.getpid(), 11)"]
     monkeypatch.setattr(subprocess, "Popen", lambda _, **options: start(command, **options))
     x = sample((3, 9))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        # No other test uses this number, so the code is not in memory yet.
-        got = jax.jit(lambda x: fuse(lambda x: x * 0.7310585, x, batch_ndim=1, name="times"))(x)
-    (only,) = [each for each in caught if each.category is EngineWarning]
-    assert str(only.message) == (
-        "times runs on plain JAX, not as native code: the compiler ended with SIGSEGV"
-    )
+    # No other test uses this number, so the code is not in memory yet.
+    got, said = warned(jax.jit(lambda x: fuse(lambda x: x * 0.7310585, x, batch_ndim=1)), x)
+    (only,) = said
+    assert only.endswith("runs on plain JAX, not as native code: the compiler ended with SIGSEGV")
     np.testing.assert_array_equal(got, x * np.float32(0.7310585))
     monkeypatch.undo()
-    compiler._stop()
+    machine._stop()
 
 
 def test_stack_size_of_other_threads_does_not_change():
@@ -100,21 +100,14 @@ def test_errors_of_the_compiler_thread_are_raised():
         compiler_process._on_large_stack(lambda: bytes(1 // 0))
 
 
-def test_code_cut_into_functions_gives_the_same_bits(monkeypatch):
+def test_code_cut_into_functions_gives_the_same_bits(texts, monkeypatch):
     def program(x):
         def turn(carry, i):
-            y = carry + 0.1 * jax.numpy.sin(x * i.astype(x.dtype))
-            return jax.numpy.where(y > 0.2, y - carry[::-1], y * carry), y[0] > 0
+            y = carry + 0.1 * jnp.sin(x * i.astype(x.dtype))
+            return jnp.where(y > 0.2, y - carry[::-1], y * carry), y[0] > 0
 
-        return jax.lax.scan(turn, x, jax.numpy.arange(4))
+        return jax.lax.scan(turn, x, jnp.arange(4))
 
-    texts, load = [], native.load
-
-    def note(text, target):
-        texts.append(text)
-        return load(text, target)
-
-    monkeypatch.setattr(native, "load", note)
     x = sample((5, 37))
     whole = jax.jit(lambda x: fuse(program, x, batch_ndim=1))(x)
     monkeypatch.setattr(machine_constants, "LONGEST_FUNCTION", 20)
@@ -123,3 +116,145 @@ def test_code_cut_into_functions_gives_the_same_bits(monkeypatch):
         np.testing.assert_array_equal(one, other)
     long, short = (max(len(part.splitlines()) for part in t.split("define ")) for t in texts)
     assert texts[1].count("@stretch") > texts[0].count("@stretch") and short <= long
+
+
+# The time spent.
+
+
+def test_time_counts_within_the_block_alone():
+    with counted():
+        time.sleep(0.02)
+    with measuring() as spent, counted():
+        time.sleep(0.02)
+        with counted(compiler=True):
+            time.sleep(0.02)
+    assert 0.04 <= spent.seconds < 10
+    assert 0.02 <= spent.compiler <= spent.seconds - 0.02
+    before = spent.seconds
+    with counted():
+        time.sleep(0.01)
+    assert spent.seconds == before
+
+
+def test_other_threads_do_not_count():
+    def work():
+        with counted():
+            time.sleep(0.02)
+
+    with measuring() as spent:
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    assert spent.seconds == 0
+
+
+@pytest.mark.skipif(not engine.is_native(), reason="no native code here")
+def test_the_compiler_counts_only_for_new_code():
+    """A second function with equal code needs no LLVM."""
+
+    def made():
+        # No other test uses this number, so its code does not exist yet.
+        function = functools.partial(fuse, lambda x: x * 1.2345678 + 8.7654321, batch_ndim=1)
+        return jax.jit(functools.partial(function, name="a sum"))
+
+    spents = []
+    for _ in range(2):
+        with measuring() as spent:
+            made()(jnp.arange(4.0))
+        spents.append(spent)
+    first, second = spents
+    assert 0 < first.compiler < first.seconds
+    assert second.compiler == 0 < second.seconds
+    (made,) = first.programs
+    assert made.name == "a sum" and made.operations == 1
+    assert 0 < made.writing < first.seconds and first.compiler <= made.compiling
+
+
+# The entry into native code, called as by XLA.
+
+X, SHARED = sample((3, 40)), jnp.ones(5)
+EXECUTE = 3
+
+
+class Frame:
+    """Call frame of a program with a shared argument, an individual argument and two results."""
+
+    def __init__(self, stage=EXECUTE):
+        def function(x, shared):
+            total, path = jax.lax.scan(lambda c, r: (c + r * x, c), x, shared)
+            return total, path[1].sum() > 0
+
+        run = jax.jit(lambda shared, x: fuse(lambda x: function(x, shared), x, batch_ndim=1))
+        text = run.lower(SHARED, X).as_text()
+        (name,) = set(re.findall(r"@evo_cpg_(\w+)", text))
+        room = max(int(size) for size in re.findall(r"tensor<(\d+)xui8>", text))
+        given = [np.asarray(SHARED), np.asarray(X)]
+        self.total, self.flags = np.zeros(X.shape, np.float32), np.zeros((1, 40), bool)
+        found = [self.total, self.flags, np.zeros(room, np.uint8)]
+        self.kept = [given, found]
+        arguments, results = ([self.buffer(x) for x in each] for each in (given, found))
+        self.fields = [120, 0, 0, 0, stage, 40, 0, 2, 0, self.at(arguments)]
+        self.fields += [40, 0, 3, 0, self.at(results)]
+        self.address, _, _ = machine._loaded[name]
+
+    def buffer(self, x):
+        return self.at([48, 0, 0, x.ctypes.data, x.ndim, self.at(x.shape)])
+
+    def at(self, numbers):
+        """Return the address of numbers of 64 bits in memory."""
+        self.kept.append((ctypes.c_int64 * len(numbers))(*numbers))
+        return ctypes.addressof(self.kept[-1])
+
+    def run(self):
+        call = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(self.address)
+        return call(self.at(self.fields))
+
+
+def test_handler_reads_and_writes_the_arrays_of_a_frame():
+    frame = Frame()
+    assert frame.run() is None
+    np.testing.assert_allclose(frame.total, 6 * X, rtol=1e-6)
+    np.testing.assert_array_equal(frame.flags[0], 2 * X.sum(0) > 0)
+
+
+@pytest.mark.parametrize("stage", [0, 1, 2])
+def test_only_the_last_stage_computes(stage):
+    frame = Frame(stage)
+    assert frame.run() is None and not frame.total.any()
+
+
+def test_handler_returns_its_version():
+    frame = Frame()
+    metadata = (ctypes.c_int64 * 5)(40, 24, 0, -1, -1)
+    frame.fields[1] = frame.at([32, 1, 0, ctypes.addressof(metadata)])
+    assert frame.run() is None and not frame.total.any()
+    assert [*np.frombuffer(metadata, np.int32)[6:9]] == [0, 1, 0]
+
+
+@pytest.mark.parametrize("version", [(1, 0), (0, 0)])
+def test_xla_rejects_a_handler_of_another_interface(version, monkeypatch):
+    """XLA makes no call with arguments that the handler would misread."""
+    monkeypatch.setattr(llvm, "_MAJOR", version[0])
+    monkeypatch.setattr(llvm, "_MINOR", version[1])
+    got, said = warned(jax.jit(lambda x: fuse(lambda x: x * 0.4, x, batch_ndim=1, name="f")), X)
+    assert "f runs on plain JAX" in said[0] and "API version" in said[0]
+    np.testing.assert_array_equal(got, X * np.float32(0.4))
+
+
+@pytest.mark.skipif(not engine.is_native(), reason="no native code here")
+@pytest.mark.parametrize(("roots", "warns"), [(2, False), (4, True)])
+def test_a_large_program_warns_before_it_compiles(monkeypatch, roots, warns):
+    monkeypatch.setattr(machine_constants, "MANY_OPERATIONS", 3)
+    events = []
+    load = native.load
+    monkeypatch.setattr(native, "load", lambda *given: (events.append("compile"), load(*given))[1])
+    monkeypatch.setattr(engine, "_warn_once", events.append)
+
+    def function(x):
+        for _ in range(roots):
+            x = jnp.sqrt(x)
+        return x
+
+    jax.jit(functools.partial(fuse, function, batch_ndim=1))(jnp.arange(4.0))
+    assert len(events) == 1 + warns and events[-1] == "compile"
+    assert not warns or "more than 3 operations" in events[0]

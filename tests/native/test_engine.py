@@ -5,19 +5,18 @@ import functools
 import subprocess
 import sys
 import types
-import warnings
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from against_jax import sample
+from against_jax import sample, warned
 
 from evo_cpg.native import engine, machine_constants, native
-from evo_cpg.native.backend import compiler, machine
-from evo_cpg.native.engine import Engine, EngineWarning, described, using
+from evo_cpg.native.backend import machine
+from evo_cpg.native.engine import Engine, described, using
 from evo_cpg.native.fuse import fuse
-from evo_cpg.native.unsupported import Unsupported
+from evo_cpg.native.ir import Unsupported
 
 
 @pytest.fixture(autouse=True)
@@ -31,15 +30,6 @@ def cleared_caches():
     machine.keep_code_in(folder)
     for cached in caches:
         cached.cache_clear()
-
-
-def warned(run, *args):
-    """Return the result and the warnings."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        result = jax.block_until_ready(run(*args))
-    assert all(each.category is EngineWarning for each in caught)
-    return result, [str(each.message) for each in caught]
 
 
 def calls(run, *args):
@@ -70,32 +60,25 @@ def assert_right(got, function, x):
         np.testing.assert_allclose(got, function(x), rtol=1e-5, atol=1e-6)
 
 
-def test_jax_computes_the_smallest_part():
+def half(x):
+    """Call two parts that can be native code in a program that cannot."""
+    return jnp.sort(part(smooth, x), 0) + part(smooth, 2 * x)
+
+
+@pytest.mark.parametrize(
+    ("function", "name", "named", "count"),
+    [(whole, "all", "the order", 2), (half, "sorting", "sorting", 2), (ordered, "", "ordered", 0)],
+)
+def test_jax_computes_the_smallest_part(function, name, named, count):
     x = sample((3, 9))
-    run = functools.partial(fuse, whole, batch_ndim=1, name="all of it")
+    run = functools.partial(fuse, function, batch_ndim=1, name=name)
     got, said = warned(jax.jit(run), x)
-    assert said == ["the order runs on plain JAX, not as native code: no rule for sort"]
-    assert_right(got, whole, x)
+    assert said == [f"{named} runs on plain JAX, not as native code: no rule for sort"]
+    assert_right(got, function, x)
     again, said = warned(jax.jit(lambda x: run(x)), x)
     assert said == []
-    assert_right(again, whole, x)
-    assert calls(run, x) == 2
-
-
-def test_parts_of_a_program_on_jax_are_native():
-    def function(x):
-        return jnp.sort(part(smooth, x), 0) + part(smooth, 2 * x)
-
-    x = sample((3, 9))
-    got, said = warned(jax.jit(lambda x: fuse(function, x, batch_ndim=1, name="sorting")), x)
-    assert said == ["sorting runs on plain JAX, not as native code: no rule for sort"]
-    assert_right(got, function, x)
-    assert calls(functools.partial(fuse, function, batch_ndim=1, name="sorting"), x) == 2
-
-
-def test_programs_are_named_after_their_functions():
-    _, said = warned(jax.jit(lambda x: fuse(ordered, x, batch_ndim=1)), sample((3, 9)))
-    assert said == ["ordered runs on plain JAX, not as native code: no rule for sort"]
+    assert_right(again, function, x)
+    assert calls(run, x) == count
 
 
 def test_derivatives_are_named_after_their_functions():
@@ -181,33 +164,31 @@ def trying(monkeypatch, tmp_path, code):
     return runs
 
 
-def test_a_self_test_that_aborts_falls_back(monkeypatch, tmp_path):
-    runs = trying(monkeypatch, tmp_path, "import os; os.abort()")
-    assert_falls_back("the self-test failed")
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("import os; os.abort()", "the self-test failed"),
+        ("raise ArithmeticError('they differ')", "exit status 1: ArithmeticError: they differ"),
+        ("import time; time.sleep(60)", "the self-test could not run"),
+    ],
+)
+def test_a_failing_self_test_falls_back(code, reason, monkeypatch, tmp_path):
+    runs = trying(monkeypatch, tmp_path, code)
+    if "sleep" in code:
+        monkeypatch.setattr(machine_constants, "LONGEST_SELF_TEST", 0.2)
+    assert_falls_back(reason)
     # Each instruction set is tried once.
     assert len({run[-1] for run in runs}) == len(runs) > 0
     assert not list(tmp_path.glob("native-tried-*"))
-
-
-def test_a_self_test_that_finds_other_numbers_falls_back(monkeypatch, tmp_path):
-    trying(monkeypatch, tmp_path, "raise ArithmeticError('native code and JAX differ')")
-    assert_falls_back("exit status 1: ArithmeticError: native code and JAX differ")
-
-
-def test_a_self_test_that_hangs_falls_back(monkeypatch, tmp_path):
-    trying(monkeypatch, tmp_path, "import time; time.sleep(60)")
-    monkeypatch.setattr(machine_constants, "LONGEST_SELF_TEST", 0.2)
-    assert_falls_back("the self-test could not run")
 
 
 def test_the_self_test_runs_once_for_each_version(monkeypatch, tmp_path):
     runs = trying(monkeypatch, tmp_path, "")
     own = engine.target()
     assert len(runs) == 1 and runs[0][1:] == ["-m", "evo_cpg.native.self_test", own.name]
-    assert machine.passed_self_test(own, jax.__version__)
-    assert not machine.passed_self_test(own, "another") and not machine.passed_self_test(
-        own._replace(name="other"), jax.__version__
-    )
+    others = (own, "another"), (own._replace(name="other"), jax.__version__)
+    records = [machine.self_test_record(*each) for each in ((own, jax.__version__), *others)]
+    assert [record.exists() for record in records] == [True, False, False]
     engine._wrong.cache_clear()
     assert engine.target() == own and len(runs) == 1
     # Every process tests if there is no folder for code.
@@ -216,42 +197,35 @@ def test_the_self_test_runs_once_for_each_version(monkeypatch, tmp_path):
     assert engine.target() == own and len(runs) == 2
 
 
-def test_an_error_in_the_compilation_falls_back(monkeypatch):
-    def fails(*_):
-        raise ValueError("no idea\nat all")
+@pytest.mark.parametrize("fault", ["ValueError: no idea", "RuntimeError: LLVM IR parsing error"])
+def test_an_error_in_the_compilation_falls_back(fault, monkeypatch):
+    make = native.to_llvm
+
+    def fails(*args):
+        if "ValueError" in fault:
+            raise ValueError("no idea\nat all")
+        code = make(*args)
+        return code._replace(text=code.text.replace("fmul", "fnothing"))
 
     monkeypatch.setattr(native, "to_llvm", fails)
     x = sample((3, 9))
     got, said = warned(jax.jit(lambda x: fuse(smooth, x, batch_ndim=1)), x)
-    assert said == ["smooth runs on plain JAX, not as native code: ValueError: no idea"]
+    assert len(said) == 1
+    assert said[0].startswith(f"smooth runs on plain JAX, not as native code: {fault}")
     assert_right(got, smooth, x)
-
-
-def test_code_that_llvm_rejects_falls_back(monkeypatch):
-    whole = native.to_llvm
-
-    def broken(*args):
-        code = whole(*args)
-        return code._replace(text=code.text.replace("fmul", "fnothing"))
-
-    monkeypatch.setattr(native, "to_llvm", broken)
-    x = sample((3, 9))
-    got, said = warned(jax.jit(lambda x: fuse(lambda x: x * x[0][None], x, batch_ndim=1)), x)
-    assert len(said) == 1 and "RuntimeError: LLVM IR parsing error" in said[0]
-    np.testing.assert_array_equal(got, x * x[:1])
 
 
 @pytest.fixture
 def seven(tmp_path, monkeypatch):
     """Return a loader of a function: its result, and the number of compilations so far."""
     machine.keep_code_in(tmp_path)
-    compiled, make = [], compiler.object_code
+    compiled, make = [], machine.object_code
 
     def compile_and_count(request):
         compiled.append(request)
         return make(request)
 
-    monkeypatch.setattr(compiler, "object_code", compile_and_count)
+    monkeypatch.setattr(machine, "object_code", compile_and_count)
 
     def load():
         monkeypatch.setattr(machine, "_loaded", {})

@@ -1,4 +1,4 @@
-"""Fused functions agree with the unfused functions."""
+"""Fused functions and their derivatives agree with the unfused functions."""
 
 import functools
 
@@ -205,3 +205,64 @@ def test_a_symmetric_matrix_reads_its_upper_half():
     expected = [[m[min(i, j), max(i, j)] for j in range(3)] for i in range(3)]
     np.testing.assert_array_equal(got, np.array(expected))
     assert symmetric(m) is m
+
+
+# Derivatives.
+
+
+def spiral(x, turn):
+    """Return a number and a truth value."""
+    return jnp.stack([x[0] * jnp.cos(turn) - x[1], x[1] + 0.1 * x[0] ** 2]), x[0] > 0
+
+
+def path(run, turn, x):
+    def advance(x, _):
+        x, right = run(x, turn)
+        return x, jnp.where(right, x[1], 0.0)
+
+    return jax.lax.scan(jax.checkpoint(advance), x, None, length=5)[1].sum()
+
+
+def test_hessians_of_a_mapped_scan_equal_those_of_jax(x64):
+    """Compare Hessians, mapped over starts, of a sum over a path with a closed-over parameter."""
+    turn = jnp.asarray([0.3, 0.7])
+    starts = sample((4, 2, 2), 3, np.float64)
+
+    def fused(x, turn):
+        return fuse(spiral, x, turn, batch_ndim=1)
+
+    for differentiate in (jax.hessian, lambda f: jax.jacrev(jax.jacrev(f))):
+        got, expected = (
+            jax.jit(jax.vmap(differentiate(functools.partial(path, run)), (None, 0)))
+            for run in (fused, spiral)
+        )
+        np.testing.assert_allclose(
+            got(turn, starts), expected(turn, starts), rtol=1e-11, atol=1e-13
+        )
+
+
+def test_a_gradient_is_one_piece_of_code():
+    """The backward pass computes the forward pass again, and XLA computes sums alone."""
+
+    def chain(x):
+        for i in range(40):
+            x = jnp.stack([x[1] * x[2] + 0.1 * i, jnp.abs(x[0]) - x[2], x[0] * x[1]])
+        return x
+
+    run = jax.jit(jax.grad(lambda x: fuse(chain, x, batch_ndim=1).sum()))
+    text = run.lower(sample((3, 32), 1)).as_text()
+    assert text.count("@evo_cpg_") <= 2
+    assert text.count("stablehlo.multiply") == 0
+
+
+def test_empty_results_keep_their_type(x64):
+    """A float32 program and its derivatives stay in float32 if float64 is enabled."""
+
+    def parts(x):
+        return x[:0], x * x
+
+    x = sample((3, 4), 1)
+    empty, _ = jax.jit(lambda x: fuse(parts, x, batch_ndim=1))(x)
+    assert empty.dtype == np.float32 and empty.shape == (0, 4)
+    gradient = jax.jit(jax.grad(lambda x: sum(y.sum() for y in fuse(parts, x, batch_ndim=1))))(x)
+    np.testing.assert_allclose(gradient, 2 * x, rtol=1e-6)

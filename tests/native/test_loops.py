@@ -1,4 +1,4 @@
-"""Loops, branches and fixed points of fused functions agree with JAX."""
+"""Loops, branches, sums in memory and fixed points of fused functions agree with JAX."""
 
 import functools
 
@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from against_jax import assert_agrees, fused, sample
 from jax import lax
+from jax.test_util import check_grads
 
 from evo_cpg.native import machine_constants
-from evo_cpg.native.converge import implicit, while_each
 from evo_cpg.native.frontend.builder import Builder
-from evo_cpg.native.frontend.lower import trace_closed
-from evo_cpg.native.fuse import fuse
-from evo_cpg.native.passes.dead_code import eliminate_dead_code
-from evo_cpg.native.passes.schedule import schedule
+from evo_cpg.native.frontend.lower import trace
+from evo_cpg.native.fuse import fuse, implicit, while_each
+from evo_cpg.native.passes import eliminate_dead_code, schedule
 
 COUNTS = [1, 2, 5, 16, 19]
+POINTS, SIZE = 9, 30
 
 
 def decay(x, length, reverse=False):
@@ -93,8 +93,8 @@ def test_vectors_run_alone_if_their_memory_is_large(monkeypatch):
     assert (np.abs(expected) <= 0.1).all()
 
 
-def test_nested_loops_agree_with_jax():
-    """Inner loops use the counter, the carry and the stacked rows of outer loops."""
+def nested(x):
+    """Use the counter, the carry and the stacked rows of outer loops in inner loops."""
 
     def outer(carry, i):
         def inner(total, row):
@@ -108,30 +108,33 @@ def test_nested_loops_agree_with_jax():
         found = lax.while_loop(lambda s: s[0] < carry[1] + i, search, (abs(partial[1]), i))
         return jnp.roll(carry, 1).at[0].set(jnp.sin(total)), (found, partial.sum())
 
-    assert_agrees(
-        lambda x: lax.scan(outer, x, jnp.arange(3.0)), sample((4, 18)), rtol=1e-4, atol=1e-5
-    )
+    return lax.scan(outer, x, jnp.arange(3.0))
 
 
-def test_stacked_values_may_be_read_again():
-    def function(x):
-        _, rows = lax.scan(lambda c, _: (c + x, c * x[0]), x, None, length=5)
-        again = lax.scan(lambda c, row: (c * 0.5 + row, None), x, rows)[0]
-        several = lax.fori_loop(0, 6, lambda i, c: c + rows[i % 5] * i, x)
-        some = lax.fori_loop(2, 2 + (x[0] > 0), lambda i, c: c + i, x)
-        return again, several, rows[2], rows[::-2].sum(0), some
-
-    assert_agrees(function, sample((3, 9)), rtol=1e-5)
+def stacked(x):
+    _, rows = lax.scan(lambda c, _: (c + x, c * x[0]), x, None, length=5)
+    again = lax.scan(lambda c, row: (c * 0.5 + row, None), x, rows)[0]
+    several = lax.fori_loop(0, 6, lambda i, c: c + rows[i % 5] * i, x)
+    some = lax.fori_loop(2, 2 + (x[0] > 0), lambda i, c: c + i, x)
+    return again, several, rows[2], rows[::-2].sum(0), some
 
 
-def test_updates_at_the_counter_agree_with_jax():
-    def function(x):
-        def turn(i, y):
-            return lax.dynamic_update_index_in_dim(y, y[(i + 3) % 4] + x[i], i, 0)
+def updated(x):
+    def turn(i, y):
+        return lax.dynamic_update_index_in_dim(y, y[(i + 3) % 4] + x[i], i, 0)
 
-        return lax.fori_loop(0, 4, turn, x)
+    return lax.fori_loop(0, 4, turn, x)
 
-    assert_agrees(function, sample((4, 6)))
+
+def without_rounds(x):
+    nothing = lax.while_loop(lambda c: False, lambda c: c + 1, x)
+    return nothing, lax.while_loop(lambda c: c[0] > 100, lambda c: c + 1, x)
+
+
+@pytest.mark.parametrize("count", [1, 4, 18])
+@pytest.mark.parametrize("function", [nested, stacked, updated, without_rounds])
+def test_loops_agree_with_jax(function, count):
+    assert_agrees(function, sample((4, count)), rtol=1e-4, atol=1e-5)
 
 
 def collatz(start):
@@ -146,15 +149,6 @@ def collatz(start):
 def test_finished_individuals_do_not_change(count):
     """Run 1 to 111 rounds. The last vector holds fewer individuals than the others."""
     assert_agrees(lambda x: collatz(x[0]), jnp.arange(1, 1 + count)[None] * 27 % 83 + 1)
-
-
-def test_loops_of_no_rounds_agree_with_jax():
-    def function(x):
-        nothing = lax.while_loop(lambda c: False, lambda c: c + 1, x)
-        return nothing, lax.while_loop(lambda c: c[0] > 100, lambda c: c + 1, x)
-
-    for count in (1, 4):
-        assert_agrees(function, sample((2, count)))
 
 
 def test_nan_ends_the_loop_of_one_individual_only():
@@ -270,22 +264,13 @@ def test_derivatives_of_a_search_by_shared_values(x64):
     def total(gain, x):
         return fuse(lambda x: settle(gain, x), x, batch_ndim=1).sum()
 
-    by_gain, by_x = jax.jit(jax.grad(total, (0, 1)))(0.3, x)
-    step = 1e-6
-    total = jax.jit(total)
-    by_gain, by_x = float(by_gain), np.asarray(by_x)
-    assert by_gain == pytest.approx(
-        float(total(0.3 + step, x) - total(0.3 - step, x)) / 2e-6, rel=1e-7
-    )
-    for i in range(2):
-        moved = [total(0.3, x.at[i, 4].add(sign * step)) for sign in (1, -1)]
-        assert by_x[i, 4] == pytest.approx(float(moved[0] - moved[1]) / 2e-6, rel=1e-7)
+    check_grads(jax.jit(total), (0.3, x), 1, ["rev"], atol=1e-6, rtol=1e-6, eps=1e-6)
 
 
 def scheduled(function, *values):
     builder = Builder()
     inputs = [builder.argument(value.shape, value.dtype) for value in values]
-    results = trace_closed(builder, jax.make_jaxpr(function)(*values), inputs)
+    results = trace(builder, jax.make_jaxpr(function)(*values), inputs)
     return schedule(eliminate_dead_code(builder.graph(results)))
 
 
@@ -337,3 +322,177 @@ def test_inner_loops_skip_individuals_that_left_the_outer():
     assert wants.op == "and" and condition.op == "gt"
     assert {node.op for node in wants.operands} == {"gt"}
     assert_agrees(function, jnp.abs(sample((2, 40))) * jnp.array([[20.0], [3.0]]))
+
+
+# Skipped branches, and arrays that loops add to.
+
+
+def long_branch(x, k):
+    """Compute so many operations that skipping them is worth a jump."""
+    for i in range(8):
+        x = x + 0.1 * jnp.sin(x * (i + 1.0) + k)
+    return x
+
+
+def choose(x):
+    def turn(carry, k):
+        number = k.astype(x.dtype)
+        condition = x[0] * (number - 2.0) > 0.3
+        new = lax.cond(
+            condition,
+            lambda c: (long_branch(c, number), c[0]),
+            lambda c: (c, jnp.float32(2)),
+            carry,
+        )
+        return new[0], (new[1], new[0][1] > 0)
+
+    return lax.scan(turn, x, jnp.arange(5))
+
+
+@pytest.mark.parametrize("count", [1, 5, 16, 37, 301])
+def test_long_branches_agree_with_jax(count, texts):
+    # A branch stretches rounding up to 1.1 * 1.2 * ... * 1.8 = 18 times, and two may be taken.
+    assert_agrees(choose, sample((6, count)), rtol=1e-5, atol=18**2 * 2**-24)
+    assert any("icmp slt i32 %round" in text and "%body" in text for text in texts)
+
+
+def switched(x):
+    which = jnp.clip(jnp.floor(x[0] * 3), -1, 4).astype(jnp.int32)
+    branches = [lambda y, k=k: long_branch(y, float(k)) for k in range(3)]
+    return lax.switch(which, branches, x)
+
+
+def branch_in_branch(x):
+    def inner(x):
+        return lax.cond(x[1] > 0, lambda y: long_branch(y, 1.0), lambda y: 2 * y, x)
+
+    return lax.cond(x[0] > 0, lambda y: inner(long_branch(y, 2.0)), lambda y: -y, x)
+
+
+def test_a_skipped_branch_has_no_effect():
+    """Individuals that skip a branch of `cond` do not depend on others that take the branch."""
+
+    def function(x):
+        def divide(y):
+            return long_branch(1.0 / (y - y[0]), 0.0) + jnp.log(y)
+
+        return lax.cond(x[0] > 0, divide, lambda y: y, x)
+
+    x = sample((6, 37))
+    (got,) = fused(function, x)
+    np.testing.assert_array_equal(got[:, x[0] <= 0], np.asarray(x)[:, x[0] <= 0])
+
+
+def scattered(x, active=None):
+    """Return sums at computed places, in rounds that some individuals skip."""
+    places = jnp.asarray(np.random.default_rng(2).integers(0, SIZE, (POINTS, 3)), jnp.int32)
+    table = jnp.stack([x[0] * k for k in range(POINTS)])
+
+    def turn(total, p):
+        mine, where = table[p], places[p]
+
+        def add(total):
+            values = long_branch(jnp.stack([mine, x[1] * mine, x[2]]), 0.5)
+            return total.at[where].add(values, mode="promise_in_bounds")
+
+        go = mine > 0.2 if active is None else active(p, mine)
+        return lax.cond(go, add, lambda total: total, total), mine
+
+    return lax.scan(turn, jnp.zeros(SIZE, x.dtype), jnp.arange(POINTS))
+
+
+@pytest.mark.parametrize("count", [1, 5, 16, 37, 301])
+def test_sums_at_computed_places_agree_with_jax(count, texts):
+    assert_agrees(scattered, sample((3, count)), rtol=1e-5, atol=1e-5)
+    assert all("select" in text for text in texts)
+
+
+def unconditional(x):
+    def turn(total, k):
+        return total.at[k % SIZE].add(x[0] * k, mode="promise_in_bounds"), None
+
+    total, _ = lax.scan(turn, jnp.full(SIZE, 0.5, x.dtype), jnp.arange(50))
+    return total.sum(), total[7]
+
+
+def sums_in_nested_loops(x):
+    def inner(total, k):
+        return total.at[k].add(x[1] * x[0], mode="promise_in_bounds"), None
+
+    def outer(total, j):
+        total, _ = lax.scan(inner, total, jnp.arange(4) + j)
+        return total, x[0]
+
+    return lax.scan(outer, jnp.zeros(SIZE, x.dtype), jnp.arange(20))
+
+
+def sums_in_packed_loops(x):
+    """Add in every round of a packed loop, from tables and lists made before the loop."""
+    first, list_ = scattered(x)
+
+    def advance(state):
+        y, count = state
+        total, _ = scattered(y, lambda p, mine: (mine > 0.2) & (list_[p] > 0))
+        return y + 0.01 * total[:3] + 0.001 * first[4], count + 1
+
+    return lax.while_loop(lambda s: s[1] < 1 + jnp.floor(3 * s[0][2]), advance, (x, 0.0))
+
+
+def sums_read_by_their_loop(x):
+    """Such a loop cannot use the code for sums, but agrees."""
+
+    def turn(total, k):
+        new = total.at[3].add(x[0], mode="promise_in_bounds")
+        return new, new[3]
+
+    return lax.scan(turn, jnp.zeros(SIZE, x.dtype), jnp.arange(6))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(
+    ("function", "count"),
+    [
+        (switched, 37),
+        (branch_in_branch, 37),
+        (unconditional, 21),
+        (sums_in_nested_loops, 21),
+        (sums_in_packed_loops, 301),
+        (sums_read_by_their_loop, 21),
+    ],
+)
+def test_branches_and_sums_agree_with_jax(function, count, dtype):
+    with jax.enable_x64(dtype is np.float64):
+        assert_agrees(function, sample((3, count), dtype=dtype), rtol=1e-4, atol=1e-4)
+
+
+def test_a_list_read_one_by_one_is_not_copied(texts):
+    def function(x):
+        _, mine = lax.scan(lambda c, k: (c, jnp.sin(x[0] * k)), None, jnp.arange(40.0))
+        return lax.scan(lambda c, y: (c + y * y, None), x[1], mine)[0]
+
+    assert_agrees(function, sample((3, 21)), rtol=1e-5, atol=1e-5)
+    assert all(text.count("store volatile") < 40 for text in texts)
+
+
+def test_derivatives_of_branches_and_sums_agree_with_jax():
+    def function(x):
+        total, mine = scattered(x)
+        return (total**2).sum() + choose(x.repeat(2))[0].sum() + (mine**3).sum()
+
+    x = sample((3, 21))
+    got = jax.jit(jax.grad(lambda x: fuse(function, x, batch_ndim=1).sum()))(x)
+    expected = jax.jit(jax.grad(lambda x: jax.vmap(function, -1)(x).sum()))(x)
+    np.testing.assert_allclose(got, expected, rtol=1e-3, atol=1e-3)
+
+
+def test_sums_at_places_of_each_individual_run_on_jax():
+    def function(x):
+        own = jnp.clip(jnp.floor(5 * x[0]), 0, 9).astype(jnp.int32)
+
+        def turn(total, k):
+            return total.at[own].add(x[1], mode="promise_in_bounds"), None
+
+        return lax.scan(turn, jnp.zeros(10, x.dtype), jnp.arange(4))[0]
+
+    with pytest.warns(UserWarning, match="no rule for adding to places that differ"):
+        assert_agrees(function, sample((3, 21)))

@@ -1,29 +1,30 @@
 """Each pass of the native back end on small programs, and programs without a pass."""
 
+import collections
 import dataclasses
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from against_jax import plain, sample
+from hypothesis import given
+from hypothesis import strategies as st
 
-from evo_cpg.native import compile, machine_constants, native
+from evo_cpg.native import compile, machine_constants, native, passes
 from evo_cpg.native.backend.allocate import allocate
-from evo_cpg.native.backend.code import LoopCode, Stretch, Target, Variant
+from evo_cpg.native.backend.code import LoopCode, StretchCode, Target, Variant
 from evo_cpg.native.backend.llvm import print_llvm
-from evo_cpg.native.compile import PASSES, check_size, optimize
+from evo_cpg.native.compile import PASSES, optimize
 from evo_cpg.native.frontend.builder import Builder
 from evo_cpg.native.frontend.primitives import fused_p
 from evo_cpg.native.frontend.simplify import RULES
 from evo_cpg.native.fuse import fuse
-from evo_cpg.native.ir.graph import Change, Node, rewrite
-from evo_cpg.native.ir.show import show
-from evo_cpg.native.ir.verify import InvalidGraph, verify
-from evo_cpg.native.passes.dead_code import eliminate_dead_code
-from evo_cpg.native.passes.schedule import schedule
-from evo_cpg.native.unsupported import Unsupported
+from evo_cpg.native.inspect import InvalidGraph, show, verify
+from evo_cpg.native.ir import Node, Unsupported
+from evo_cpg.native.passes import eliminate_dead_code, schedule
 
 F32 = np.dtype(np.float32)
 TARGET = Target("avx2", 32, 16, fma=True, processor="", features="")
@@ -56,13 +57,46 @@ def traced(function=program, rows=3):
     return equation.params["program"]
 
 
-def graph_of(make, rows=3):
-    """Return the graph of nodes that are made of the rows of one argument."""
-    builder = Builder()
-    results = make(builder, *builder.argument((rows,), F32))
-    results = results if isinstance(results, tuple) else (results,)
-    builder.end_part((), results)
-    return builder.graph([np.array([node], object) for node in results])
+class Scalar:
+    """A node with operators, so that a test writes its program as a formula."""
+
+    def __init__(self, builder, node):
+        self.builder, self.node = builder, node
+
+    def apply(self, op, *others):
+        nodes = [each.node for each in (self, *map(self.like, others))]
+        return Scalar(self.builder, self.builder.apply(op, *nodes))
+
+    def like(self, value):
+        dtype = bool if isinstance(value, bool) else self.node.dtype
+        constant = isinstance(value, Scalar) or self.builder.constant(value, dtype)
+        return value if isinstance(value, Scalar) else Scalar(self.builder, constant)
+
+    def opaque(self, part=None):
+        return Scalar(self.builder, self.builder.alias("opaque", self.node, part=part))
+
+    __add__ = functools.partialmethod(apply, "add")
+    __sub__ = functools.partialmethod(apply, "sub")
+    __mul__ = functools.partialmethod(apply, "mul")
+    __truediv__ = functools.partialmethod(apply, "div")
+    __lt__ = functools.partialmethod(apply, "lt")
+    __and__ = functools.partialmethod(apply, "and")
+    __or__ = functools.partialmethod(apply, "or")
+    __neg__ = functools.partialmethod(apply, "neg")
+    __invert__ = functools.partialmethod(apply, "not")
+    select = functools.partialmethod(apply, "select")
+
+
+def scalars(count, dtype=F32, rules=RULES):
+    """Return the rows of an argument."""
+    builder = Builder(rules)
+    return [Scalar(builder, node) for node in builder.argument((count,), dtype)]
+
+
+def graph_of(*results, reorder=True):
+    builder, nodes = results[0].builder, [each.node for each in results]
+    builder.end_part((), nodes, reorder)
+    return builder.graph([np.array([node], object) for node in nodes])
 
 
 def ops(graph):
@@ -72,10 +106,17 @@ def ops(graph):
 # Programs without one pass.
 
 
+def assert_right():
+    x = sample((3, 40))
+    got = jax.jit(functools.partial(fuse, program, batch_ndim=1))(x)
+    for one, other in zip(got, plain(program, x), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5)
+
+
 @pytest.mark.parametrize("left_out", [each.__name__ for each in PASSES])
 def test_program_means_the_same_without_a_pass(left_out, monkeypatch):
-    kept = [each for each in compile.PASSES if each.__name__ != left_out]
-    assert len(kept) < len(compile.PASSES)
+    kept = [each for each in PASSES if each.__name__ != left_out]
+    assert len(kept) < len(PASSES)
     monkeypatch.setattr(compile, "PASSES", kept)
     assert_right()
 
@@ -85,98 +126,224 @@ def test_program_means_the_same_without_rules(monkeypatch):
     assert_right()
 
 
-def assert_right():
-    x = sample((3, 40))
-    got = jax.jit(functools.partial(fuse, program, batch_ndim=1))(x)
-    for one, other in zip(got, plain(program, x), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5)
-
-
 @pytest.mark.parametrize("one", PASSES)
 def test_a_pass_does_not_change_its_argument(one):
     before = optimize(traced(), PASSES[: PASSES.index(one)])
     text, nodes = show(before), list(before.nodes)
     after = one(before)
     assert show(before) == text and before.nodes == nodes
-    assert (show(after) != text) == (one is not check_size)
+    assert (show(after) != text) == (one is not passes.check_size)
 
 
 # Simplify.
 
 
 CASES = {
-    "x + 0 -> x": lambda b, x, y: (b.add(x, zero(b)), x),
-    "x + (-y) -> x - y": lambda b, x, y: (b.add(b.negate(y), x), b.subtract(x, y)),
-    "x - 0 -> x": lambda b, x, y: (b.subtract(x, zero(b)), x),
-    "0 - x -> -x": lambda b, x, y: (b.subtract(zero(b), x), b.negate(x)),
-    "x - (-y) -> x + y": lambda b, x, y: (b.subtract(x, b.negate(y)), b.add(x, y)),
-    "0 x -> 0": lambda b, x, y: (b.multiply(zero(b), x), zero(b)),
-    "1 x -> x": lambda b, x, y: (b.multiply(x, b.constant(1, F32)), x),
-    "(-c) x -> -(c x)": lambda b, x, y: (
-        b.multiply(x, b.constant(-3, F32)),
-        b.negate(b.multiply(x, b.constant(3, F32))),
+    "x + 0 -> x": lambda x, y: (x + 0, x),
+    "x + (-y) -> x - y": lambda x, y: (-y + x, x - y),
+    "x - 0 -> x": lambda x, y: (x - 0, x),
+    "0 - x -> -x": lambda x, y: (x.like(0) - x, -x),
+    "x - (-y) -> x + y": lambda x, y: (x - (-y), x + y),
+    "0 x -> 0": lambda x, y: (x.like(0) * x, x.like(0)),
+    "1 x -> x": lambda x, y: (x * 1, x),
+    "(-c) x -> -(c x)": lambda x, y: (x * -3, -(x * 3)),
+    "x / 2^k -> x 2^-k": lambda x, y: (x / 8, x * 0.125),
+    "-(-x) -> x": lambda x, y: ((-x).apply("neg"), x),
+    "not not x -> x": lambda x, y: (~~(x < y), x < y),
+    "x and true -> x; x and false -> false; x and x -> x": lambda x, y: (
+        ((x < y) & True) & (x < y),
+        x < y,
     ),
-    "x / 2^k -> x 2^-k": lambda b, x, y: (
-        b.apply("div", x, b.constant(8, F32)),
-        b.multiply(x, b.constant(0.125, F32)),
-    ),
-    "-(-x) -> x": lambda b, x, y: (b.negate(b.negate(x)), x),
-    "not not x -> x": lambda b, x, y: (
-        b.apply("not", b.apply("not", less(b, x, y))),
-        less(b, x, y),
-    ),
-    "x and true -> x; x and false -> false; x and x -> x": lambda b, x, y: (
-        b.apply("and", b.apply("and", less(b, x, y), truth(b, True)), less(b, x, y)),
-        less(b, x, y),
-    ),
-    "x or false -> x; x or true -> true; x or x -> x": lambda b, x, y: (
-        b.apply("or", less(b, x, y), truth(b, True)),
-        truth(b, True),
-    ),
-    "select c, x, y -> x or y": lambda b, x, y: (b.select(truth(b, False), x, y), y),
-    "select a, x, x -> x": lambda b, x, y: (b.select(less(b, x, y), x, x), x),
-    "select a, true, false -> a; select a, false, true -> not a": lambda b, x, y: (
-        b.select(less(b, x, y), truth(b, False), truth(b, True)),
-        b.apply("not", less(b, x, y)),
+    "x or false -> x; x or true -> true; x or x -> x": lambda x, y: ((x < y) | True, x.like(True)),
+    "select c, x, y -> x or y": lambda x, y: (x.like(False).select(x, y), y),
+    "select a, x, x -> x": lambda x, y: ((x < y).select(x, x), x),
+    "select a, true, false -> a; select a, false, true -> not a": lambda x, y: (
+        (x < y).select(False, True),
+        ~(x < y),
     ),
 }
 
 
-def zero(b):
-    return b.constant(0, F32)
-
-
-def truth(b, value):
-    return b.constant(value, bool)
-
-
-def less(b, x, y):
-    return b.apply("lt", x, y)
-
-
 @pytest.mark.parametrize("rule", [rule.name for rules in RULES.values() for rule in rules])
 def test_rewrite_rule(rule):
-    builder = Builder()
-    got, expected = CASES[rule](builder, *builder.argument((2,), F32))
-    assert got is expected
     without = {op: [each for each in rules if each.name != rule] for op, rules in RULES.items()}
-    builder = Builder(without)
-    got, expected = CASES[rule](builder, *builder.argument((2,), F32))
-    assert got is not expected
+    for rules in (RULES, without):
+        got, expected = CASES[rule](*scalars(2, rules=rules))
+        assert (got.node is expected.node) == (rules is RULES)
 
 
 def test_constants_fold_and_equal_operations_merge():
-    builder = Builder()
-    x, y = builder.argument((2,), F32)
-    assert builder.add(builder.constant(2, F32), builder.constant(1, F32)).value == 3
-    assert builder.add(x, y) is builder.add(y, x)
+    x, y = scalars(2)
+    assert (x.like(2) + 1).node.value == 3
+    assert (x + y).node is (y + x).node
 
 
-# Eliminate dead code, schedule.
+# Contract multiply-adds.
+
+
+OPERATIONS = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "neg": np.negative,
+    "fma": lambda a, b, c: a * b + c,
+    "fms": lambda a, b, c: a * b - c,
+    "fnma": lambda a, b, c: c - a * b,
+    "opaque": lambda a: a,
+    "constant": lambda a: a,
+}
+# These compute the sum of the absolute values of all terms, the scale of rounding errors.
+MAGNITUDES = OPERATIONS | {
+    "sub": np.add,
+    "neg": lambda a: a,
+    "fms": OPERATIONS["fma"],
+    "fnma": OPERATIONS["fma"],
+    "constant": abs,
+}
+
+
+def value(node, operations=OPERATIONS, known=None):
+    """Return the number of a node. Input k is 1 + 0.37 k."""
+    known = {} if known is None else known
+    if node.value is not None:
+        return operations["constant"](float(node.value))
+    if node not in known:
+        given = [value(each, operations, known) for each in node.operands]
+        with np.errstate(all="ignore"):
+            known[node] = (
+                1.0 + 0.37 * node.detail[1] if node.op == "input" else operations[node.op](*given)
+            )
+    return known[node]
+
+
+def contracted(*roots, reorder=True):
+    """Return the graph after the pass, which does not change its argument."""
+    before = graph_of(*roots, reorder=reorder)
+    text = show(before)
+    after = verify(passes.contract_multiply_adds(verify(before)))
+    assert show(before) == text
+    return after
+
+
+def everything_behind(nodes):
+    found, waiting = {}, list(nodes)
+    while waiting:
+        one = waiting.pop()
+        if one not in found:
+            found[one] = None
+            waiting.extend(one.operands)
+    return list(found)
+
+
+def counts(nodes):
+    return collections.Counter(node.op for node in everything_behind(nodes))
+
+
+def instructions(nodes):
+    return sum(n for op, n in counts(nodes).items() if op not in ("input", "constant", "opaque"))
+
+
+@given(st.data(), st.booleans())
+def test_values_stay_and_instructions_do_not_grow(data, reorder):
+    """Arguments of an inner program keep their values too."""
+    made = scalars(6, float)
+    for _ in range(data.draw(st.integers(1, 40))):
+        a, b = (made[data.draw(st.integers(0, len(made) - 1))] for _ in range(2))
+        made.append(a.apply(data.draw(st.sampled_from(["add", "sub", "mul"])), b))
+    seen = data.draw(st.lists(st.sampled_from(made), max_size=3))
+    found, builder = made[0], made[0].builder
+    if seen:
+        found = Scalar(builder, builder.make("neg", [each.opaque().node for each in seen][:1], "d"))
+    part = builder.end_part([each.node for each in seen], [found.node])
+    expected = [each.node for each in (made[-1], *seen)]
+    before, count = [value(node) for node in expected], instructions(expected)
+    scales = [value(node, MAGNITUDES) for node in expected]
+    after = contracted(made[-1], found.opaque(part), reorder=reorder)
+    expected = [after.result_nodes[0], *after.parts[0].arguments]
+    for node, old, scale in zip(expected, before, scales, strict=True):
+        assert abs(value(node) - old) <= 1e-12 * scale or not np.isfinite(scale)
+    assert instructions(expected) <= count
+    every = everything_behind(expected)
+    pairs = [(node, operand) for node in every for operand in node.operands]
+    users = collections.Counter([*expected, *(operand for _, operand in pairs)])
+    for node, operand in pairs:
+        assert node.op not in ("add", "sub") or operand.op != "mul" or users[operand] > 1
+
+
+def test_each_product_is_fused_into_a_sum():
+    a, b, c, d, e, f, x = scalars(7, float)
+    root = (a * b + c * d) + (e * f + x)
+    assert counts(contracted(root).result_nodes) == {"input": 7, "fma": 3}
+
+
+def test_three_of_four_products_are_fused_in_any_order():
+    for order in itertools.permutations(range(4)):
+        x = scalars(8, float)
+        a, b, c, d = (x[2 * i] * x[2 * i + 1] for i in order)
+        found = counts(contracted((a + b) + (c + d)).result_nodes)
+        assert found == {"input": 8, "mul": 1, "fma": 3}
+
+
+@pytest.mark.parametrize(
+    ("formula", "made"),
+    [
+        (lambda x, y, a, b: x + (y + a * b), "fma"),
+        (lambda x, y, a, b: x + (y - a * b), "fnma"),
+        (lambda x, y, a, b: x - (y + a * b), "fnma"),
+        (lambda x, y, a, b: x - (y - a * b), "fma"),
+    ],
+)
+def test_signs_are_kept(formula, made):
+    root = formula(*scalars(4, float))
+    before = value(root.node)
+    (node,) = contracted(root).result_nodes
+    assert value(node) == pytest.approx(before, rel=1e-14)
+    assert counts([node])["mul"] == 0 and made in counts([node])
+
+
+def test_without_reordering_the_written_order_is_kept():
+    """The order of a difference with the product first is kept too."""
+    a, b, c, d, e, f = inputs = scalars(6, float)
+    roots = ((a + b * c) + d) - e * f, a * d - e
+    root, other = contracted(*roots, reorder=False).result_nodes
+    a, b, c, d, e, f = (each.node for each in inputs)
+    inner = root.operands[2]
+    assert root.op == "fnma" and root.operands == (e, f, inner)
+    assert inner.op == "add" and d in inner.operands
+    (fused,) = (node for node in inner.operands if node is not d)
+    assert fused.op == "fma" and fused.operands == (b, c, a)
+    assert other.op == "fms" and other.operands == (a, d, e)
+
+
+def test_a_sum_or_product_with_other_users_stays_whole():
+    a, b, c, d = scalars(4, float)
+    shared, product = a * b + c * d, a * c
+    roots = contracted(shared + a, shared * b, product + d, product).result_nodes
+    (shared,) = {node for node in roots[0].operands if node.op != "input"}
+    assert all(shared in root.operands for root in roots[:2])
+    assert roots[2].op == "add" and roots[3] in roots[2].operands
+
+
+def test_arguments_of_an_inner_program_are_not_reordered():
+    """If a program reads ``s = a b + c d``, ``s + e`` must not become ``(e + a b) + c d``."""
+    a, b, c, d, e = scalars(5, float)
+    s = a * b + c * d
+    found = Scalar(s.builder, s.builder.make("neg", [s.opaque().node], "d"))
+    elsewhere = found.opaque(s.builder.end_part([s.node], [found.node]))
+    before = value(s.node)
+    after = contracted(s + e, elsewhere)
+    root, (s,) = after.result_nodes[0], after.parts[0].arguments
+    assert value(s) == pytest.approx(before, rel=1e-15)
+    assert s in root.operands and s.op == "fma"
+
+
+# Eliminate dead code, check the size, schedule, rewrite.
 
 
 def test_unused_operations_are_removed():
-    graph = graph_of(lambda b, x, y, z: (b.add(x, y), b.multiply(y, z))[0])
+    x, y, z = scalars(3)
+    total, _ = x + y, y * z
+    graph = graph_of(total)
     assert ops(graph) == ["add", "mul"]
     assert ops(eliminate_dead_code(graph)) == ["add"]
     assert len(eliminate_dead_code(graph).nodes) == 3
@@ -184,44 +351,43 @@ def test_unused_operations_are_removed():
 
 def test_too_many_operations_raise(monkeypatch):
     monkeypatch.setattr(machine_constants, "MOST_OPERATIONS", 2)
+    x, y, z = scalars(3)
     with pytest.raises(Unsupported, match="more than 2 operations"):
-        check_size(graph_of(lambda b, x, y, z: b.add(x, b.multiply(y, z))))
+        passes.check_size(graph_of(x + y * z))
 
 
 def test_schedule_computes_operands_shortly_before_their_use():
-    def make(b, x, y, z):
-        early = b.apply("sqrt", x)
-        other = b.apply("sqrt", b.multiply(y, z))
-        return b.add(b.multiply(other, other), early)
-
-    graph = graph_of(make)
+    x, y, z = scalars(3)
+    early = x.apply("sqrt")
+    other = (y * z).apply("sqrt")
+    graph = graph_of(other * other + early)
     (run,) = schedule(graph).runs[graph.top]
     assert ops(graph) == ["sqrt", "mul", "sqrt", "mul", "add"]
     assert [node.op for node in run.nodes] == ["mul", "sqrt", "mul", "sqrt", "add"]
 
 
-# Rewrite, verify, show.
-
-
 def test_rewrite_makes_new_users_and_keeps_the_old():
-    graph = graph_of(lambda b, x, y, z: b.negate(b.add(x, y)))
+    x, y, _ = scalars(3)
+    graph = graph_of(-(x + y))
     x, _, z, total, negative = graph.nodes
-    new = rewrite(graph, {total: Change("sub", (x, z), total.number)})
+    new = passes.rewrite(graph, {total: passes.Replacement("sub", (x, z), total.number)})
     (root,) = new.result_nodes
     assert negative.operands == (total,) and total.op == "add"
     assert root is not negative and root.operands[0].op == "sub"
     assert root.operands[0].operands == (x, z)
 
 
-def broken(graph, place, **changes):
-    nodes = list(graph.nodes)
-    nodes[place] = dataclasses.replace(nodes[place], **changes)
-    return dataclasses.replace(graph, nodes=nodes)
+# Verify, show.
+
+
+def assert_invalid(graph, message, **changes):
+    with pytest.raises(InvalidGraph, match=message):
+        verify(dataclasses.replace(graph, **changes))
 
 
 def test_verifier_finds_invalid_nodes():
-    graph = graph_of(lambda b, x, y, z: b.select(less(b, x, y), x, b.multiply(y, z)))
-    verify(graph)
+    x, y, z = scalars(3)
+    graph = verify(graph_of((x < y).select(x, y * z)))
     _, y, _, test, _, choice = graph.nodes
     wrong = [
         (3, {"op": "nothing"}, "unknown operation"),
@@ -236,39 +402,55 @@ def test_verifier_finds_invalid_nodes():
         (5, {"dtype": np.dtype(np.float64)}, "not b a a -> a"),
     ]
     for place, changes, message in wrong:
-        with pytest.raises(InvalidGraph, match=message):
-            verify(broken(graph, place, **changes))
-    with pytest.raises(InvalidGraph, match="cannot be a result"):
-        verify(dataclasses.replace(graph, nodes=graph.nodes[:-1]))
-    scheduled = schedule(graph)
-    runs = {graph.top: [run._replace(nodes=run.nodes[::-1]) for run in scheduled.runs[graph.top]]}
-    with pytest.raises(InvalidGraph, match="which is scheduled later or never"):
-        verify(dataclasses.replace(scheduled, runs=runs))
-    for kept in (slice(1, None), slice(0, 2)):
-        runs = {
-            graph.top: [run._replace(nodes=run.nodes[kept]) for run in scheduled.runs[graph.top]]
-        }
-        with pytest.raises(InvalidGraph, match="which is scheduled later or never"):
-            verify(dataclasses.replace(scheduled, runs=runs))
-    twice = {graph.top: [run for run in scheduled.runs[graph.top] for _ in range(2)]}
-    with pytest.raises(InvalidGraph, match="or twice"):
-        verify(dataclasses.replace(scheduled, runs=twice))
+        nodes = list(graph.nodes)
+        nodes[place] = dataclasses.replace(nodes[place], **changes)
+        assert_invalid(graph, message, nodes=nodes)
+    assert_invalid(graph, "cannot be a result", nodes=graph.nodes[:-1])
+
+
+def test_verifier_finds_invalid_schedules():
+    x, y, z = scalars(3)
+    graph = schedule(graph_of((x < y).select(x, y * z)))
+    (run,) = graph.runs[graph.top]
+    for nodes, message in (
+        (run.nodes[::-1], "later or never"),
+        (run.nodes[1:], "later or never"),
+        (run.nodes[:2], "later or never"),
+        ([*run.nodes, *run.nodes], "or twice"),
+    ):
+        assert_invalid(graph, message, runs={graph.top: [run._replace(nodes=nodes)]})
 
 
 def test_verifier_looks_behind_opaque_nodes():
-    def make(b, x, y, z):
-        return b.negate(b.opaque(b.add(x, y)))
-
-    graph = schedule(graph_of(make))
-    verify(graph)
+    x, y = scalars(2)
+    graph = verify(schedule(graph_of(-(x + y).opaque())))
     (run,) = graph.runs[graph.top]
-    without = dataclasses.replace(graph, runs={graph.top: [run._replace(nodes=run.nodes[1:])]})
-    with pytest.raises(InvalidGraph, match="which is scheduled later or never"):
-        verify(without)
-    total = next(node for node in graph.nodes if node.op == "add")
-    nodes = [node for node in graph.nodes if node is not total]
-    with pytest.raises(InvalidGraph, match="before it is made"):
-        verify(dataclasses.replace(graph, nodes=nodes))
+    less = {graph.top: [run._replace(nodes=run.nodes[1:])]}
+    assert_invalid(graph, "later or never", runs=less)
+    nodes = [node for node in graph.nodes if node.op != "add"]
+    assert_invalid(graph, "before it is made", nodes=nodes)
+
+
+def test_verifier_finds_invalid_loops():
+    graph = verify(optimize(traced(), PASSES[:2]))
+    (loop, *_) = [node for node in graph.nodes if node.op == "loop"]
+    inner, detail, carried = [], loop.detail, graph.kept[loop][0]
+    inner = [node for node in graph.nodes if node.block is detail.body]
+    following = [*detail.following]
+    following[carried] = next(x for x in inner if x.dtype != loop.operands[carried].dtype)
+    for changes, message in (
+        ({"count": None}, "number of rounds or a condition"),
+        ({"test": detail.body}, "in another block"),
+        ({"following": tuple(following)}, "different types"),
+    ):
+        one = dataclasses.replace(loop, detail=detail._replace(**changes))
+        nodes = [one if node is loop else node for node in graph.nodes]
+        loops = {block: one if each is loop else each for block, each in graph.loops.items()}
+        kept = {one: graph.kept[loop]}
+        assert_invalid(graph, message, nodes=nodes, loops=loops, kept=kept)
+    number = graph.nodes[-1].number + 1
+    outside = Node("neg", (inner[-1],), inner[-1].dtype, graph.top, False, number)
+    assert_invalid(graph, "computed in another block", nodes=[*graph.nodes, outside])
 
 
 def test_invalid_graph_names_the_pass(monkeypatch):
@@ -281,34 +463,6 @@ def test_invalid_graph_names_the_pass(monkeypatch):
     optimize(traced(), [forget])
 
 
-def test_verifier_finds_invalid_loops():
-    graph = optimize(traced(), PASSES[:2])
-    verify(graph)
-    (loop, *_) = [node for node in graph.nodes if node.op == "loop"]
-    place = graph.nodes.index(loop)
-    inner_nodes = [node for node in graph.nodes if node.block is loop.detail.body]
-    inner = inner_nodes[-1]
-    detail = loop.detail
-    carried = graph.kept[loop][0]
-    other = next(node for node in inner_nodes if node.dtype != loop.operands[carried].dtype)
-    following = [*detail.following]
-    following[carried] = other
-    for changes, message in (
-        ({"count": None}, "number of rounds or a condition"),
-        ({"test": detail.body}, "in another block"),
-        ({"following": tuple(following)}, "different types"),
-    ):
-        one = dataclasses.replace(loop, detail=detail._replace(**changes))
-        nodes = [*graph.nodes[:place], one, *graph.nodes[place + 1 :]]
-        loops = {block: one if each is loop else each for block, each in graph.loops.items()}
-        wrong = dataclasses.replace(graph, nodes=nodes, loops=loops, kept={one: graph.kept[loop]})
-        with pytest.raises(InvalidGraph, match=message):
-            verify(wrong)
-    outside = Node("neg", (inner,), inner.dtype, graph.top, False, graph.nodes[-1].number + 1)
-    with pytest.raises(InvalidGraph, match="computed in another block"):
-        verify(dataclasses.replace(graph, nodes=[*graph.nodes, outside]))
-
-
 def test_program_is_printed_after_each_pass(monkeypatch, capsys):
     optimize(traced(lambda x: x[0] * x[1] + x[2]))
     assert not capsys.readouterr().err
@@ -316,10 +470,8 @@ def test_program_is_printed_after_each_pass(monkeypatch, capsys):
     optimize(traced(lambda x: x[0] * x[1] + x[2]))
     lowered, *_, scheduled = capsys.readouterr().err.split("--- ")[1:]
     assert lowered.startswith("lower\nargument 0: float32[3]\n") and "mul" in lowered
-    assert scheduled.splitlines()[-2:] == [
-        "%8: float32 = fma %1, %2, %3",
-        "result 0: float32[1] = %8",
-    ]
+    last = ["%8: float32 = fma %1, %2, %3", "result 0: float32[1] = %8"]
+    assert scheduled.splitlines()[-2:] == last
 
 
 def test_loops_are_printed_with_their_carry():
@@ -333,11 +485,10 @@ def test_loops_are_printed_with_their_carry():
 
 def steps_of(items):
     for item in items:
-        if isinstance(item, Stretch):
-            yield from (step for piece in item.pieces for step in piece.steps)
+        if isinstance(item, StretchCode):
+            yield from (step for each in item.functions for step in each.steps)
         elif isinstance(item, LoopCode):
-            yield from steps_of(item.test)
-            yield from steps_of(item.body)
+            yield from steps_of([*item.test, *item.body])
 
 
 def test_allocation_names_every_value_once_and_before_its_use():
@@ -353,11 +504,9 @@ def test_allocation_names_every_value_once_and_before_its_use():
 
 
 def test_values_beyond_the_registers_go_to_memory():
-    def make(b, *rows):
-        roots = [b.apply("sqrt", row) for row in rows]
-        return functools.reduce(b.add, [*roots, *(b.apply("abs", each) for each in roots[::-1])])
-
-    graph = schedule(eliminate_dead_code(graph_of(make, rows=40)))
+    roots = [row.apply("sqrt") for row in scalars(40)]
+    total = sum((each.apply("abs") for each in roots[::-1]), start=sum(roots[1:], start=roots[0]))
+    graph = schedule(eliminate_dead_code(graph_of(total)))
     few, many = (
         allocate(graph, WIDE._replace(target=TARGET._replace(registers=n))) for n in (8, 64)
     )

@@ -7,16 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from against_jax import with_instructions
 from hypothesis import given, settings
 from jax import lax
 
-from evo_cpg.native.backend.machine import host
-from evo_cpg.native.backend.registers import Registers
+from evo_cpg.native.backend.storage import Registers
 from evo_cpg.native.engine import Engine, using
 from evo_cpg.native.frontend.builder import Builder
 from evo_cpg.native.fuse import fuse
-from evo_cpg.native.passes.schedule import ordered
-from evo_cpg.native.unsupported import Unsupported
+from evo_cpg.native.passes import ordered
 
 INPUTS, REGISTERS = 5, 8
 LIMIT = 6  # Two of eight registers are spare.
@@ -55,7 +54,7 @@ def test_operations_that_free_registers_come_early():
     rows = list(builder.argument((16,), np.float32))
     made = []
     while len(rows) > 1:
-        rows = [builder.add(a, b) for a, b in zip(rows[::2], rows[1::2], strict=True)]
+        rows = [builder.apply("add", a, b) for a, b in zip(rows[::2], rows[1::2], strict=True)]
         made += rows
 
     def most_waiting(order):
@@ -79,13 +78,13 @@ def test_no_choice_reads_memory_less_often(program):
     registers.expect(order, expected)
     for i, needed in enumerate(steps):
         for node in needed:
-            if registers.name(node, True) is None:
+            if registers.names.get((node, True)) is None:
                 reads += 1
                 registers.hold(node, True, "read")
         if i < len(order):
             registers.hold(order[i], True, "computed")
         registers.pass_on()
-        assert sum(registers.name(node, True) is not None for node in held(steps)) <= LIMIT
+        assert sum(registers.names.get((node, True)) is not None for node in held(steps)) <= LIMIT
     for policy in (least_recently_used, first_in):
         assert reads <= reads_with(policy, order, steps)
 
@@ -120,21 +119,9 @@ def reads_with(policy, order, steps):
     return reads
 
 
-SETS = "host", "avx2", "sse"
-
-
-def natively(function, x, instructions="host"):
-    if instructions != "host":
-        try:
-            host(instructions)
-        except Unsupported as error:
-            pytest.skip(str(error))
-    with using(Engine("native", instructions)):
-        return jax.jit(functools.partial(fuse, function, batch_ndim=1))(x)
-
-
 @pytest.mark.parametrize(
-    "instructions", ["host", *(pytest.param(name, marks=pytest.mark.slow) for name in SETS[1:])]
+    "instructions",
+    ["host", *(pytest.param(name, marks=pytest.mark.slow) for name in ("avx2", "sse"))],
 )
 @pytest.mark.parametrize("count", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3)), 40])
 def test_many_waiting_values_are_kept(count, instructions):
@@ -150,7 +137,8 @@ def test_many_waiting_values_are_kept(count, instructions):
         return there, back, xp.stack(products)
 
     x = np.random.default_rng(0).normal(size=(101, count)).astype(np.float32)
-    found = natively(function, x, instructions)
+    run = functools.partial(fuse, function, batch_ndim=1)
+    found = with_instructions(instructions, lambda: jax.jit(run)(x))
     for got, expected in zip(found, function(x, np), strict=True):
         np.testing.assert_array_equal(got, expected)
 

@@ -6,13 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from against_jax import plain, sample
+from against_jax import plain, sample, with_instructions
 from jax.sharding import PartitionSpec
 
 from evo_cpg.native.backend import machine
-from evo_cpg.native.engine import Engine, using
 from evo_cpg.native.fuse import fuse
-from evo_cpg.native.unsupported import Unsupported
 
 ROWS = 5
 
@@ -144,11 +142,7 @@ def test_equal_code_is_loaded_once():
 
 
 def on(instructions):
-    try:
-        with using(Engine("native", instructions)):
-            return natively(lambda x: trial(x), ALL)
-    except Unsupported as error:
-        pytest.skip(str(error))
+    return with_instructions(instructions, lambda: natively(lambda x: trial(x), ALL))
 
 
 @pytest.mark.parametrize("instructions", ["avx512", "avx2", "neon"])

@@ -5,7 +5,7 @@ import numpy as np
 
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.studies.halving import Displacements, displacements, kept
+from evo_cpg.studies.fukui2003 import Displacements, displacements, kept
 from tiny_run import CONFIG, PAIR
 
 

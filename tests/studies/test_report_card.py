@@ -10,7 +10,7 @@ from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.analysis.laboratory.settings import require_values
 from evo_cpg.cli.answers import values_of
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.studies import card_land, card_measures, card_nerves, card_water
+from evo_cpg.studies import card_measures, card_rows
 from evo_cpg.studies.animals import STUDY
 from evo_cpg.studies.card import (
     Question,
@@ -28,12 +28,12 @@ from evo_cpg.studies.card import (
 from evo_cpg.studies.workshop import Workshop
 
 ROWS = [
-    *card_water.EFFICIENCY,
-    *card_water.SHAPE,
-    *card_nerves.VISCOSITY,
-    *card_nerves.SENSES,
-    *card_nerves.MUSCLES,
-    *card_land.WALKERS,
+    *card_rows.EFFICIENCY,
+    *card_rows.SHAPE,
+    *card_rows.VISCOSITY,
+    *card_rows.SENSES,
+    *card_rows.MUSCLES,
+    *card_rows.WALKERS,
 ]
 
 
@@ -170,9 +170,9 @@ def test_activity_that_outruns_bending_has_a_shorter_lag():
 
 def test_every_row_of_the_card_is_in_one_part_and_has_a_source():
     parts = [part.report.keywords["rows"] for part in STUDY.parts.values()]  # pyright: ignore
-    assert sum(len(rows) for rows in parts) == len(ROWS) + len(card_land.ABSENT)
+    assert sum(len(rows) for rows in parts) == len(ROWS) + len(card_rows.ABSENT)
     assert len({row.name for row in ROWS}) == len(ROWS)
-    assert all(row.source for row in [*ROWS, *card_land.ABSENT])
+    assert all(row.source for row in [*ROWS, *card_rows.ABSENT])
 
 
 @pytest.mark.slow

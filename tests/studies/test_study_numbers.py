@@ -13,8 +13,7 @@ from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.shipped import shipped
 from evo_cpg.studies import fukui2003, search
-from evo_cpg.studies.audits import audit_table, kept_table
-from evo_cpg.studies.lights import evaluate
+from evo_cpg.studies.parts import audit_table, evaluate, kept_table
 from evo_cpg.studies.study import Table
 from evo_cpg.studies.workshop import Workshop, markdown
 from evo_cpg.training.checkpoint import Champion

@@ -10,8 +10,7 @@ import pytest
 
 from evo_cpg.installation import version_of
 from evo_cpg.io.load import dump_config
-from evo_cpg.studies import provenance
-from evo_cpg.studies.catalogue import NAMES, study
+from evo_cpg.studies import NAMES, find_study, provenance
 from evo_cpg.studies.workshop import configuration
 from evo_cpg.training.run_folder import RunFolderError
 
@@ -64,7 +63,7 @@ def test_pages_take_unchanged_results():
 @pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
 def test_every_file_of_a_study_has_a_provenance_and_a_caption(folder):
     assert not provenance.problems(folder)
-    known = study(folder.name).parts
+    known = find_study(folder.name).parts
     for name, told in provenance.read(folder).items():
         assert name in known, f"{folder.name} has no part {name}"
         line = provenance.caption(folder.name, name, told)
@@ -75,7 +74,7 @@ def test_every_file_of_a_study_has_a_provenance_and_a_caption(folder):
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
 def test_runs_of_this_version_have_the_declared_configurations(folder):
-    declared = study(folder.name)
+    declared = find_study(folder.name)
     told = {
         name: run["config_sha256"]
         for part in provenance.read(folder).values()
@@ -118,6 +117,6 @@ def test_a_damaged_provenance_is_named(tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_parts_name_runs_that_are_declared(name):
-    found = study(name)
+    found = find_study(name)
     assert found.name == name
     assert {run for part in found.parts.values() for run in part.runs} == set(found.runs)

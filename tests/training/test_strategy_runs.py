@@ -15,6 +15,7 @@ from evo_cpg.evolution.map_elites import AlongTheLine, MapElites
 from evo_cpg.evolution.strategy import Axis, Strategy
 from evo_cpg.io.run import elite, gait_map
 from evo_cpg.training.checkpoint import StrategyError, state_arrays
+from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.train import TIMING_COLUMNS, train
 from trials import experiment

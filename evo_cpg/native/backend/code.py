@@ -4,18 +4,18 @@
 |---|---|
 | `Template` | the instructions for one operation, with gaps for its operands |
 | `Step` | a template with operands |
-| `Stretch` | code without branches, which becomes a function |
-| `Copy` | rows of an argument that are copied to adjacent places |
+| `StretchCode` | code without branches, which becomes one or more functions (`FunctionCode`) |
+| `RowCopies` | rows of an argument that are copied to adjacent places |
 | `LoopCode` | a loop or a branch over stretches |
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from evo_cpg.native.ir.graph import Buffer, Loop
+from evo_cpg.native.ir import Buffer, GraphLoop
 
 
 class Target(NamedTuple):
@@ -39,24 +39,18 @@ class Target(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """The kind of machine code.
-
-    Attributes:
-        target: the machine.
-        width: number of individuals in a vector.
-    """
+    """The kind of machine code: the machine, and the number of individuals in a vector."""
 
     target: Target
     width: int
 
 
 class Template(NamedTuple):
-    """Instructions with gaps: ``{0}``, ``{1}``... for operands, then one for each new name.
+    """Lines of LLVM IR with gaps: ``{0}``, ``{1}``... for operands, then one for each new name.
 
     Attributes:
-        text: lines of LLVM IR.
         lines: number of lines.
-        names: number of values that the lines name.
+        names: number of new names.
         result: number of the result among the new names, from 1, or 0 for the first operand.
     """
 
@@ -67,12 +61,9 @@ class Template(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A template with operands.
+    """A template with operands: names of values, constants or places.
 
-    Attributes:
-        template: the instructions.
-        operands: names of values, constants or places.
-        first: number of the first new name.
+    ``first`` is the number of the first new name.
     """
 
     template: Template
@@ -80,39 +71,36 @@ class Step(NamedTuple):
     first: int
 
 
-class Piece(NamedTuple):
-    """A part of a stretch that is short enough for a function.
+class FunctionCode(NamedTuple):
+    """Code without branches that is short enough for a function.
 
     Attributes:
         steps: steps in order.
-        buffers: pointers to arguments, results and shared memory that the piece uses.
+        buffers: pointers to arguments, results and shared memory that the steps use.
     """
 
     steps: Sequence[Step]
     buffers: tuple[str, ...]
 
 
-class Stretch(NamedTuple):
-    """Code without branches.
+class StretchCode(NamedTuple):
+    """Code without branches: functions that run in turn.
 
     Attributes:
-        pieces: one piece, or several pieces that run in turn.
+        functions: one function, or several if the stretch is long.
         result: name of its result, or "" if there is none.
         kind: LLVM's type of the result.
     """
 
-    pieces: Sequence[Piece]
+    functions: Sequence[FunctionCode]
     result: str = ""
     kind: str = "void"
 
 
-class Copy(NamedTuple):
-    """Consecutive rows that are copied from an argument to scratch memory.
+class RowCopies(NamedTuple):
+    """Copies of consecutive rows from an argument, ``buffer``, to scratch memory.
 
-    Attributes:
-        step: instructions that copy one row.
-        rows: number of rows.
-        buffer: pointer to the argument.
+    The step copies one row.
     """
 
     step: Step
@@ -149,7 +137,7 @@ class LoopCode:
         packed: slots that the loop reads and slots that it carries, or None if it is not packed.
     """
 
-    loop: Loop
+    loop: GraphLoop
     number: int
     counter: int | None
     test: "Sequence[Item]"
@@ -158,21 +146,7 @@ class LoopCode:
     packed: tuple[Sequence[Slot], Sequence[Slot]] | None = None
 
 
-Item = Stretch | Copy | LoopCode
-
-
-class Table(NamedTuple):
-    """A table of constants.
-
-    Attributes:
-        name: name of the LLVM global.
-        values: constants of the table.
-        dtype: type of the constants.
-    """
-
-    name: str
-    values: np.ndarray
-    dtype: np.dtype
+Item = StretchCode | RowCopies | LoopCode
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,7 +158,7 @@ class Code:
         results: arrays that the program writes.
         variant: kind of machine code.
         items: code in order.
-        tables: constants in memory.
+        tables: tables of constants, by the name of an LLVM global.
         functions: functions that the code calls, by name.
         size: bytes of scratch memory of each vector.
         frame: bytes of memory that vectors share.
@@ -196,7 +170,7 @@ class Code:
     results: tuple[Buffer, ...]
     variant: Variant
     items: Sequence[Item]
-    tables: Sequence[Table]
+    tables: Mapping[str, np.ndarray]
     functions: dict[str, str]
     size: int
     frame: int

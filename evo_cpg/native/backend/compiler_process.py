@@ -1,4 +1,4 @@
-"""Compile LLVM IR to object code in a process that `compiler` starts from this file.
+"""Compile LLVM IR to object code in a process that `machine` starts from this file.
 
 This file imports nothing of the package, so that the process starts in 0.2 s.
 
@@ -49,7 +49,7 @@ def object_code(request: Request) -> bytes:
     """Compile a module of LLVM IR, on a thread with a large stack.
 
     Raises:
-        RuntimeError: the text is not valid IR, or LLVM has no such processor.
+        RuntimeError: if the text is not valid IR, or LLVM has no such processor.
     """
     return _on_large_stack(lambda: _object_code(*request))
 
@@ -59,7 +59,7 @@ def _object_code(text: str, *machine_of: Any) -> bytes:
 
     machine = _machine(*machine_of)
     module = llvm.parse_assembly(text)
-    # The order of instructions and the use of registers are fixed (`registers`). A search for a
+    # The order of instructions and the use of registers are fixed (`storage`). A search for a
     # better order takes longer than the rest of compilation. The option is global, so it is set
     # back afterwards.
     llvm.set_option("", "-enable-misched=false")
@@ -76,11 +76,7 @@ def _machine(processor: str, features: str, effort: int) -> "llvm.TargetMachine"
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=processor,
-        features=features,
-        opt=effort,
-        reloc="pic",
-        codemodel="small",
+        cpu=processor, features=features, opt=effort, reloc="pic", codemodel="small"
     )
 
 
@@ -95,29 +91,23 @@ def _on_large_stack(compute: Callable[[], bytes]) -> bytes:
         except BaseException as error:
             errors.append(error)
 
-    thread = _started(run)
+    thread = before = None
+    try:
+        before = threading.stack_size(_STACK)
+        thread = threading.Thread(target=run, name="LLVM")
+        thread.start()
+    except (ValueError, RuntimeError):
+        # The system refuses a large stack or another thread.
+        thread = None
+    finally:
+        if before is not None:
+            threading.stack_size(before)
     if thread is None:
         return compute()
     thread.join()
     if errors:
         raise errors[0]
     return found[0]
-
-
-def _started(run: Callable[[], None]) -> threading.Thread | None:
-    """Return a started thread with a large stack, or None if the system refuses it."""
-    try:
-        before = threading.stack_size(_STACK)
-    except (ValueError, RuntimeError):
-        return None
-    try:
-        thread = threading.Thread(target=run, name="LLVM")
-        thread.start()
-    except RuntimeError:
-        return None
-    finally:
-        threading.stack_size(before)
-    return thread
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:

@@ -1,4 +1,4 @@
-"""Print an allocated program as LLVM IR.
+"""Print an allocated program as LLVM IR, and the handler by which XLA calls it.
 
 Every stretch becomes a function. The *driver* function ``@program`` loops over vectors and calls
 the stretches. If loops end at different rounds for each individual, the driver runs several vectors
@@ -10,16 +10,23 @@ No instruction has a fast-math flag. So the bits of an individual's results do n
 vector's width.
 """
 
+import functools
 from collections.abc import Callable, Sequence
 
 from evo_cpg.native import machine_constants
-from evo_cpg.native.backend.code import Code, Copy, Item, LoopCode, Slot, Step, Stretch, Table
-from evo_cpg.native.backend.memory import FRAME_ORIGIN
+from evo_cpg.native.backend.code import Code, Item, LoopCode, RowCopies, Slot, Step, StretchCode
+from evo_cpg.native.backend.operations import TYPES, number
 from evo_cpg.native.backend.packing import VectorGroup, each_vector, packed_loop
 from evo_cpg.native.backend.select import FRAME
-from evo_cpg.native.backend.writer import TYPES, number
+from evo_cpg.native.backend.storage import FRAME_ORIGIN
 
 _GIVEN = "ptr %scratch, i64 %n, i64 %first"
+
+# Version of the XLA FFI interface.
+_MAJOR, _MINOR = 0, 1
+
+# XLA's number for the extension that requests metadata, and for the stage that computes.
+_METADATA, _EXECUTE = 1, 3
 
 
 def print_llvm(code: Code) -> tuple[str, int]:
@@ -56,28 +63,8 @@ class _Printer:
     def text(self) -> tuple[str, int]:
         """Print the whole program."""
         self._items(self.code.items)
-        driver = [
-            f"define internal void @program({self.buffers}ptr %scratch, i64 %n) #0 {{",
-            "entry:",
-            # The shared memory begins after the scratch memory of all vectors.
-            f"{FRAME} = getelementptr i8, ptr %scratch, i64 {self.own + FRAME_ORIGIN}",
-            "br label %vector",
-            "vector:",
-            f"%first = phi i64 [ 0, %entry ], [ %next, %{self.label} ]",
-            *(self._group_lines() if self.code.grouped else self._vector_lines()),
-            "br i1 %more, label %vector, label %done",
-            "done:",
-            "ret void",
-            "}",
-        ]
-        tables = [_table(each) for each in self.code.tables]
-        called = self.code.functions.values()
-        text = "\n".join([*tables, *called, *self.functions, *self.group_functions, *driver])
-        return text, self.own + self.code.frame
-
-    def _vector_lines(self) -> list[str]:
-        width = self.code.variant.width
-        return [
+        vectors, width = self.group.vectors, self.group.width
+        lines = [
             *self.driver,
             # The last vector ends with the last individual.
             f"%stop = add i64 %first, {width}",
@@ -86,32 +73,66 @@ class _Printer:
             "%next = select i1 %within, i64 %stop, i64 %left",
             "%more = icmp slt i64 %stop, %n",
         ]
-
-    def _group_lines(self) -> list[str]:
-        vectors, width = self.group.vectors, self.group.width
-        return [
-            "%left = sub i64 %n, %first",
-            f"%begun = add i64 %left, {width - 1}",
-            f"%whole = udiv i64 %begun, {width}",
-            f"%fewer = icmp ult i64 %whole, {vectors}",
-            f"%count = select i1 %fewer, i64 %whole, i64 {vectors}",
-            *self.driver,
-            f"%next = add i64 %first, {vectors * width}",
-            "%more = icmp slt i64 %next, %n",
+        if self.code.grouped:
+            lines = [
+                "%left = sub i64 %n, %first",
+                f"%begun = add i64 %left, {width - 1}",
+                f"%whole = udiv i64 %begun, {width}",
+                f"%fewer = icmp ult i64 %whole, {vectors}",
+                f"%count = select i1 %fewer, i64 %whole, i64 {vectors}",
+                *self.driver,
+                f"%next = add i64 %first, {vectors * width}",
+                "%more = icmp slt i64 %next, %n",
+            ]
+        driver = [
+            f"define internal void @program({self.buffers}ptr %scratch, i64 %n) #0 {{",
+            "entry:",
+            # The shared memory begins after the scratch memory of all vectors.
+            f"{FRAME} = getelementptr i8, ptr %scratch, i64 {self.own + FRAME_ORIGIN}",
+            "br label %vector",
+            "vector:",
+            f"%first = phi i64 [ 0, %entry ], [ %next, %{self.label} ]",
+            *lines,
+            "br i1 %more, label %vector, label %done",
+            "done:",
+            "ret void",
+            "}",
         ]
+        tables = []
+        for name, values in self.code.tables.items():
+            dtype = values.dtype
+            t = "i8" if dtype.kind == "b" else TYPES[dtype.char]
+            items = ", ".join(f"{t} {number(value, dtype)}" for value in values)
+            tables.append(f"{name} = internal constant [{len(values)} x {t}] [{items}], align 64")
+        called = self.code.functions.values()
+        text = "\n".join([*tables, *called, *self.functions, *self.group_functions, *driver])
+        return text, self.own + self.code.frame
 
     def _items(self, items: Sequence[Item]) -> str:
         """Print code and return the name of the last result."""
         result = ""
         for item in items:
-            if isinstance(item, Stretch):
+            if isinstance(item, StretchCode):
                 result = self._stretch(item)
-            elif isinstance(item, Copy):
-                self._copy(item)
+            elif isinstance(item, RowCopies):
+                lines = [
+                    "br label %head",
+                    "head:",
+                    "%i = phi i64 [ 0, %entry ], [ %j, %head ]",
+                    *_lines([item.step]),
+                    "%j = add i64 %i, 1",
+                    f"%more = icmp slt i64 %j, {item.rows}",
+                    "br i1 %more, label %head, label %copied",
+                    "copied:",
+                ]
+                self._call_function(self._function(lines, [item.buffer]), f"ptr {item.buffer}, ")
             elif item.packed is not None:
                 self._packed(item, *item.packed)
             elif item.per_vector:
-                self._per_vector(item)
+                # Each vector of a group takes the branch separately.
+                name, parameters = f"branch{len(self.functions)}", f"{self.buffers}ptr {FRAME}, "
+                self._of_one_vector("void", name, functools.partial(self._loop, item))
+                self._call_for_group(name, parameters, parameters)
             else:
                 self._loop(item)
         return result
@@ -133,23 +154,22 @@ class _Printer:
         )
         return name
 
-    def _stretch(self, stretch: Stretch) -> str:
+    def _stretch(self, stretch: StretchCode) -> str:
         """Print a stretch and its call, and return the name of its result."""
         *before, last = [
-            (_lines(piece.steps), piece.buffers, "".join(f"ptr {b}, " for b in piece.buffers))
-            for piece in stretch.pieces
+            (_lines(each.steps), each.buffers, "".join(f"ptr {b}, " for b in each.buffers))
+            for each in stretch.functions
         ]
         lines, buffers, given = last
         result, kind = stretch.result, stretch.kind
         if before:
-            # All pieces run for one vector before the next, because they share memory.
+            # All functions run for one vector before the next, because they share memory.
             calls = [
-                f"call void @{self._function(part, own)}({passed}{_GIVEN})"
-                for part, own, passed in before
+                _call("", "void", self._function(part, own), passed) for part, own, passed in before
             ]
             name = self._function(lines, buffers, result, kind)
             result = "%result" if result else ""
-            lines = [*calls, _call(result, kind, name, f"{given}{_GIVEN}")]
+            lines = [*calls, _call(result, kind, name, given)]
         name = self._function(lines, buffers, result, kind)
         return self._call_function(name, given, bool(result), kind)
 
@@ -161,25 +181,12 @@ class _Printer:
             self._call_for_group(name, given, given)
             return ""
         found = f"%found{len(self.functions)}" if has_result else ""
-        self.driver.append(_call(found, kind, name, f"{given}{_GIVEN}"))
+        self.driver.append(_call(found, kind, name, given))
         return found
 
     def _call_for_group(self, name: str, parameters: str, given: str) -> None:
         self.group_functions.append(each_vector(name, parameters, self.group))
         self.driver.append(f"call void @{name}.group({given}{_GIVEN}, i64 %count)")
-
-    def _copy(self, copy: Copy) -> None:
-        lines = [
-            "br label %head",
-            "head:",
-            "%i = phi i64 [ 0, %entry ], [ %j, %head ]",
-            *_lines([copy.step]),
-            "%j = add i64 %i, 1",
-            f"%more = icmp slt i64 %j, {copy.rows}",
-            "br i1 %more, label %head, label %copied",
-            "copied:",
-        ]
-        self._call_function(self._function(lines, [copy.buffer]), f"ptr {copy.buffer}, ")
 
     # Loops.
 
@@ -201,7 +208,21 @@ class _Printer:
         self.driver += [f"br i1 {more}, label %{body}, label %{after}", f"{body}:"]
         self.label = body
         if item.counter is not None:
-            self._count(item.counter, counter, number)
+            # Store the number of the round in its slot.
+            suffix = "" if self.grouped else f"{number}"
+            store = (
+                f"%place{suffix} = getelementptr i8, ptr %scratch, i64 {item.counter}\n"
+                f"store i32 %round{suffix}, ptr %place{suffix}"
+            )
+            if self.grouped:
+                name = f"count{len(self.functions)}"
+                self.functions.append(
+                    f"define internal void @{name}(i32 %round, {_GIVEN}) #0 {{\n"
+                    f"{store}\nret void\n}}"
+                )
+                self._call_for_group(name, "i32 %round, ", f"i32 %{counter}, ")
+            else:
+                self.driver.append(store)
         self._items(item.body)
         if loop.once:
             self.driver += [f"br label %{after}", f"{after}:"]
@@ -214,53 +235,24 @@ class _Printer:
         self.label = after
         return ""
 
-    def _count(self, slot: int, counter: str, number: int) -> None:
-        """Store the number of the round in its slot."""
-        if not self.grouped:
-            place = f"%place{number}"
-            self.driver.append(f"{place} = getelementptr i8, ptr %scratch, i64 {slot}")
-            self.driver.append(f"store i32 %{counter}, ptr {place}")
-            return
-        name = f"count{len(self.functions)}"
-        self.functions.append(
-            f"define internal void @{name}(i32 %round, {_GIVEN}) #0 {{\n"
-            f"%place = getelementptr i8, ptr %scratch, i64 {slot}\n"
-            "store i32 %round, ptr %place\nret void\n}"
-        )
-        self._call_for_group(name, "i32 %round, ", f"i32 %{counter}, ")
-
-    def _per_vector(self, item: LoopCode) -> None:
-        """Print a branch that each vector of a group takes separately, as a function."""
-        name = f"branch{len(self.functions)}"
-        parameters = f"{self.buffers}ptr {FRAME}, "
-        lines, _ = self._separately(lambda: self._loop(item))
-        self._of_one_vector("void", name, parameters, [*lines, "ret void"])
-        self._call_for_group(name, parameters, parameters)
-
     def _packed(self, item: LoopCode, reads: Sequence[Slot], carries: Sequence[Slot]) -> None:
         """Print a loop with packed individuals. Its functions work on one vector."""
-        name = f"loop{len(self.functions)}"
-        parameters = f"{self.buffers}ptr {FRAME}, "
-        lines, mask = self._separately(lambda: self._items(item.test))
-        self._of_one_vector("i32", f"{name}.test", parameters, [*lines, f"ret i32 {mask}"])
-        lines, _ = self._separately(lambda: self._items(item.body))
-        self._of_one_vector("void", f"{name}.round", parameters, [*lines, "ret void"])
+        name, parameters = f"loop{len(self.functions)}", f"{self.buffers}ptr {FRAME}, "
+        self._of_one_vector("i32", f"{name}.test", functools.partial(self._items, item.test))
+        self._of_one_vector("void", f"{name}.round", functools.partial(self._items, item.body))
         self.group_functions.append(packed_loop(name, parameters, self.group, reads, carries))
         self.driver.append(f"call void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count)")
 
-    def _separately(self, write: Callable[[], str]) -> tuple[list[str], str]:
-        """Return the driver's lines for code of one vector, and the name of its result."""
+    def _of_one_vector(self, kind: str, name: str, write: Callable[[], str]) -> None:
+        """Print code of one vector as a function, which returns the last result."""
         outside = self.driver, self.label, self.grouped
         self.driver, self.label, self.grouped = [], "entry", False
         result = write()
-        lines = self.driver
+        body = "\n".join([*self.driver, f"ret {kind} {result}".rstrip()])
         self.driver, self.label, self.grouped = outside
-        return lines, result
-
-    def _of_one_vector(self, kind: str, name: str, parameters: str, lines: list[str]) -> None:
-        body = "\n".join(lines)
         self.functions.append(
-            f"define internal {kind} @{name}({parameters}{_GIVEN}) #0 {{\nentry:\n{body}\n}}"
+            f"define internal {kind} @{name}({self.buffers}ptr {FRAME}, {_GIVEN}) #0 {{\n"
+            f"entry:\n{body}\n}}"
         )
 
 
@@ -272,10 +264,81 @@ def _lines(steps: Sequence[Step]) -> list[str]:
 
 
 def _call(result: str, kind: str, name: str, given: str) -> str:
-    return f"{f'{result} = ' if result else ''}call {kind} @{name}({given})"
+    return f"{f'{result} = ' if result else ''}call {kind} @{name}({given}{_GIVEN})"
 
 
-def _table(table: Table) -> str:
-    t = "i8" if table.dtype.kind == "b" else TYPES[table.dtype.char]
-    items = ", ".join(f"{t} {number(value, table.dtype)}" for value in table.values)
-    return f"{table.name} = internal constant [{len(table.values)} x {t}] [{items}], align 64"
+def print_handler(name: str, arguments: int, results: int) -> str:
+    """Return LLVM IR of the entry into native code, an XLA FFI handler that runs ``@program``.
+
+    XLA calls the handler with a *call frame*. The public header ``xla/ffi/api/c_api.h`` in
+    `jax.ffi.include_dir()` defines its layout. On 64-bit machines:
+
+    | structure | fields and their offsets in bytes |
+    |---|---|
+    | call frame | extension 8, stage 32, arguments 40, results 80 |
+    | arguments, results (within the frame) | pointers +32 |
+    | buffer | data 24, dimensions 40 |
+    | extension | type 8, metadata 24 (only in a request for metadata) |
+    | metadata | version 24 (major, minor), traits 32 |
+
+    A call needs no checks of types and shapes, because `evo_cpg.native.native.evaluate` makes all
+    calls, with the arrays of the compiled program. A user does not call a handler directly: its
+    name is a hash of its code. XLA refuses to register a handler for another version of the
+    interface, and the self-test of `evo_cpg.native.engine` tests the layout in a separate process.
+    So a changed layout in a new XLA does not harm the user's process.
+
+    Args:
+        name: name of the function.
+        arguments: number of arrays that the program reads.
+        results: number of arrays that it writes, at least one. Scratch memory comes after them.
+    """
+
+    def load(name: str, kind: str, base: str, offset: int) -> str:
+        """Return lines of LLVM IR that load a field of a structure."""
+        return (
+            f"  {name}.at = getelementptr i8, ptr {base}, i64 {offset}\n"
+            f"  {name} = load {kind}, ptr {name}.at"
+        )
+
+    buffers = [("arguments", k) for k in range(arguments)]
+    buffers += [("results", k) for k in range(results + 1)]
+    pointers = "\n".join(
+        line
+        for which, k in buffers
+        for line in (
+            load(f"%{which}.{k}", "ptr", f"%{which}", 8 * k),
+            load(f"%{which}.{k}.data", "ptr", f"%{which}.{k}", 24),
+        )
+    )
+    given = ", ".join(f"ptr %{which}.{k}.data" for which, k in buffers)
+    return f"""
+define ptr @{name}(ptr %frame) #0 {{
+entry:
+{load("%extension", "ptr", "%frame", 8)}
+  %plain = icmp eq ptr %extension, null
+  br i1 %plain, label %staging, label %extended
+extended:
+{load("%type", "i32", "%extension", 8)}
+  %asks = icmp eq i32 %type, {_METADATA}
+  br i1 %asks, label %answer, label %staging
+answer:
+{load("%metadata", "ptr", "%extension", 24)}
+  %version = getelementptr i8, ptr %metadata, i64 24
+  store [3 x i32] [i32 {_MAJOR}, i32 {_MINOR}, i32 0], ptr %version
+  br label %done
+staging:
+{load("%stage", "i32", "%frame", 32)}
+  %runs = icmp eq i32 %stage, {_EXECUTE}
+  br i1 %runs, label %run, label %done
+run:
+{load("%arguments", "ptr", "%frame", 72)}
+{load("%results", "ptr", "%frame", 112)}
+{pointers}
+{load("%dimensions", "ptr", "%results.0", 40)}
+{load("%n", "i64", "%dimensions", 8)}
+  call void @program({given}, i64 %n)
+  br label %done
+done:
+  ret ptr null
+}}
+"""

@@ -2,24 +2,33 @@
 
 llvmlite contains LLVM, so no compiler and no linker are needed. Code stays in memory until the
 process ends, because XLA may call it at any time. Equal code is loaded only once.
+
+LLVM runs in a separate process, so that a crash of the compiler does not end the run. The process
+starts with the first program whose machine code is not on disk, and ends with the current process.
+If no process can be started, LLVM runs in the current process, on a thread with a large stack.
 """
 
+import atexit
 import contextlib
 import functools
 import hashlib
+import json
 import os
 import platform
+import signal
+import subprocess
 import sys
+import threading
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 from evo_cpg.files import in_one_piece
 from evo_cpg.native import machine_constants
-from evo_cpg.native.backend import compiler
+from evo_cpg.native.backend import compiler_process
 from evo_cpg.native.backend.code import Target
 from evo_cpg.native.backend.compiler_process import Request
+from evo_cpg.native.ir import Unsupported
 from evo_cpg.native.stopwatch import counted
-from evo_cpg.native.unsupported import Unsupported
 
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
@@ -47,35 +56,25 @@ def llvm_version() -> str:
     return ".".join(map(str, _llvm().llvm_version_info))
 
 
-def passed_self_test(target: Target, version: str) -> bool:
-    """Return whether native code for a machine passed its self-test with a version of JAX."""
-    # Unlike `Path.exists`, this does not raise for a folder of another user.
-    return _folder is not None and os.path.exists(_folder / _self_test_name(target, version))
+def self_test_record(target: Target, version: str) -> Path | None:
+    """Return the file that exists if native code passed its self-test with a version of JAX.
 
-
-def remember_self_test(target: Target, version: str) -> None:
-    """Record that native code for a machine has passed its self-test with this version of JAX."""
-    if _folder is not None:
-        with contextlib.suppress(OSError):
-            (_folder / _self_test_name(target, version)).touch()
-
-
-def _self_test_name(target: Target, version: str) -> str:
+    Return None if no code is kept.
+    """
+    if _folder is None:
+        return None
     import llvmlite
 
     text = "\n".join([version, llvmlite.__version__, sys.version, *map(str, target)])
-    return f"native-tried-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    return _folder / f"native-tried-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 
 @functools.cache
 def host(requested: str | None = None) -> Target:
-    """Return this machine, limited to an instruction set.
-
-    Args:
-        requested: name of the set, or None for the largest set of the processor.
+    """Return this machine, limited to an instruction set (None for its largest).
 
     Raises:
-        Unsupported: llvmlite is missing, or the processor lacks the set.
+        Unsupported: if llvmlite is missing, or the processor lacks the set.
     """
     llvm = _llvm()
     has = {name for name, present in llvm.get_host_cpu_features().items() if present}
@@ -98,19 +97,6 @@ def host(requested: str | None = None) -> Target:
     return Target(name, size, registers, "fma" in kept, processor, ",".join(flags))
 
 
-def load(text: str, target: Target) -> tuple[str, int]:
-    """Compile and load a module. Return a unique name for its ``@handler``, and the address.
-
-    Args:
-        text: LLVM IR of a module with a function ``@handler``.
-        target: the machine.
-    """
-    effort = str(machine_constants.LLVM_EFFORT)
-    key = "\n".join([llvm_version(), platform.platform(), *map(str, target), effort, text])
-    name = hashlib.sha256(key.encode()).hexdigest()[:32]
-    return name, _load(name, text, target)
-
-
 # Entry address and code size (bytes) of each module, and the object that keeps it in memory.
 _loaded: dict[str, tuple[int, int, object]] = {}
 
@@ -120,20 +106,37 @@ def code_bytes() -> int:
     return sum(size for _, size, _ in _loaded.values())
 
 
-def _load(name: str, text: str, target: Target) -> int:
+def load(text: str, target: Target) -> tuple[str, int]:
+    """Compile and load a module. Return a unique name for its ``@handler``, and the address."""
+    effort = machine_constants.LLVM_EFFORT
+    key = "\n".join([llvm_version(), platform.platform(), *map(str, target), str(effort), text])
+    name = hashlib.sha256(key.encode()).hexdigest()[:32]
     if name not in _loaded:
         code = _read(name)
         if code is None:
-            effort = machine_constants.LLVM_EFFORT
             with counted(compiler=True):
-                request = Request(text, target.processor, target.features, effort)
-                code = compiler.object_code(request)
-            _write(name, code)
+                code = object_code(Request(text, target.processor, target.features, effort))
+            if _folder is not None:
+                with contextlib.suppress(OSError), in_one_piece(_folder / f"native-{name}") as file:
+                    file.write_bytes(code + hashlib.sha256(code).digest())
         builder = _llvm().JITLibraryBuilder()
         builder.add_object_img(code).add_current_process().export_symbol("handler")
         tracker = builder.link(_linker(), name)
         _loaded[name] = tracker["handler"], len(code), tracker
-    return _loaded[name][0]
+    return name, _loaded[name][0]
+
+
+def _read(name: str) -> bytes | None:
+    """Return the machine code on disk, or None if it is missing or damaged."""
+    if _folder is None:
+        return None
+    try:
+        content = (_folder / f"native-{name}").read_bytes()
+    except OSError:
+        return None
+    # The last 32 bytes are a hash of the code. A truncated file counts as missing.
+    code, digest = content[:-32], content[-32:]
+    return code if hashlib.sha256(code).digest() == digest else None
 
 
 @functools.cache
@@ -156,19 +159,95 @@ def _llvm():
     return llvm
 
 
-def _read(name: str) -> bytes | None:
-    if _folder is None:
-        return None
-    try:
-        content = (_folder / f"native-{name}").read_bytes()
-    except OSError:
-        return None
-    # The last 32 bytes are a hash of the code. A truncated file counts as missing.
-    code, digest = content[:-32], content[-32:]
-    return code if hashlib.sha256(code).digest() == digest else None
+# The process is stopped after a text longer than this (characters), because LLVM never frees the
+# memory.
+_LARGE_TEXT = 4 * 2**20
 
 
-def _write(name: str, code: bytes) -> None:
-    if _folder is not None:
-        with contextlib.suppress(OSError), in_one_piece(_folder / f"native-{name}") as file:
-            file.write_bytes(code + hashlib.sha256(code).digest())
+class CompilerDied(Unsupported):
+    """Raised if the process of LLVM ends, as by a crash, while it compiles a program."""
+
+
+def object_code(request: Request) -> bytes:
+    """Compile a module of LLVM IR.
+
+    Raises:
+        CompilerDied: if LLVM ended its process.
+        RuntimeError: if the text is not valid IR, or LLVM has no such processor.
+    """
+    with _lock:
+        process = _running()
+        if process is None:
+            return compiler_process.object_code(request)
+        try:
+            return _reply_of(process, request)
+        except BaseException:
+            # The pipes may hold an incomplete request or answer.
+            _stop()
+            raise
+        finally:
+            if len(request.text) > _LARGE_TEXT:
+                _stop()
+
+
+def _reply_of(process: subprocess.Popen, request: Request) -> bytes:
+    """Send a request and return the object code of the answer.
+
+    Raises:
+        CompilerDied: if LLVM ended its process.
+        RuntimeError: if the answer is an error.
+    """
+    requests, answers = cast(BinaryIO, process.stdin), cast(BinaryIO, process.stdout)
+    options = request._asdict()
+    text = options.pop("text").encode()
+    line = json.dumps({**options, "size": len(text)}).encode()
+    with contextlib.suppress(BrokenPipeError):
+        requests.write(line + b"\n" + text)
+        requests.flush()
+    line = answers.readline()
+    answer = json.loads(line) if line.endswith(b"\n") else {"size": 1}
+    code = answers.read(answer["size"])
+    if len(code) < answer["size"]:
+        status = process.wait()
+        cause = f"exit status {status}"
+        with contextlib.suppress(ValueError):
+            cause = signal.Signals(-status).name
+        raise CompilerDied(f"the compiler ended with {cause}")
+    if "error" in answer:
+        raise RuntimeError(answer["error"])
+    return code
+
+
+_lock = threading.Lock()
+_process: subprocess.Popen | None = None
+_owner = 0
+
+
+def _running() -> subprocess.Popen | None:
+    """Return the compiler's process. Start it if needed, and return None if that fails."""
+    global _process, _owner
+    # After a fork, the pipes belong to the parent process.
+    if _process is None or _owner != os.getpid() or _process.poll() is not None:
+        command = [sys.executable, "-P", str(Path(compiler_process.__file__))]
+        try:
+            _process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            )
+        except OSError:
+            _process = None
+        _owner = os.getpid()
+    return _process
+
+
+@atexit.register
+def _stop() -> None:
+    """End the compiler's process."""
+    global _process
+    if _process is None or _owner != os.getpid():
+        return
+    _process.kill()
+    for pipe in (_process.stdin, _process.stdout):
+        with contextlib.suppress(OSError):
+            cast(BinaryIO, pipe).close()
+    _process.wait()
+    _process = None

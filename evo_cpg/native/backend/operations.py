@@ -1,16 +1,112 @@
 """Write each operation on scalars as LLVM instructions.
 
-The instructions keep JAX's semantics: maxima propagate NaN, integers may be divided by zero, and
-conversions to integers saturate.
+A value is either a scalar, equal for all individuals of a vector, or a vector. The instructions
+keep JAX's semantics: maxima propagate NaN, integers may be divided by zero, and conversions to
+integers saturate.
 """
 
+import functools
+import struct
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from evo_cpg.native.backend.writer import TYPES, Writer
-from evo_cpg.native.ir.graph import Node
+from evo_cpg.native.backend.code import Template
+from evo_cpg.native.ir import Node
+
+# LLVM's types by the characters of NumPy's types.
+TYPES = {
+    "?": "i1", "b": "i8", "B": "i8", "h": "i16", "H": "i16", "i": "i32", "I": "i32", "l": "i64",
+    "L": "i64", "q": "i64", "Q": "i64", "f": "float", "d": "double",
+}  # fmt: skip
+
+
+class Writer:
+    """Writer of the instructions of templates.
+
+    Attributes:
+        width: number of individuals in a vector.
+        fma: whether the processor multiplies and adds in one instruction.
+        lines: instructions of the current template.
+        functions: declarations or definitions of the called functions, by name. LLVM intrinsics
+            need none.
+    """
+
+    def __init__(self, width: int, fma: bool):
+        self.width, self.fma = width, fma
+        self.lines: list[str] = []
+        self.functions: dict[str, str] = {}
+        self._arity = self._names = 0
+        self._known: dict[Any, Template] = {}
+
+    def template(self, key: Any, arity: int, write: Callable[..., str | None]) -> Template:
+        """Return the instructions that a function writes, written once for each key.
+
+        Args:
+            key: what the instructions depend on, hashable.
+            arity: number of operands.
+            write: function from gaps for operands to the name of the result, or None.
+        """
+        if key not in self._known:
+            self.lines, self._arity, self._names = [], arity, 0
+            operands = [f"{{{k}}}" for k in range(arity)]
+            found = write(*operands)
+            names = [f"%v{{{arity + k}}}" for k in range(self._names)]
+            result = 0 if found is None or found in operands else names.index(found) + 1
+            text = "\n".join(self.lines)
+            self._known[key] = Template(text, len(self.lines), self._names, result)
+        return self._known[key]
+
+    def let(self, text: str) -> str:
+        """Write an instruction and return the name of its result."""
+        name = f"%v{{{self._arity + self._names}}}"
+        self._names += 1
+        self.lines.append(f"{name} = {text}")
+        return name
+
+    def type_of(self, dtype: np.dtype, uniform: bool) -> str:
+        """Return LLVM's type of a value: a scalar if uniform, else a vector."""
+        t = TYPES[dtype.char]
+        return t if uniform or self.width == 1 else f"<{self.width} x {t}>"
+
+    def literal(self, value, dtype: np.dtype, uniform: bool) -> str:
+        """Return a constant as LLVM text: a scalar if uniform, else a vector."""
+        text = number(value, dtype)
+        if uniform or self.width == 1:
+            return text
+        return f"splat ({TYPES[dtype.char]} {text})"
+
+    def intrinsic(self, name: str, t: str, a: Sequence[str], source: str = "") -> str:
+        """Call an LLVM intrinsic and return the name of its result.
+
+        The intrinsic maps operands ``a`` of type ``source`` ("" for ``t``) to type ``t``.
+        """
+        source = source or t
+        types = suffix(t) + (f".{suffix(source)}" if source != t else "")
+        given = ", ".join([f"{source} {x}" for x in a])
+        return self.let(f"call {t} @llvm.{name}.{types}({given})")
+
+
+def suffix(t: str) -> str:
+    """Return the suffix of intrinsic names for a type."""
+    short = t.replace("float", "f32").replace("double", "f64")
+    if short.startswith("<"):
+        width, _, item = short[1:-1].partition(" x ")
+        return f"v{width}{item}"
+    return short
+
+
+def number(value, dtype: np.dtype) -> str:
+    """Return a constant as LLVM reads it."""
+    if dtype.kind == "b":
+        return "true" if value else "false"
+    if dtype.kind in "iu":
+        return str(int(np.asarray(value).astype(dtype)))
+    # LLVM writes constants of both float types with the digits of a double.
+    bits = struct.unpack("<Q", struct.pack("<d", float(np.asarray(value, dtype))))[0]
+    return f"0x{bits:016X}"
+
 
 # LLVM's names of operations on floats, signed integers and unsigned integers.
 _ARITHMETIC = {
@@ -37,30 +133,21 @@ _INTRINSICS = {
 _SHIFTS = {"shift_left": "shl", "shift_right_arithmetic": "ashr", "shift_right_logical": "lshr"}
 
 
-class Operation:
+class _Operation:
     """An operation to write, with the data of its instructions.
 
-    Attributes:
-        op: name of the operation.
-        dtype: type of its result.
-        source: type of its first operand.
-        kind: kind of ``source``, a column of tables: 0 float, 1 signed integer, 2 unsigned or bool.
-        t: LLVM's type of the result.
-        s: LLVM's type of the first operand.
-        constants: values of constant operands, or None for other operands.
+    ``kind`` is the kind of the first operand, a column of tables: 0 float, 1 signed integer,
+    2 unsigned or bool. ``t`` and ``s`` are LLVM's types of the result and of the first operand.
     """
 
     def __init__(self, writer: Writer, node: Node):
         self._writer, self._uniform = writer, node.uniform
         self.op, self.dtype, self.source = node.op, node.dtype, node.operands[0].dtype
         self.kind = "fiu".index("u" if self.source.kind in "ub" else self.source.kind)
+        self.type_of = functools.partial(writer.type_of, uniform=node.uniform)
         self.t, self.s = self.type_of(self.dtype), self.type_of(self.source)
         self.constants = [operand.value for operand in node.operands]
-        self.let, self.fma = writer.let, writer.fma
-
-    def type_of(self, dtype: np.dtype) -> str:
-        """Return LLVM's type of a value: a scalar if the operation is uniform, else a vector."""
-        return self._writer.type_of(dtype, self._uniform)
+        self.let, self.fma, self.intrinsic = writer.let, writer.fma, writer.intrinsic
 
     def literal(self, value: Any, dtype: np.dtype | None = None) -> str:
         """Return a constant, by default of the result's type."""
@@ -70,10 +157,6 @@ class Operation:
         """Write a selection between two values of the result's type."""
         flags = self.type_of(np.dtype(bool))
         return self.let(f"select {flags} {flag}, {self.t} {yes}, {self.t} {no}")
-
-    def intrinsic(self, name: str, t: str, a: Sequence[str], source: str = "") -> str:
-        """Write a call of an LLVM intrinsic and return the name of its result."""
-        return self._writer.intrinsic(name, t, a, source)
 
     def library_call(self, name: str, a: Sequence[str]) -> str:
         """Write calls of a function of the C library, one per individual."""
@@ -90,17 +173,11 @@ class Operation:
 
 
 def write(writer: Writer, node: Node, a: list[str]) -> str:
-    """Write an operation.
+    """Write an operation and return the name of its result.
 
-    Args:
-        writer: writer of the instructions.
-        node: the operation.
-        a: names of its operands, scalars if the operation is uniform, else vectors.
-
-    Returns:
-        Name of its result.
+    ``a`` are the names of its operands, scalars if the operation is uniform, else vectors.
     """
-    o = Operation(writer, node)
+    o = _Operation(writer, node)
     word = _ARITHMETIC.get(o.op, (None,) * 3)[o.kind]
     if word is not None:
         return o.let(f"{word} {o.s} {a[0]}, {a[1]}")
@@ -111,7 +188,7 @@ def write(writer: Writer, node: Node, a: list[str]) -> str:
     return o.library_call(o.op, a)
 
 
-def _multiply_add(o: Operation, x: str, y: str, z: str) -> str:
+def _multiply_add(o: _Operation, x: str, y: str, z: str) -> str:
     if not o.fma:
         product = o.let(f"fmul {o.t} {x}, {y}")
         first, second = (z, product) if o.op != "fms" else (product, z)
@@ -123,19 +200,7 @@ def _multiply_add(o: Operation, x: str, y: str, z: str) -> str:
     return o.intrinsic("fma", o.t, [x, y, z])
 
 
-def _select(o: Operation, condition: str, yes: str, no: str) -> str:
-    return o.let(f"select {o.s} {condition}, {o.t} {yes}, {o.t} {no}")
-
-
-def _negative(o: Operation, x: str) -> str:
-    return o.let(f"fneg {o.t} {x}" if o.kind == 0 else f"sub {o.t} zeroinitializer, {x}")
-
-
-def _not(o: Operation, x: str) -> str:
-    return o.let(f"xor {o.t} {x}, {o.literal(-1)}")
-
-
-def _extreme(o: Operation, x: str, y: str) -> str:
+def _extreme(o: _Operation, x: str, y: str) -> str:
     """Write the maximum or minimum of two numbers, which is NaN if either is NaN."""
     word = {"max": ("ogt", "sgt", "ugt"), "min": ("olt", "slt", "ult")}[o.op][o.kind]
     known = o.constants[0]
@@ -149,14 +214,14 @@ def _extreme(o: Operation, x: str, y: str) -> str:
     return o.choose(o.let(f"fcmp uno {o.t} {x}, {x}"), x, chosen)
 
 
-def _size(o: Operation, x: str) -> str:
+def _size(o: _Operation, x: str) -> str:
     """Write the absolute value of an integer."""
     zero = o.literal(0)
     negative = o.let(f"icmp slt {o.t} {x}, {zero}")
     return o.choose(negative, o.let(f"sub {o.t} {zero}, {x}"), x)
 
 
-def _sign(o: Operation, x: str) -> str:
+def _sign(o: _Operation, x: str) -> str:
     zero, one = o.literal(0), o.literal(1)
     if o.kind == 0:
         size = o.intrinsic("copysign", o.t, [one, x])
@@ -168,34 +233,17 @@ def _sign(o: Operation, x: str) -> str:
     return o.choose(o.let(f"icmp slt {o.t} {x}, {zero}"), o.literal(-1), up)
 
 
-def _is_finite(o: Operation, x: str) -> str:
-    size = o.intrinsic("fabs", o.s, [x])
-    return o.let(f"fcmp one {o.s} {size}, {o.literal(np.inf, o.source)}")
+def _divided(o: _Operation, x: str, y: str) -> str:
+    """Write a quotient or a remainder. Integers cause no trap on zero divisors and overflow.
 
-
-def _quotient(o: Operation, x: str, y: str) -> str:
-    if o.kind == 0:
+    A quotient by zero is -1 and a remainder x. The smallest integer over -1 is itself, remainder 0.
+    """
+    if o.kind == 0 and o.op == "div":
         return o.let(f"fdiv {o.t} {x}, {y}")
-    return _divided(o, ("sdiv", "udiv")[o.kind - 1], x, y, by_zero=o.literal(-1), overflow=x)
-
-
-def _remainder(o: Operation, x: str, y: str) -> str:
     if o.kind == 0:
         return o.library_call("fmodf" if o.dtype == np.float32 else "fmod", [x, y])
-    return _divided(o, ("srem", "urem")[o.kind - 1], x, y, by_zero=x, overflow=o.literal(0))
-
-
-def _divided(o: Operation, word: str, x: str, y: str, by_zero: str, overflow: str) -> str:
-    """Write a division of integers without a trap on zero divisors and overflow.
-
-    Args:
-        o: the operation.
-        word: LLVM's name of the division.
-        x: dividend.
-        y: divisor.
-        by_zero: result for a zero divisor.
-        overflow: result for the smallest integer divided by -1.
-    """
+    word = {"div": ("sdiv", "udiv"), "rem": ("srem", "urem")}[o.op][o.kind - 1]
+    by_zero, overflow = (o.literal(-1), x) if o.op == "div" else (x, o.literal(0))
     known = o.constants[1]
     if known is not None and known not in (0, -1):
         return o.let(f"{word} {o.t} {x}, {y}")
@@ -212,7 +260,7 @@ def _divided(o: Operation, word: str, x: str, y: str, by_zero: str, overflow: st
     return o.choose(least, overflow, found) if least else found
 
 
-def _shift(o: Operation, x: str, y: str) -> str:
+def _shift(o: _Operation, x: str, y: str) -> str:
     bits, by = 8 * o.dtype.itemsize, o.constants[1]
     word = _SHIFTS[o.op]
     if by is not None and 0 <= by < bits:
@@ -223,7 +271,7 @@ def _shift(o: Operation, x: str, y: str) -> str:
     return shifted if word == "ashr" else o.choose(beyond, o.literal(0), shifted)
 
 
-def _conversion(o: Operation, x: str) -> str:
+def _conversion(o: _Operation, x: str) -> str:
     source, dtype = o.source, o.dtype
     longer = dtype.itemsize > source.itemsize
     if dtype.kind == "b":
@@ -243,23 +291,21 @@ def _conversion(o: Operation, x: str) -> str:
     return o.let(f"{word} {o.s} {x} to {o.t}")
 
 
-def _bitcast(o: Operation, x: str) -> str:
-    return o.let(f"bitcast {o.s} {x} to {o.t}")
-
-
 _WRITERS: dict[str, Callable[..., str]] = {
     **dict.fromkeys(("fma", "fms", "fnma"), _multiply_add),
     **dict.fromkeys(_SHIFTS, _shift),
+    **dict.fromkeys(("max", "min"), _extreme),
+    **dict.fromkeys(("div", "rem"), _divided),
     "abs": _size,
-    "bitcast": _bitcast,
+    "bitcast": lambda o, x: o.let(f"bitcast {o.s} {x} to {o.t}"),
     "convert": _conversion,
-    "div": _quotient,
-    "is_finite": _is_finite,
-    "max": _extreme,
-    "min": _extreme,
-    "neg": _negative,
-    "not": _not,
-    "rem": _remainder,
-    "select": _select,
+    "is_finite": lambda o, x: o.let(
+        f"fcmp one {o.s} {o.intrinsic('fabs', o.s, [x])}, {o.literal(np.inf, o.source)}"
+    ),
+    "neg": lambda o, x: o.let(
+        f"fneg {o.t} {x}" if o.kind == 0 else f"sub {o.t} zeroinitializer, {x}"
+    ),
+    "not": lambda o, x: o.let(f"xor {o.t} {x}, {o.literal(-1)}"),
+    "select": lambda o, flag, yes, no: o.let(f"select {o.s} {flag}, {o.t} {yes}, {o.t} {no}"),
     "sign": _sign,
 }

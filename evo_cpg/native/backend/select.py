@@ -9,16 +9,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from evo_cpg.native.backend.code import Template, Variant
-from evo_cpg.native.backend.operations import write
-from evo_cpg.native.backend.solve_routine import routine
-from evo_cpg.native.backend.writer import TYPES, Writer
-from evo_cpg.native.ir.graph import Node
+from evo_cpg.native.backend.code import Template
+from evo_cpg.native.backend.operations import TYPES, Writer, suffix, write
+from evo_cpg.native.ir import Node
 
 SCRATCH, FRAME = "%scratch", "%frame"
 """Pointers to a vector's own memory and to the memory that vectors share."""
 
-_BOOL, _BYTE, _INDEX = np.dtype(bool), np.dtype(np.int8), np.dtype(np.int32)
+_BYTE, _INDEX = np.dtype(np.int8), np.dtype(np.int32)
 
 # Operations whose code is shorter with some constants.
 _DEPENDS_ON_CONSTANTS = {
@@ -35,30 +33,15 @@ def _made_once(arity: int) -> Callable[[Callable], Callable[..., Template]]:
     def decorate(method: Callable) -> Callable[..., Template]:
         @functools.wraps(method)
         def get(self: "Selector", *kind) -> Template:
-            key = method, *kind
-            found = self._known.get(key)
-            if found is None:
-                found = self._w.template(arity, functools.partial(method, self, *kind))
-                self._known[key] = found
-            return found
+            return self.template((method, *kind), arity, functools.partial(method, self, *kind))
 
         return get
 
     return decorate
 
 
-class Selector:
-    """Templates for a variant of code.
-
-    Attributes:
-        functions: functions that templates call, by name.
-    """
-
-    def __init__(self, variant: Variant):
-        self._w = Writer(variant.width, variant.target.fma)
-        self.functions = self._w.functions
-        self.literal = self._w.literal
-        self._known: dict[tuple, Template] = {}
+class Selector(Writer):
+    """Templates for a variant of code."""
 
     def operation(self, node: Node) -> Template:
         """Return the instructions of an arithmetic operation."""
@@ -66,38 +49,11 @@ class Selector:
         if node.op in _DEPENDS_ON_CONSTANTS:
             constants = tuple([None if x.value is None else x.value.item() for x in operands])
         key = node.op, node.dtype, node.uniform, operands[0].dtype, constants
-        found = self._known.get(key)
-        if found is None:
-            found = self._w.template(len(operands), lambda *names: write(self._w, node, [*names]))
-            self._known[key] = found
-        return found
+        return self.template(key, len(operands), lambda *names: write(self, node, [*names]))
 
-    @_made_once(1)
-    def address(self, base: str, place: str) -> str:
-        """Return a pointer to a place in memory."""
-        return self._w.let(f"getelementptr i8, ptr {base}, i64 {place}")
-
-    @_made_once(2)
-    def element(self, pointer: str, steps: str) -> str:
-        """Return the address ``steps`` bytes after another one."""
-        return self._w.let(f"getelementptr i8, ptr {pointer}, i32 {steps}")
-
-    @_made_once(2)
-    def times(self, x: str, y: str) -> str:
-        """Return a product of int32."""
-        return self._w.let(f"mul i32 {x}, {y}")
-
-    @_made_once(2)
-    def add(self, dtype: np.dtype, x: str, y: str) -> str:
-        """Return a sum of two vectors."""
-        word = "fadd" if dtype.kind == "f" else "add"
-        return self._w.let(f"{word} {self._w.type_of(dtype, False)} {x}, {y}")
-
-    @_made_once(3)
-    def choose(self, dtype: np.dtype, flag: str, yes: str, no: str) -> str:
-        """Return ``yes`` in lanes where the flag is true, else ``no``."""
-        t, flags = self._w.type_of(dtype, False), self._w.type_of(_BOOL, False)
-        return self._w.let(f"select {flags} {flag}, {t} {yes}, {t} {no}")
+    def line(self, text: str) -> Template:
+        """Return one instruction with a result, with gaps ``{0}``, ``{1}``... for its operands."""
+        return self.template(text, text.count("{"), lambda *_: self.let(text))
 
     @_made_once(2)
     def store(self, dtype: np.dtype, uniform: bool, base: str, value: str, place: str) -> None:
@@ -105,7 +61,7 @@ class Selector:
 
         If ``base`` is "", ``place`` is a pointer.
         """
-        pointer = self._w.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
+        pointer = self.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
         self._store(value, dtype, pointer, uniform)
 
     @_made_once(1)
@@ -114,7 +70,7 @@ class Selector:
 
         If ``base`` is "", ``place`` is a pointer.
         """
-        pointer = self._w.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
+        pointer = self.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
         return self._load(dtype, pointer, uniform)
 
     @_made_once(2)
@@ -125,12 +81,11 @@ class Selector:
     @_made_once(4)
     def copy_row(self, dtype: np.dtype, base: str, row: str, size: str, start: str) -> None:
         """Copy row ``row + %i`` of an argument to scratch memory, at ``start + %i * size``."""
-        w = self._w
-        source = w.let(f"add i64 %i, {row}")
+        source = self.let(f"add i64 %i, {row}")
         value = self._load(dtype, self._row(base, source, dtype, False), False)
-        place = w.let(f"mul i64 %i, {size}")
-        place = w.let(f"add i64 {place}, {start}")
-        self._store(value, dtype, w.let(f"getelementptr i8, ptr {SCRATCH}, i64 {place}"), False)
+        place = self.let(f"mul i64 %i, {size}")
+        place = self.let(f"add i64 {place}, {start}")
+        self._store(value, dtype, self.let(f"getelementptr i8, ptr {SCRATCH}, i64 {place}"), False)
 
     @_made_once(3)
     def store_row(self, dtype: np.dtype, value: str, base: str, row: str) -> None:
@@ -141,46 +96,42 @@ class Selector:
     def look_up(
         self, dtype: np.dtype, shared: bool, same_index: bool, base: str, index: str
     ) -> str:
-        """Read a number of a table.
-
-        Args:
-            dtype: type of the table's numbers.
-            shared: whether all individuals share the table.
-            same_index: whether all individuals share the index.
-            base: pointer to the table.
-            index: index of the number: one for all individuals, or one per individual.
-        """
-        w, t = self._w, TYPES[_kept_as(dtype).char]
-        if same_index or w.width == 1:
-            steps = index if shared or w.width == 1 else w.let(f"mul i32 {index}, {w.width}")
-            pointer = w.let(f"getelementptr {t}, ptr {base}, i32 {steps}")
+        """Read a number of a table. All individuals may share the table, or the index, or both."""
+        t = TYPES[_kept_as(dtype).char]
+        if same_index or self.width == 1:
+            steps = (
+                index if shared or self.width == 1 else self.let(f"mul i32 {index}, {self.width}")
+            )
+            pointer = self.let(f"getelementptr {t}, ptr {base}, i32 {steps}")
             return self._load(dtype, pointer, same_index and shared)
-        whole, result, indices = w.type_of(dtype, False), "poison", w.type_of(_INDEX, False)
-        for i in range(w.width):
-            own = w.let(f"extractelement {indices} {index}, i32 {i}")
+        whole, result, indices = self.type_of(dtype, False), "poison", self.type_of(_INDEX, False)
+        for i in range(self.width):
+            own = self.let(f"extractelement {indices} {index}, i32 {i}")
             if not shared:
-                own = w.let(f"mul i32 {own}, {w.width}")
-                own = w.let(f"add i32 {own}, {i}")
-            pointer = w.let(f"getelementptr {t}, ptr {base}, i32 {own}")
+                own = self.let(f"mul i32 {own}, {self.width}")
+                own = self.let(f"add i32 {own}, {i}")
+            pointer = self.let(f"getelementptr {t}, ptr {base}, i32 {own}")
             value = self._load(dtype, pointer, True)
-            result = w.let(f"insertelement {whole} {result}, {TYPES[dtype.char]} {value}, i32 {i}")
+            result = self.let(
+                f"insertelement {whole} {result}, {TYPES[dtype.char]} {value}, i32 {i}"
+            )
         return result
 
     @_made_once(1)
     def spread(self, dtype: np.dtype, name: str) -> str:
         """Return a vector with one value in all lanes."""
-        t, scalar = self._w.type_of(dtype, False), TYPES[dtype.char]
-        one = self._w.let(f"insertelement {t} poison, {scalar} {name}, i32 0")
-        zeros = f"<{self._w.width} x i32> zeroinitializer"
-        return self._w.let(f"shufflevector {t} {one}, {t} poison, {zeros}")
+        t, scalar = self.type_of(dtype, False), TYPES[dtype.char]
+        one = self.let(f"insertelement {t} poison, {scalar} {name}, i32 0")
+        zeros = f"<{self.width} x i32> zeroinitializer"
+        return self.let(f"shufflevector {t} {one}, {t} poison, {zeros}")
 
     @_made_once(3)
     def fill(self, dtype: np.dtype, to: str, value: str, count: str) -> None:
         """Write one value to all rows of a table, by a loop in a separate function."""
-        w, t = self._w, self._w.type_of(dtype, False)
-        size = dtype.itemsize * w.width
-        name = f"fill.{w.suffix(t)}"
-        w.functions[name] = (
+        t = self.type_of(dtype, False)
+        size = dtype.itemsize * self.width
+        name = f"fill.{suffix(t)}"
+        self.functions[name] = (
             f"define internal void @{name}(ptr %to, {t} %value, i64 %count) noinline #0 {{\n"
             "entry:\nbr label %row\nrow:\n"
             "%i = phi i64 [ 0, %entry ], [ %j, %row ]\n"
@@ -190,57 +141,170 @@ class Selector:
             "%j = add i64 %i, 1\n%more = icmp ult i64 %j, %count\n"
             "br i1 %more, label %row, label %done\ndone:\nret void\n}"
         )
-        w.lines.append(f"call void @{name}(ptr {to}, {t} {value}, i64 {count})")
+        self.lines.append(f"call void @{name}(ptr {to}, {t} {value}, i64 {count})")
 
     @_made_once(3)
     def solve(self, dtype: np.dtype, uniform: bool, H: str, b: str, count: str) -> None:
         """Call the function that solves symmetric equations in memory."""
-        w, t = self._w, self._w.type_of(dtype, uniform)
-        name, size = f"solve.{w.suffix(t)}", dtype.itemsize * (1 if uniform else w.width)
-        w.functions[name] = routine(name, t, size, dtype.itemsize, w.fma)
-        w.lines.append(f"call void @{name}(ptr {H}, ptr {b}, i64 {count})")
-
-    @_made_once(1)
-    def any_of(self, flags: str) -> str:
-        """Return whether a truth value holds for any individual."""
-        t, name = self._w.type_of(_BOOL, False), f"llvm.vector.reduce.or.v{self._w.width}i1"
-        return self._w.let(f"call i1 @{name}({t} {flags})")
-
-    @_made_once(1)
-    def mask(self, flags: str) -> str:
-        """Return an int32 with one bit per individual."""
-        bits = f"i{self._w.width}"
-        own = self._w.let(f"bitcast {self._w.type_of(_BOOL, False)} {flags} to {bits}")
-        return self._w.let(f"zext {bits} {own} to i32")
+        t = self.type_of(dtype, uniform)
+        name, size = f"solve.{suffix(t)}", dtype.itemsize * (1 if uniform else self.width)
+        self.functions[name] = _solver(name, t, size, dtype.itemsize, self.fma)
+        self.lines.append(f"call void @{name}(ptr {H}, ptr {b}, i64 {count})")
 
     def _store(self, value: str, dtype: np.dtype, pointer: str, uniform: bool) -> None:
-        value, t = self._kept(value, dtype, uniform)
-        self._w.lines.append(f"store volatile {t} {value}, ptr {pointer}, align {dtype.itemsize}")
+        t, kept = self.type_of(dtype, uniform), self.type_of(_kept_as(dtype), uniform)
+        if t != kept:
+            value = self.let(f"zext {t} {value} to {kept}")
+        text = f"store volatile {kept} {value}, ptr {pointer}, align {dtype.itemsize}"
+        self.lines.append(text)
 
     def _load(self, dtype: np.dtype, pointer: str, uniform: bool) -> str:
-        t = self._w.type_of(_kept_as(dtype), uniform)
-        value = self._w.let(f"load volatile {t}, ptr {pointer}, align {dtype.itemsize}")
-        return self._read(value, dtype, uniform)
+        t = self.type_of(_kept_as(dtype), uniform)
+        value = self.let(f"load volatile {t}, ptr {pointer}, align {dtype.itemsize}")
+        if dtype.kind != "b":
+            return value
+        return self.let(f"icmp ne {t} {value}, {self.literal(0, _BYTE, uniform)}")
 
     def _row(self, base: str, row: str, dtype: np.dtype, shared: bool) -> str:
         item = TYPES[_kept_as(dtype).char]
         if shared:
-            return self._w.let(f"getelementptr {item}, ptr {base}, i64 {row}")
-        start = self._w.let(f"mul i64 %n, {row}")
-        place = self._w.let(f"add i64 {start}, %first")
-        return self._w.let(f"getelementptr {item}, ptr {base}, i64 {place}")
-
-    def _kept(self, value: str, dtype: np.dtype, uniform: bool) -> tuple[str, str]:
-        """Return a value and its type as stored in memory: truth values are bytes."""
-        t, kept = self._w.type_of(dtype, uniform), self._w.type_of(_kept_as(dtype), uniform)
-        return (value if t == kept else self._w.let(f"zext {t} {value} to {kept}")), kept
-
-    def _read(self, value: str, dtype: np.dtype, uniform: bool) -> str:
-        if dtype.kind != "b":
-            return value
-        zero = self._w.literal(0, _BYTE, uniform)
-        return self._w.let(f"icmp ne {self._w.type_of(_BYTE, uniform)} {value}, {zero}")
+            return self.let(f"getelementptr {item}, ptr {base}, i64 {row}")
+        start = self.let(f"mul i64 %n, {row}")
+        place = self.let(f"add i64 {start}, %first")
+        return self.let(f"getelementptr {item}, ptr {base}, i64 {place}")
 
 
 def _kept_as(dtype: np.dtype) -> np.dtype:
+    """Return the type of a value in memory: truth values are bytes."""
     return _BYTE if dtype.kind == "b" else dtype
+
+
+def _solver(name: str, t: str, row: int, size: int, fma: bool) -> str:
+    """Return LLVM IR of a function that solves the equations ``H x = b`` in memory.
+
+    The lower triangle of H is stored row by row, and overwritten. The solution replaces b. The
+    function has loops over rows and columns instead of straight-line code, and eliminates in the
+    order of `evo_cpg.native.ldl`. It skips elements that are zero for all individuals of a vector.
+
+    Args:
+        name: name of the function.
+        t: LLVM's type of a number.
+        row: bytes from one number to the next.
+        size: bytes of one individual's number.
+        fma: whether the processor multiplies and adds in one instruction.
+    """
+    lanes, _, item = t[1:-1].partition(" x ") if t.startswith("<") else ("", "", t)
+    zero, one = (f"splat ({item} {x})" if lanes else x for x in ("0.0", "1.0"))
+    flag = f"<{lanes} x i1>" if lanes else "i1"
+
+    def load(out: str, pointer: str) -> str:
+        return f"{out} = load {t}, ptr {pointer}, align {size}"
+
+    def less(out: str, a: str, x: str, y: str) -> str:
+        """Subtract a product."""
+        if fma:
+            return (
+                f"{out}.n = fneg {t} {x}\n"
+                f"{out} = call {t} @llvm.fma.{suffix(t)}({t} {out}.n, {t} {y}, {t} {a})"
+            )
+        return f"{out}.m = fmul {t} {x}, {y}\n{out} = fsub {t} {a}, {out}.m"
+
+    def at(out: str, base: str, index: str) -> str:
+        return (
+            f"{out}.s = mul i64 {index}, {row}\n{out} = getelementptr i8, ptr {base}, i64 {out}.s"
+        )
+
+    any_of = f"%some = call i1 @llvm.vector.reduce.or.v{lanes}i1({flag} %nonzero)"
+    if not lanes:
+        any_of = "%some = or i1 %nonzero, false"
+    return f"""
+define internal void @{name}(ptr %H, ptr %b, i64 %count) noinline #0 {{
+entry:
+  %last = sub i64 %count, 1
+  br label %pivot
+pivot:
+  %k = phi i64 [ %last, %entry ], [ %k.less, %pivot.done ]
+  %k.more = add i64 %k, 1
+  %k.twice = mul i64 %k, %k.more
+  %k.row = lshr i64 %k.twice, 1
+  {at("%row.k", "%H", "%k.row")}
+  {at("%diagonal", "%row.k", "%k")}
+  {load("%d", "%diagonal")}
+  %inverse = fdiv {t} {one}, %d
+  store {t} %inverse, ptr %diagonal, align {size}
+  {at("%bk", "%b", "%k")}
+  {load("%z", "%bk")}
+  br label %column
+column:
+  %i = phi i64 [ %k, %pivot ], [ %i.less, %column.done ]
+  %more = icmp ne i64 %i, 0
+  br i1 %more, label %look, label %pivot.done
+look:
+  %i.less = sub i64 %i, 1
+  {at("%rk", "%row.k", "%i.less")}
+  {load("%r", "%rk")}
+  %nonzero = fcmp une {t} %r, {zero}
+  {any_of}
+  br i1 %some, label %update, label %column.done
+update:
+  %scaled = fmul {t} %r, %inverse
+  %i.twice = mul i64 %i, %i.less
+  %i.row = lshr i64 %i.twice, 1
+  {at("%row.i", "%H", "%i.row")}
+  br label %element
+element:
+  %j = phi i64 [ 0, %update ], [ %j.next, %element ]
+  {at("%pk", "%row.k", "%j")}
+  {at("%pi", "%row.i", "%j")}
+  {load("%hk", "%pk")}
+  {load("%hi", "%pi")}
+  {less("%new", "%hi", "%scaled", "%hk")}
+  store {t} %new, ptr %pi, align {size}
+  %j.next = add i64 %j, 1
+  %j.more = icmp ult i64 %j.next, %i
+  br i1 %j.more, label %element, label %element.done
+element.done:
+  store {t} %scaled, ptr %rk, align {size}
+  {at("%bi", "%b", "%i.less")}
+  {load("%b.old", "%bi")}
+  {less("%b.new", "%b.old", "%scaled", "%z")}
+  store {t} %b.new, ptr %bi, align {size}
+  br label %column.done
+column.done:
+  br label %column
+pivot.done:
+  %k.less = sub i64 %k, 1
+  %k.again = icmp ne i64 %k, 0
+  br i1 %k.again, label %pivot, label %forward
+forward:
+  %m = phi i64 [ 0, %pivot.done ], [ %m.next, %forward.done ]
+  %m.next = add i64 %m, 1
+  %m.twice = mul i64 %m, %m.next
+  %m.row = lshr i64 %m.twice, 1
+  {at("%row.m", "%H", "%m.row")}
+  {at("%dm", "%row.m", "%m")}
+  {load("%inverse.m", "%dm")}
+  {at("%bm", "%b", "%m")}
+  {load("%half", "%bm")}
+  %begin = fmul {t} %half, %inverse.m
+  br label %known
+known:
+  %q = phi i64 [ 0, %forward ], [ %q.next, %subtract ]
+  %sum = phi {t} [ %begin, %forward ], [ %sum.next, %subtract ]
+  %q.more = icmp ult i64 %q, %m
+  br i1 %q.more, label %subtract, label %forward.done
+subtract:
+  {at("%pq", "%row.m", "%q")}
+  {load("%l", "%pq")}
+  {at("%bq", "%b", "%q")}
+  {load("%x", "%bq")}
+  {less("%sum.next", "%sum", "%l", "%x")}
+  %q.next = add i64 %q, 1
+  br label %known
+forward.done:
+  store {t} %sum, ptr %bm, align {size}
+  %m.more = icmp ult i64 %m.next, %count
+  br i1 %m.more, label %forward, label %done
+done:
+  ret void
+}}"""

@@ -4,33 +4,29 @@ The builder folds constants, applies the rewrite rules (`evo_cpg.native.frontend
 returns an equal node if one exists. So a creature's zeros (a centre of mass on the joint, a
 principal axis) cost nothing in the end.
 
-A node belongs to the innermost of the blocks of its operands. So values that do not change in a
-loop are computed before the loop.
+A node belongs to the innermost block among those of its operands. So values that do not change in
+a loop are computed before the loop.
 """
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from evo_cpg.native.frontend.simplify import FOLDED, RULES, Rule, saturates
-from evo_cpg.native.ir.graph import Block, Buffer, Graph, Loop, Node, Part, row_count, table_values
-from evo_cpg.native.ir.types import COMMUTATIVE, PREDICATES
-
-
-class Sums:
-    """An array in memory that a loop carries and only adds to.
-
-    Attributes:
-        shape: shape of the array.
-        memory: node of its memory.
-        added: nodes that add to the array.
-    """
-
-    def __init__(self, shape: tuple[int, ...], memory: Node):
-        self.shape, self.memory = shape, memory
-        self.added: list[Node] = []
+from evo_cpg.native.frontend.simplify import FOLDED, RULES, RewriteRule
+from evo_cpg.native.ir import (
+    COMMUTATIVE,
+    PREDICATES,
+    Buffer,
+    Graph,
+    GraphBlock,
+    GraphLoop,
+    GraphPart,
+    Node,
+    row_count,
+)
 
 
 class Builder:
@@ -45,14 +41,14 @@ class Builder:
         active: node that is true for individuals that run the block, or None if all individuals do.
     """
 
-    def __init__(self, rules: Mapping[str, Sequence[Rule]] = RULES):
-        self.top = self.block = Block()
+    def __init__(self, rules: Mapping[str, Sequence[RewriteRule]] = RULES):
+        self.top = self.block = GraphBlock()
         self.active: Node | None = None
         self._rules = {op: [rule.apply for rule in each] for op, each in rules.items()}
         self._arguments: list[Buffer] = []
         self._made: list[Node] = []
-        self._loops: dict[Block, Node] = {}
-        self._parts: list[Part] = []
+        self._loops: dict[GraphBlock, Node] = {}
+        self._parts: list[GraphPart] = []
         self._nodes: dict[Any, Node] = {}
         self._constants: dict[Any, Node] = {}
 
@@ -63,7 +59,7 @@ class Builder:
         if size:
             self._arguments.append(Buffer(size, dtype, shared))
         return node_array(
-            [self._new("input", (), dtype, self.top, shared, detail=place) for place in places],
+            [self.new("input", (), dtype, self.top, shared, detail=place) for place in places],
             shape,
         )
 
@@ -85,17 +81,11 @@ class Builder:
     def end_part(
         self, arguments: Iterable[Node], results: Iterable[Node], reorder: bool = True
     ) -> int:
-        """End a program within the program. Equal nodes before and after its end are not shared.
+        """End a program within the program (`GraphPart`) and return its number.
 
-        Args:
-            arguments: first nodes of the part.
-            results: last nodes of the part.
-            reorder: whether the order of summation may change.
-
-        Returns:
-            Number of the part.
+        Equal nodes before and after its end are not shared.
         """
-        self._parts.append(Part(tuple(arguments), tuple(results), reorder))
+        self._parts.append(GraphPart(tuple(arguments), tuple(results), reorder))
         self._nodes.clear()
         return len(self._parts) - 1
 
@@ -105,47 +95,32 @@ class Builder:
         key = (value.dtype.char, value.tobytes())
         node = self._constants.get(key)
         if node is None:
-            node = self._new("constant", (), value.dtype, self.top, True, value=value)
+            node = self.new("constant", (), value.dtype, self.top, True, value=value)
             self._constants[key] = node
         return node
 
-    def placeholder(self, op: str, dtype: Any, block: Block, uniform: bool = False) -> Node:
-        """Return a node for a carried value or the counter of a loop."""
-        return self._new(op, (), np.dtype(dtype), block, uniform)
-
-    def opaque(self, node: Node, block: Block | None = None, part: int | None = None) -> Node:
-        """Return an opaque node for the same number. Only the type of the number is known.
-
-        A constant is returned unchanged.
+    def alias(
+        self, op: str, node: Node, block: GraphBlock | None = None, part: int | None = None
+    ) -> Node:
+        """Return another node for the same number. A constant is returned unchanged.
 
         Args:
+            op: "opaque" to hide everything but the type of the number, or "inside" to have all
+                values that are computed from the new node in its block.
             node: the original node.
             block: block of the new node, or None for the block of ``node``.
-            part: number of the part whose result the node is, or None for an argument.
+            part: number of the part whose result an opaque node is, or None for an argument.
         """
         if node.value is not None:
             return node
-        block = block or node.block
-        return self._new("opaque", (node,), node.dtype, block, node.uniform, detail=part)
-
-    def inside(self, node: Node, block: Block) -> Node:
-        """Return a node for the same number. Values computed from the new node are in the block."""
-        if node.value is not None:
-            return node
-        return self._new("inside", (node,), node.dtype, block, node.uniform)
+        return self.new(op, (node,), node.dtype, block or node.block, node.uniform, detail=part)
 
     def make(self, op: str, operands: Sequence[Node], dtype: Any, detail: Any = None) -> Node:
         """Return an existing equal node, or a new node without simplification.
 
-        Args:
-            op: name of the operation.
-            operands: operand nodes.
-            dtype: type of the value.
-            detail: other data of the operation, hashable.
+        The detail, other data of the operation, must be hashable.
         """
-        return self._found(op, tuple(operands), np.dtype(dtype), detail)
-
-    def _found(self, op: str, operands: tuple[Node, ...], dtype: np.dtype, detail: Any) -> Node:
+        operands, dtype = tuple(operands), np.dtype(dtype)
         key = (op, dtype.char, detail, operands)
         node = self._nodes.get(key)
         if node is None:
@@ -154,7 +129,7 @@ class Builder:
                 if operand.block.depth > block.depth:
                     block = operand.block
                 uniform = uniform and operand.uniform
-            node = self._new(op, operands, dtype, block, uniform, detail=detail)
+            node = self.new(op, operands, dtype, block, uniform, detail=detail)
             self._nodes[key] = node
         return node
 
@@ -177,68 +152,36 @@ class Builder:
         """Return the number at an index (int32) of a table or list."""
         if index.value is not None and table.op == "rows":
             return table.operands[int(index.value)]
-        if index.value is not None and table.op == "constants":
-            return self.constant(table_values(table)[int(index.value)], table.dtype)
+        if index.value is not None and isinstance(table.detail, bytes):
+            values = np.frombuffer(table.detail, table.dtype)
+            return self.constant(values[int(index.value)], table.dtype)
         return self.make("lookup", (table, index), table.dtype)
-
-    def solve(self, triangle: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return the solution of symmetric equations, by a function that loops.
-
-        Args:
-            triangle: lower triangle of the matrix, row by row.
-            b: right-hand side.
-        """
-        return self.rows(self.make("solve", (*triangle, *b), b[0].dtype, len(b)), b.shape)
 
     def rows(self, table: Node, shape: Sequence[int]) -> np.ndarray:
         """Return all numbers of a table or list."""
         places = [self.constant(place, np.int32) for place in range(row_count(table))]
         return node_array([self.lookup(table, place) for place in places], shape)
 
-    def sums(self, start: np.ndarray) -> Sums:
-        """Return sums in memory with the given initial nodes, all of one type."""
-        nodes = tuple(start.flat)
-        memory = self._new("sums", nodes, nodes[0].dtype, self.block, False)
-        return Sums(start.shape, memory)
+    def loop(self, start: Sequence[Node], loop: GraphLoop) -> tuple[list[Node], list[Node]]:
+        """Add a loop to the current block, with its initial carried values.
 
-    def accumulate(self, sums: Sums, index: Node, value: Node) -> None:
-        """Add a number to the sum at an index (int32, equal for all individuals)."""
-        if self.active is not None and not self.active.uniform:
-            value = self.select(self.active, value, self.constant(0, value.dtype))
-        operands = index, value, sums.memory
-        sums.added.append(self._new("accumulate", operands, value.dtype, self.block, False))
-
-    def totals(self, sums: Sums) -> np.ndarray:
-        """Return the final sums after the loop that was made last."""
-        operands = (sums.memory, *sums.added)
-        table = self._new("totals", operands, sums.memory.dtype, self.block, False)
-        return self.rows(table, sums.shape)
-
-    def loop(self, start: Sequence[Node], loop: Loop) -> tuple[list[Node], list[Node]]:
-        """Add a loop to the current block.
-
-        Args:
-            start: initial carried values.
-            loop: the loop.
-
-        Returns:
-            Final carried values, and the lists of the loop.
+        Return the final carried values and the lists of the loop.
         """
         block, flag = self.block, np.dtype(bool)
-        node = self._new("loop", tuple(start), flag, block, False, detail=loop)
+        node = self.new("loop", tuple(start), flag, block, False, detail=loop)
         self._loops |= {loop.test: node, loop.body: node}
         results = [
-            self._new("result", (node,), one.dtype, block, False, detail=k)
+            self.new("result", (node,), one.dtype, block, False, detail=k)
             for k, one in enumerate(loop.carried)
         ]
         lists = [
-            self._new("list", (node,), one.dtype, block, False, detail=k)
+            self.new("list", (node,), one.dtype, block, False, detail=k)
             for k, one in enumerate(loop.written)
         ]
         return results, lists
 
     @contextlib.contextmanager
-    def within(self, block: Block, active: Node | None = None) -> Iterator[None]:
+    def within(self, block: GraphBlock, active: Node | None = None) -> Iterator[None]:
         """Make the loops of a ``with`` statement in the given block.
 
         Args:
@@ -253,16 +196,23 @@ class Builder:
             self.block, self.active = outer
 
     def apply(self, op: str, *operands: Node, dtype: Any = None) -> Node:
-        """Return the result of an operation on scalars, simplified.
+        """Return the result of a JAX primitive on scalars, simplified.
 
-        Args:
-            op: name of JAX's primitive.
-            operands: operand nodes.
-            dtype: type of the result of a conversion.
+        A conversion needs the type of its result.
         """
+        first, kind = operands[0], operands[-1].dtype
         if op in ("convert", "bitcast"):
-            return self._convert(op, operands[0], np.dtype(dtype))
-        kind = operands[-1].dtype
+            kind, value = np.dtype(dtype), first.value
+            if kind == first.dtype:
+                return first
+            if value is not None and op == "bitcast":
+                return self.constant(value.view(kind), kind)
+            ends = np.iinfo(kind) if kind.kind in "iu" and first.dtype.kind == "f" else None
+            # NumPy does not saturate, so a constant out of range is left to the processor.
+            if value is not None and (ends is None or ends.min <= float(value) <= ends.max):
+                with np.errstate(all="ignore"):
+                    return self.constant(value.astype(kind), kind)
+            return self.make(op, operands, kind)
         if op in PREDICATES:
             kind = np.dtype(bool)
         for node in operands:
@@ -276,33 +226,16 @@ class Builder:
             simpler = simplify(self, *operands)
             if simpler is not None:
                 return simpler
-        if op in COMMUTATIVE and _comes_later(*operands):
-            operands = operands[::-1]
-        return self._found(op, operands, kind, None)
+        if op in COMMUTATIVE:
+            # Constants go last, other nodes in order of creation.
+            a, b = operands
+            if (a.value is not None, a.number) > (b.value is not None, b.number):
+                operands = b, a
+        return self.make(op, operands, kind)
 
-    def add(self, a: Node, b: Node) -> Node:
-        """Return the sum a + b."""
-        return self.apply("add", a, b)
-
-    def subtract(self, a: Node, b: Node) -> Node:
-        """Return the difference a - b."""
-        return self.apply("sub", a, b)
-
-    def multiply(self, a: Node, b: Node) -> Node:
-        """Return the product a b."""
-        return self.apply("mul", a, b)
-
-    def negate(self, a: Node) -> Node:
-        """Return -a."""
-        return self.apply("neg", a)
-
-    def select(self, condition: Node, yes: Node, no: Node) -> Node:
-        """Return ``yes`` if the condition holds, else ``no``."""
-        return self.apply("select", condition, yes, no)
-
-    def convert(self, a: Node, dtype: Any) -> Node:
-        """Return the number converted to another type."""
-        return self.apply("convert", a, dtype=dtype)
+    def apply_each(self, op: str, *arrays: Any, dtype: Any = None) -> np.ndarray:
+        """Apply an operation element by element, with broadcasting."""
+        return elementwise(functools.partial(self.apply, op, dtype=dtype), *arrays)
 
     def power(self, base: Node, exponent: int) -> Node:
         """Return an integer power, by repeated squaring."""
@@ -311,29 +244,20 @@ class Builder:
         if exponent == 0:
             return self.constant(1, base.dtype)
         half = self.power(base, exponent // 2)
-        square = self.multiply(half, half) if exponent > 1 else half
-        return self.multiply(square, base) if exponent % 2 else square
+        square = self.apply("mul", half, half) if exponent > 1 else half
+        return self.apply("mul", square, base) if exponent % 2 else square
 
-    def _convert(self, op: str, operand: Node, dtype: np.dtype) -> Node:
-        if dtype == operand.dtype:
-            return operand
-        if operand.value is not None and op == "bitcast":
-            return self.constant(operand.value.view(dtype), dtype)
-        if operand.value is not None and not saturates(operand, dtype):
-            with np.errstate(all="ignore"):
-                return self.constant(operand.value.astype(dtype), dtype)
-        return self.make(op, (operand,), dtype)
-
-    def _new(
+    def new(
         self,
         op: str,
         operands: tuple[Node, ...],
         dtype: np.dtype,
-        block: Block,
+        block: GraphBlock,
         uniform: bool,
         value: Any = None,
         detail: Any = None,
     ) -> Node:
+        """Return a new node in any case."""
         node = Node(op, operands, dtype, block, uniform, len(self._made) + 1, value, detail)
         self._made.append(node)
         return node
@@ -354,10 +278,3 @@ def all_nodes(arrays: Iterable[np.ndarray]) -> tuple[Node, ...]:
 def elementwise(make: Callable[..., Node], *arrays: Any) -> np.ndarray:
     """Apply a function of nodes element by element, with broadcasting."""
     return np.asarray(np.frompyfunc(make, len(arrays), 1)(*arrays), object)
-
-
-def _comes_later(a: Node, b: Node) -> bool:
-    """Return whether b must go before a: constants go last, other nodes in order of creation."""
-    if a.value is not None or b.value is not None:
-        return a.value is not None
-    return a.number > b.number

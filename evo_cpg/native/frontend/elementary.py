@@ -29,6 +29,7 @@ rounded to float32, the constant term first, and the remaining coefficients were
 place. Products may or may not be fused with sums. Subnormal numbers may or may not count as zero.
 """
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 
@@ -45,6 +46,10 @@ _MANTISSA_BITS = 23
 _TWO_THIRDS, _FOUR = 0x3F2AAAAB, 0x40800000
 # The bits of this constant plus an integer k end in the bits of k + 127.
 _INTEGER_IN_BITS = 1.5 * 2**23 + 127
+
+_bits = functools.partial(lax.bitcast_convert_type, new_dtype=np.int32)
+_float = functools.partial(lax.bitcast_convert_type, new_dtype=np.float32)
+_nearest = functools.partial(lax.round, rounding_method=lax.RoundingMethod.TO_NEAREST_EVEN)
 
 _LOG2_E = math.log2(math.e)
 _LOG2_E_PARTS = (1.4423828125, 3.1222838838e-4)
@@ -95,14 +100,13 @@ _CBRT_BITS = 1419900800.0
 
 def exp(x: Array) -> Array:
     """Return ``e^x``."""
-    k, p = _exp_parts(x, 127)
-    return p * _power_of_two(k)
+    return _exp_times(x, 127)
 
 
 def exp2(x: Array) -> Array:
     """Return ``2^x``."""
-    x = _at_least(x, -127.0)
-    k = _at_most(_nearest(x), 127.0)
+    x = _clip(x, -127.0)
+    k = _clip(_nearest(x), greatest=127.0)
     return _polynomial(_EXP2, x - k) * _power_of_two(k)
 
 
@@ -114,7 +118,9 @@ def expm1(x: Array) -> Array:
 
 def log(x: Array) -> Array:
     """Return ``ln x``."""
-    inside = _where(x < _SMALLEST, _where(x < 0.0, math.nan, -math.inf), _log_of_positive(x))
+    inside = _where(
+        x < _SMALLEST, _where(x < 0.0, math.nan, -math.inf), _log_of_parts(*_parts_of_log(x))
+    )
     return _where(x < math.inf, inside, x)
 
 
@@ -131,31 +137,24 @@ def log1p(x: Array) -> Array:
 
 def tanh(x: Array) -> Array:
     """Return ``tanh x`` as ``t / (1 + t)`` with ``t = (e^(2 x) - 1) / 2``."""
-    a = _at_most(abs(x), 10.0)
+    a = _clip(abs(x), greatest=10.0)
     t = _expm1_over(2, a + a, (_LN_2,))
     return _with_sign(t / (1.0 + t), x)
 
 
-def logistic(x: Array) -> Array:
-    """Return ``1 / (1 + e^-x)``."""
-    return 1.0 / (1.0 + exp(-x))
+def _sin_or_cos(x: Array, cosine: bool) -> Array:
+    """Return ``sin x`` or ``cos x``, within 1.5e-7 for ``abs(x)`` up to 1e4.
 
-
-def sin(x: Array) -> Array:
-    """Return ``sin x``, within 1.5e-7 for ``abs(x)`` up to 1e4. Larger arguments lose digits.
-
-    Up to 1e4, k times each of the first two parts of pi is exact.
+    Larger arguments lose digits. Up to 1e4, k times each of the first two parts of pi is exact.
     """
-    r, square, sign = _half_turns(x)
-    cubic = _polynomial(_SIN, square) * square * r
-    return sign * (cubic + r)
-
-
-def cos(x: Array) -> Array:
-    """Return ``cos x``, with the accuracy of `sin`."""
-    _, square, sign = _half_turns(x)
-    even = _polynomial(_COS, square) * square
-    return sign * (even + 1.0)
+    k = _nearest(x * (1 / math.pi))
+    r = _less_multiple(x, k, _PI_PARTS)
+    half = k * 0.5
+    fraction = half - lax.floor(half)
+    square, sign = r * r, 1.0 - 4.0 * fraction
+    if cosine:
+        return sign * (_polynomial(_COS, square) * square + 1.0)
+    return sign * (_polynomial(_SIN, square) * square * r + r)
 
 
 def tan(x: Array) -> Array:
@@ -169,20 +168,20 @@ def tan(x: Array) -> Array:
     return _where(odd, -1.0, t) / _where(odd, t, 1.0)
 
 
-def asin(x: Array) -> Array:
-    """Return the angle in [-pi/2, pi/2] with sine x."""
-    far, s, rest = _asin_parts(x)
+def _asin_or_acos(x: Array, cosine: bool) -> Array:
+    """Return the angle in [-pi/2, pi/2] with sine x, or the angle in [0, pi] with cosine x."""
+    a = abs(x)
+    far = a > 0.5
+    square = _where(far, 0.5 - 0.5 * a, a * a)
+    s = _where(far, lax.sqrt(square), a)
+    rest = s * square * _polynomial(_ASIN, square)
+    if cosine:
+        signed = _with_sign(s + rest, x)
+        beyond = _where(x < 0.0, math.pi, 0.0) + 2.0 * signed
+        return _where(far, beyond, math.pi / 2 - (signed + _HALF_PI_EXCESS))
     # pi / 2 - 2 asin s
     beyond = (math.pi / 2 - 2.0 * s) - (2.0 * rest + _HALF_PI_EXCESS)
     return _with_sign(_where(far, beyond, s + rest), x)
-
-
-def acos(x: Array) -> Array:
-    """Return the angle in [0, pi] with cosine x."""
-    far, s, rest = _asin_parts(x)
-    signed = _with_sign(s + rest, x)
-    beyond = _where(x < 0.0, math.pi, 0.0) + 2.0 * signed
-    return _where(far, beyond, math.pi / 2 - (signed + _HALF_PI_EXCESS))
 
 
 def atan(x: Array) -> Array:
@@ -230,11 +229,7 @@ def pow_(x: Array, y: Array) -> Array:
     rest = (factor - head) * head_2 + factor * (low_2 + (high_2 - head_2))
     n = _nearest(_clip(exact + rest, -127.0, 127.0))
     size = _polynomial(_EXP2, _clip((exact - n) + rest, -1.0, 2.0)) * _power_of_two(n)
-    return _pow_special(x, y, size)
-
-
-def _pow_special(x: Array, y: Array, size: Array) -> Array:
-    """Return the power from its absolute value. Set sign, zeros, infinities and NaN."""
+    # The sign, zeros, infinities and NaN.
     a = abs(x)
     zero = a < _SMALLEST
     grows = _where(zero, -y, y) > 0.0
@@ -250,7 +245,7 @@ def _pow_special(x: Array, y: Array, size: Array) -> Array:
 
 def erf(x: Array) -> Array:
     """Return ``2 / sqrt(pi)`` times the integral of ``e^(-t^2)`` from 0 to x."""
-    a = _at_most(abs(x), 4.0)
+    a = _clip(abs(x), greatest=4.0)
     r, scale = _expm1_parts(-(a + a * _polynomial(_ERF, a)), 1, (_LN_2,))
     size = (1.0 - scale) - scale * r
     return _with_sign(_where(a < _TINY, (2 / math.sqrt(math.pi)) * a, size), x)
@@ -259,7 +254,7 @@ def erf(x: Array) -> Array:
 def erf_inv(x: Array) -> Array:
     """Return the number whose error function is x."""
     a = abs(x)
-    w = -_log_of_positive((1.0 - a) * (1.0 + a))
+    w = -_log_of_parts(*_parts_of_log((1.0 - a) * (1.0 + a)))
     inside = x * _polynomial(_ERF_INV, w) / _polynomial(_ERF_INV_BELOW, w)
     end = _where(a == 1.0, math.inf, math.nan)
     return _where(a < 1.0, inside, _with_sign(end, x))
@@ -283,15 +278,14 @@ def sinh(x: Array) -> Array:
     The code computes t / 4, because t may overflow.
     """
     a = abs(x)
-    quarter = _expm1_over(4, _at_most(a, 89.5))
+    quarter = _expm1_over(4, _clip(a, greatest=89.5))
     half = quarter + quarter / (4.0 * quarter + 1.0)
     return _with_sign(_where(a < _TINY, a, half + half), x)
 
 
 def cosh(x: Array) -> Array:
     """Return ``cosh x`` as ``h + 1 / (4 h)`` with ``h = e^abs(x) / 2``."""
-    k, p = _exp_parts(abs(x), 128)
-    half = p * _power_of_two(k, -1)
+    half = _exp_times(abs(x), 128, -1.0)
     return half + 0.25 / half
 
 
@@ -317,21 +311,28 @@ def atanh(x: Array) -> Array:
 
 
 FLOAT32: dict[str, Callable[..., Array]] = {
-    function.__name__.rstrip("_"): function
-    for function in (
-        exp, exp2, expm1, log, log1p, tanh, logistic, sin, cos, tan, asin, acos, atan, atan2, pow_,
-        erf, erf_inv, cbrt, sinh, cosh, asinh, acosh, atanh,
-    )
+    **{
+        function.__name__.rstrip("_"): function
+        for function in (
+            exp, exp2, expm1, log, log1p, tanh, tan, atan, atan2, pow_, erf, erf_inv,
+            cbrt, sinh, cosh, asinh, acosh, atanh,
+        )
+    },
+    "logistic": lambda x: 1.0 / (1.0 + exp(-x)),
+    "sin": functools.partial(_sin_or_cos, cosine=False),
+    "cos": functools.partial(_sin_or_cos, cosine=True),
+    "asin": functools.partial(_asin_or_acos, cosine=False),
+    "acos": functools.partial(_asin_or_acos, cosine=True),
 }  # fmt: skip
 """Elementary functions by the names of JAX's primitives."""
 
 
-def _exp_parts(x: Array, greatest: int) -> tuple[Array, Array]:
-    """Return an integer ``k <= greatest`` and p with ``e^x = 2^k p``, k = -127 for ``e^x = 0``."""
-    x = _at_least(x, -88.0)
-    k = _at_most(_nearest(x * _LOG2_E), greatest)
+def _exp_times(x: Array, greatest: int, more: float = 0.0) -> Array:
+    """Return ``e^x 2^more`` by ``e^x = 2^k p``, ``k <= greatest``, k = -127 for ``e^x = 0``."""
+    x = _clip(x, -88.0)
+    k = _clip(_nearest(x * _LOG2_E), greatest=greatest)
     r = _less_multiple(x, k, _LN_2_PARTS)
-    return k, _polynomial(_EXP, r)
+    return _polynomial(_EXP, r) * _power_of_two(k, more)
 
 
 def _expm1_parts(
@@ -367,10 +368,6 @@ def _exponent(above: Array) -> Array:
     return lax.convert_element_type(k, np.float32)
 
 
-def _log_of_positive(x: Array) -> Array:
-    return _log_of_parts(*_parts_of_log(x))
-
-
 def _log_of_parts(k: Array, f: Array) -> Array:
     square = f * f
     rest = f * square * _polynomial(_LOG1P, f) + k * _LN_2_PARTS[1]
@@ -381,24 +378,6 @@ def _log1p_or_log_of_double(more: Array, x: Array) -> Array:
     """Return ``log(1 + more)``, or ``log(2 x)`` for large x."""
     great = x > 2.0**25
     return log1p(_where(great, x, more)) + _where(great, _LN_2, 0.0)
-
-
-def _half_turns(x: Array) -> tuple[Array, Array, Array]:
-    """Return the remainder ``r = x - k pi``, its square, and the sign ``(-1)^k``."""
-    k = _nearest(x * (1 / math.pi))
-    r = _less_multiple(x, k, _PI_PARTS)
-    half = k * 0.5
-    fraction = half - lax.floor(half)
-    return r, r * r, 1.0 - 4.0 * fraction
-
-
-def _asin_parts(x: Array) -> tuple[Array, Array, Array]:
-    """Return whether ``abs(x) > 1/2``, s, and ``asin(s) - s``."""
-    a = abs(x)
-    far = a > 0.5
-    square = _where(far, 0.5 - 0.5 * a, a * a)
-    s = _where(far, lax.sqrt(square), a)
-    return far, s, s * square * _polynomial(_ASIN, square)
 
 
 def _atan_of_ratio(z: Array, inverted: Array) -> Array:
@@ -423,21 +402,14 @@ def _less_multiple(x: Array, k: Array, parts: Sequence[float]) -> Array:
     return x
 
 
-def _nearest(x: Array) -> Array:
-    return lax.round(x, lax.RoundingMethod.TO_NEAREST_EVEN)
+def _clip(x: Array, least: float | None = None, greatest: float | None = None) -> Array:
+    """Return x within bounds. NaN stays NaN.
 
-
-def _at_most(x: Array, greatest: float) -> Array:
-    # NaN stays NaN. This is one instruction. `lax.min` checks both operands for NaN and takes more.
-    return _where(x > greatest, greatest, x)
-
-
-def _at_least(x: Array, least: float) -> Array:
-    return _where(x < least, least, x)
-
-
-def _clip(x: Array, least: float, greatest: float) -> Array:
-    return _at_least(_at_most(x, greatest), least)
+    A bound takes one instruction. `lax.min` checks both operands for NaN and takes more.
+    """
+    if greatest is not None:
+        x = _where(x > greatest, greatest, x)
+    return x if least is None else _where(x < least, least, x)
 
 
 def _with_sign(size: Array, of: Array) -> Array:
@@ -448,14 +420,6 @@ def _with_sign(size: Array, of: Array) -> Array:
 def _head(x: Array) -> Array:
     """Return a number rounded towards zero to its first 12 binary digits."""
     return _float(_bits(x) & ~0xFFF)
-
-
-def _bits(x: Array) -> Array:
-    return lax.bitcast_convert_type(x, np.int32)
-
-
-def _float(bits: Array) -> Array:
-    return lax.bitcast_convert_type(bits, np.float32)
 
 
 def _where(condition: Array, x: Array | float, y: Array | float) -> Array:

@@ -6,6 +6,7 @@ skips a long branch if none of its individuals takes it.
 If a loop carries an array and only adds to its elements, the array stays in memory (`Sums`).
 """
 
+import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Sequence
@@ -16,20 +17,53 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from evo_cpg.native import jax_internals as internals
 from evo_cpg.native import machine_constants
-from evo_cpg.native.frontend.builder import Builder, Sums, all_nodes, elementwise, node_array
+from evo_cpg.native.frontend.builder import Builder, all_nodes, elementwise, node_array
 from evo_cpg.native.frontend.moves import SCATTER_ADD
 from evo_cpg.native.frontend.primitives import equations, programs_in
-from evo_cpg.native.ir.graph import Block, Loop, Node
-from evo_cpg.native.unsupported import Unsupported
+from evo_cpg.native.ir import GraphBlock, GraphLoop, Node, Unsupported
 
 Trace = Callable[..., list[Any]]
+
+
+@dataclasses.dataclass(eq=False)
+class Sums:
+    """An array in memory that a loop carries and only adds to.
+
+    Attributes:
+        shape: shape of the array.
+        memory: node of its memory.
+        added: nodes that add to the array.
+    """
+
+    shape: tuple[int, ...]
+    memory: Node
+    added: list[Node] = dataclasses.field(default_factory=list)
+
+
+def add_to_sums(builder: Builder, operands: list, params: dict) -> list:
+    """Add to numbers in memory, at places that are equal for all individuals.
+
+    Raises:
+        Unsupported: if the places differ between individuals.
+    """
+    sums, indices, updates = operands
+    places, dtype = indices.reshape(-1), sums.memory.dtype
+    if not all(node.uniform for node in places):
+        raise Unsupported("no rule for adding to places that differ between individuals")
+    for place, value in zip(places, updates.reshape(-1), strict=True):
+        index = builder.apply("convert", place, dtype=np.int32)
+        if builder.active is not None and not builder.active.uniform:
+            value = builder.apply("select", builder.active, value, builder.constant(0, dtype))
+        given = index, value, sums.memory
+        sums.added.append(builder.new("accumulate", given, dtype, builder.block, False))
+    return [sums]
 
 
 def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> list[Any]:
     """Lower a counted loop. Its inputs per round are in tables, its stacked outputs in lists.
 
     Raises:
-        Unsupported: the loop stacks more numbers than native code keeps.
+        Unsupported: if the loop stacks more numbers than native code keeps.
     """
     constant_count, carry_count = internals.scan_counts(params)
     length, closed = params["length"], params["jaxpr"]
@@ -44,20 +78,27 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
         raise Unsupported(f"a loop of {length} rounds stacks more than {most} numbers")
 
     def one_round(index: Node, carried: list[Any]) -> list[Any]:
-        row = [_row(builder, x, index) for x in read]
-        return trace(builder, closed, [*consts, *carried, *row])
+        rows = []
+        for x in read:
+            columns = [builder.table(list(column)) for column in x.reshape(len(x), -1).T]
+            row = [builder.lookup(column, index) for column in columns]
+            rows.append(node_array(row, x.shape[1:]))
+        return trace(builder, closed, [*consts, *carried, *rows])
 
     if length == 1:
         results = one_round(builder.constant(0, np.int32), start)
         return [*results[:carry_count], *(x[None] for x in results[carry_count:])]
-    test = Block(builder.block)
-    body = Block(test)
-    counter = builder.placeholder("counter", np.int32, body, uniform=True)
-    sums = {
-        k: x if isinstance(x, Sums) else builder.sums(x)
-        for k, x in enumerate(start)
-        if isinstance(x, Sums) or _only_adds(closed.jaxpr, constant_count + k, k)
-    }
+    test = GraphBlock(builder.block)
+    body = GraphBlock(test)
+    counter = builder.new("counter", (), np.dtype(np.int32), body, uniform=True)
+    sums = {}
+    for k, x in enumerate(start):
+        if isinstance(x, Sums):
+            sums[k] = x
+        elif _only_adds(closed.jaxpr, constant_count + k, k):
+            nodes = tuple(x.flat)
+            memory = builder.new("sums", nodes, nodes[0].dtype, builder.block, False)
+            sums[k] = Sums(x.shape, memory)
     others = [k for k in range(carry_count) if k not in sums]
     begin = [start[k] for k in others]
     placed = [_placeholders(builder, x, body) for x in begin]
@@ -65,28 +106,27 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
     with builder.within(body):
         index = counter
         if params["reverse"]:
-            index = builder.subtract(builder.constant(length - 1, np.int32), counter)
+            index = builder.apply("sub", builder.constant(length - 1, np.int32), counter)
         results = one_round(index, carried)
     following = [results[k] for k in others]
-    loop = Loop(
+    loop = GraphLoop(
         length, test, body, counter, all_nodes(placed), all_nodes(following), None, index,
         all_nodes(results[carry_count:]),
     )  # fmt: skip
     ends, lists = builder.loop(all_nodes(begin), loop)
     found = dict(zip(others, _like(ends, begin), strict=True))
-    # The sums of a loop around this loop are not complete yet, so they are not read.
-    found |= {k: x if x is start[k] else builder.totals(x) for k, x in sums.items()}
+    for k, x in sums.items():
+        found[k] = x
+        # The sums of a loop around this loop are not complete yet, so they are not read.
+        if x is not start[k]:
+            given, dtype = (x.memory, *x.added), x.memory.dtype
+            totals = builder.new("totals", given, dtype, builder.block, False)
+            found[k] = builder.rows(totals, x.shape)
     return [*(found[k] for k in range(carry_count)), *_stacks(builder, lists, stacked, length)]
 
 
 def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
-    """Return whether a program only adds to an argument, and returns the sum as the given result.
-
-    Args:
-        jaxpr: the program.
-        into: number of the argument.
-        out: number of the result.
-    """
+    """Return whether a program only adds to argument ``into``, and returns it as result ``out``."""
     array: Any = jaxpr.invars[into]
     for equation in jaxpr.eqns:
         places = [k for k, atom in enumerate(equation.invars) if atom is array]
@@ -98,47 +138,33 @@ def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
         if name in SCATTER_ADD:
             numbers = params["dimension_numbers"]
             simple = numbers.inserted_window_dims == (0,) and not numbers.update_window_dims
-            if place or len(array.aval.shape) != 1 or not simple or not _in_bounds(params):
+            # The caller must promise that the places are within the array.
+            simple = simple and "PROMISE" in str(params["mode"])
+            if place or len(array.aval.shape) != 1 or not simple:
                 return False
             array = equation.outvars[0]
-        elif name == "cond" and place:
-            returned = _returned(params, place - 1)
-            if returned is None:
+        elif name in ("jit", "pjit") or (name == "cond" and place):
+            inner, place = (
+                (params["branches"], place - 1) if name == "cond" else ([params["jaxpr"]], place)
+            )
+            outs = [
+                k
+                for k in range(len(inner[0].jaxpr.outvars))
+                if all(_only_adds(each.jaxpr, place, k) for each in inner)
+            ]
+            if not outs:
                 return False
-            array = equation.outvars[returned]
+            array = equation.outvars[outs[0]]
         elif name == "scan":
             constants, carries = internals.scan_counts(params)
             inner = place - constants
             if not 0 <= inner < carries or not _only_adds(params["jaxpr"].jaxpr, place, inner):
                 return False
             array = equation.outvars[inner]
-        elif name in ("jit", "pjit"):
-            inner = params["jaxpr"].jaxpr
-            outs = [k for k in range(len(inner.outvars)) if _only_adds(inner, place, k)]
-            if not outs:
-                return False
-            array = equation.outvars[outs[0]]
         else:
             return False
     ends = [k for k, atom in enumerate(jaxpr.outvars) if atom is array]
     return ends == [out]
-
-
-def _in_bounds(params: dict) -> bool:
-    """Return whether the caller of a scatter promises that its places are within the array."""
-    return "PROMISE" in str(params["mode"])
-
-
-def _returned(params: dict, place: int) -> int | None:
-    """Return the number of the result in which all branches return an argument they only add to.
-
-    Return None if there is no such result.
-    """
-    counts = range(len(params["branches"][0].jaxpr.outvars))
-    fits = [
-        k for k in counts if all(_only_adds(each.jaxpr, place, k) for each in params["branches"])
-    ]
-    return fits[0] if fits else None
 
 
 def _while(
@@ -151,8 +177,8 @@ def _while(
     of_test, of_body = params["cond_nconsts"], params["body_nconsts"]
     test_consts, body_consts = operands[:of_test], operands[of_test : of_test + of_body]
     start = operands[of_test + of_body :]
-    test = Block(builder.block)
-    body = Block(test)
+    test = GraphBlock(builder.block)
+    body = GraphBlock(test)
     carried = [_placeholders(builder, x, test) for x in start]
     with builder.within(test):
         (condition,) = trace(builder, params["cond_jaxpr"], [*test_consts, *carried])
@@ -162,39 +188,38 @@ def _while(
             # the outer loop.
             condition = builder.apply("and", condition, builder.active)
     # The body must not share nodes with the test, which runs before the condition is known.
-    again = [elementwise(lambda node: builder.opaque(node, body), x) for x in carried]
+    hide = functools.partial(builder.alias, "opaque", block=body)
+    again = [elementwise(hide, x) for x in carried]
     with builder.within(body, None if condition.uniform else condition):
         results = trace(builder, params["body_jaxpr"], [*body_consts, *again])
-    loop = Loop(None, test, body, None, all_nodes(carried), all_nodes(results), condition, None, ())
+    loop = GraphLoop(
+        None, test, body, None, all_nodes(carried), all_nodes(results), condition, None, ()
+    )
     ends, _ = builder.loop(all_nodes(start), loop)
     return _like(ends, start)
 
 
 def _cond(builder: Builder, operands: list, params: dict, trace: Trace) -> list:
+    """Lower a branch.
+
+    Raises:
+        Unsupported: if the first branch, which is always computed, adds to an array.
+    """
     which, *given = operands
     number, branches = which.item(), params["branches"]
     if number.value is not None:
         place = int(np.clip(int(number.value), 0, len(branches) - 1))
         return trace(builder, branches[place], given)
-    first, *rest = branches
-    results = _without_sums(builder, trace, first, given)
-    for k, branch in enumerate(rest, 1):
-        more = "eq" if k + 1 < len(branches) else "ge"
-        here = builder.apply(more, builder.convert(number, np.int32), builder.constant(k, np.int32))
-        results = _branch(builder, branch, given, here, results, trace)
-    return results
-
-
-def _without_sums(builder: Builder, trace: Trace, branch: ClosedJaxpr, given: list) -> list:
-    """Return the results of a branch that is always computed.
-
-    Raises:
-        Unsupported: the branch adds to an array.
-    """
-    before = [len(x.added) for x in given if isinstance(x, Sums)]
-    results = trace(builder, branch, given)
-    if before != [len(x.added) for x in given if isinstance(x, Sums)]:
+    sums = [x for x in given if isinstance(x, Sums)]
+    before = [len(x.added) for x in sums]
+    results = trace(builder, branches[0], given)
+    if before != [len(x.added) for x in sums]:
         raise Unsupported("a branch adds to an array even if its condition is false")
+    for k, branch in enumerate(branches[1:], 1):
+        more = "eq" if k + 1 < len(branches) else "ge"
+        narrow = builder.apply("convert", number, dtype=np.int32)
+        here = builder.apply(more, narrow, builder.constant(k, np.int32))
+        results = _branch(builder, branch, given, here, results, trace)
     return results
 
 
@@ -203,14 +228,17 @@ def _branch(
 ) -> list:
     """Return the branch's results for individuals that take it, else the other results."""
     adds = any(isinstance(x, Sums) for x in otherwise)
-    if not adds and _length(branch.jaxpr) < machine_constants.SHORTEST_BRANCH:
-        choose = functools.partial(builder.select, here)
+    # The approximate number of scalars that the branch computes, each loop's body once.
+    leaves = [each for each in equations(branch.jaxpr) if not any(programs_in(each))]
+    length = sum(atom.aval.size for each in leaves for atom in each.outvars)
+    if not adds and length < machine_constants.SHORTEST_BRANCH:
         results = trace(builder, branch, given)
-        return [elementwise(choose, a, b) for a, b in zip(results, otherwise, strict=True)]
-    test = Block(builder.block)
-    body = Block(test)
+        both = zip(results, otherwise, strict=True)
+        return [builder.apply_each("select", here, yes, no) for yes, no in both]
+    test = GraphBlock(builder.block)
+    body = GraphBlock(test)
     with builder.within(test):
-        condition = builder.inside(here, test)
+        condition = builder.alias("inside", here, test)
         if builder.active is not None:
             condition = builder.apply("and", condition, builder.active)
     start = [x for x in otherwise if not isinstance(x, Sums)]
@@ -222,22 +250,17 @@ def _branch(
         A number of a list stays unchanged, so that the list is not copied.
         """
         listed = node.op == "lookup" and node.operands[0].op in ("list", "totals")
-        return builder.inside(node, body) if node.block is builder.block and not listed else node
+        here = node.block is builder.block and not listed
+        return builder.alias("inside", node, body) if here else node
 
     inside = [x if isinstance(x, Sums) else elementwise(hide, x) for x in given]
     with builder.within(body, condition):
         results = trace(builder, branch, inside)
     following = [x for x in results if not isinstance(x, Sums)]
     values = all_nodes(carried), all_nodes(following)
-    loop = Loop(None, test, body, None, *values, condition, None, (), once=True)
+    loop = GraphLoop(None, test, body, None, *values, condition, None, (), once=True)
     ends = iter(_like(builder.loop(all_nodes(start), loop)[0], start))
     return [x if isinstance(x, Sums) else next(ends) for x in otherwise]
-
-
-def _length(jaxpr: Jaxpr) -> int:
-    """Return the approximate number of scalars that a program computes, each loop's body once."""
-    leaves = (each for each in equations(jaxpr) if not any(programs_in(each)))
-    return sum(atom.aval.size for each in leaves for atom in each.outvars)
 
 
 LOOPS: dict[str, Callable[[Builder, list[np.ndarray], dict, Trace], list[np.ndarray]]] = {
@@ -247,16 +270,8 @@ LOOPS: dict[str, Callable[[Builder, list[np.ndarray], dict, Trace], list[np.ndar
 }
 
 
-def _row(builder: Builder, x: np.ndarray, index: Node) -> np.ndarray:
-    """Return the row of an array at a computed index."""
-    columns = x.reshape(len(x), -1).T
-    return node_array(
-        [builder.lookup(builder.table(list(column)), index) for column in columns], x.shape[1:]
-    )
-
-
-def _placeholders(builder: Builder, like: np.ndarray, block: Block) -> np.ndarray:
-    return elementwise(lambda node: builder.placeholder("carried", node.dtype, block), like)
+def _placeholders(builder: Builder, like: np.ndarray, block: GraphBlock) -> np.ndarray:
+    return elementwise(lambda x: builder.new("carried", (), x.dtype, block, False), like)
 
 
 def _like(nodes: list[Node], arrays: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -14,29 +14,30 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from evo_cpg.native import jax_internals as internals
-from evo_cpg.native.frontend.builder import Builder, Sums, all_nodes, elementwise, node_array
+from evo_cpg.native import machine_constants
+from evo_cpg.native.frontend.builder import Builder, all_nodes, elementwise, node_array
 from evo_cpg.native.frontend.elementary import FLOAT32
-from evo_cpg.native.frontend.loops import LOOPS
-from evo_cpg.native.frontend.moves import MOVES, SCATTER_ADD, add_to_sums
-from evo_cpg.native.frontend.primitives import Program, fused_p, linear_map_p, trace_of
-from evo_cpg.native.frontend.symmetric_solve import eliminate, eliminate_p, elimination_of
-from evo_cpg.native.ir.graph import Graph, Node
-from evo_cpg.native.ir.types import ARITHMETIC, LIBRARY
-from evo_cpg.native.unsupported import Unsupported
+from evo_cpg.native.frontend.loops import LOOPS, Sums, add_to_sums
+from evo_cpg.native.frontend.moves import MOVES, SCATTER_ADD
+from evo_cpg.native.frontend.primitives import (
+    Program,
+    apply_map,
+    eliminate_p,
+    fused_p,
+    linear_map_p,
+    solve_written_out,
+)
+from evo_cpg.native.ir import ARITHMETIC, LIBRARY, Graph, Node, Unsupported
 
 Arrays = list[np.ndarray]
 Rule = Callable[[Builder, Arrays, dict], Arrays]
 
 
 def lower(program: Program, builder: Builder) -> Graph:
-    """Return the graph of a program.
-
-    Args:
-        program: program for one individual.
-        builder: maker of the nodes.
+    """Return the graph of a program for one individual.
 
     Raises:
-        Unsupported: the program holds something that cannot be written as scalars.
+        Unsupported: if the program holds something that cannot be written as scalars.
     """
     inputs = [
         builder.argument(x.shape, x.dtype, shared=i < program.shared)
@@ -51,59 +52,46 @@ def trace_program(builder: Builder, program: Program, inputs: Sequence[np.ndarra
     The results do not depend on the code around the program, not even in the last digit. Nodes
     outside the program are not simplified together with nodes inside (its inputs are opaque), and
     its sums are ordered separately. So a control step has the same results alone and as a part of a
-    trial.
-
-    Args:
-        builder: maker of the nodes.
-        program: program to trace.
-        inputs: shared arguments, then the other arguments.
-
-    Raises:
-        Unsupported: the program holds something that cannot be written as scalars.
+    trial. The shared arguments come first.
     """
-    inside = [elementwise(builder.opaque, x) for x in inputs]
+    inside = [elementwise(functools.partial(builder.alias, "opaque"), x) for x in inputs]
     given = iter(inside[: program.shared])
     consts = [next(given) if own is None else constants(builder, own) for own in program.constants]
-    results = trace(builder, program.jaxpr, [], [*consts, *inside[program.shared :]])
+    results = trace(builder, program.jaxpr, [*consts, *inside[program.shared :]])
     part = builder.end_part(all_nodes(inputs), all_nodes(results))
-    hide = functools.partial(builder.opaque, part=part)
+    hide = functools.partial(builder.alias, "opaque", part=part)
     return [elementwise(hide, x) for x in results]
 
 
 def trace(
-    builder: Builder, jaxpr: Jaxpr, consts: Sequence[np.ndarray], inputs: Sequence[np.ndarray]
+    builder: Builder,
+    program: Jaxpr | ClosedJaxpr,
+    inputs: Sequence[np.ndarray],
+    consts: Sequence[np.ndarray] = (),
 ) -> Arrays:
-    """Return the program's outputs as arrays of nodes.
+    """Return the outputs of a program as arrays of nodes, from its arguments and its constants.
 
-    Args:
-        builder: maker of the nodes.
-        jaxpr: the program.
-        consts: values of its constants, arrays of nodes.
-        inputs: values of its arguments, arrays of nodes.
+    A `ClosedJaxpr` holds its constants.
 
     Raises:
-        Unsupported: the program holds something that cannot be written as scalars.
+        Unsupported: if the program holds something that cannot be written as scalars.
     """
-    known: dict = {}
+    if isinstance(program, ClosedJaxpr):
+        consts = [constants(builder, np.asarray(value)) for value in program.consts]
+        program = program.jaxpr
+    known: dict = dict(zip(program.constvars, consts, strict=True))
+    known.update(zip(program.invars, inputs, strict=True))
 
     def read(atom) -> np.ndarray:
         if isinstance(atom, Literal):
-            return constants(builder, np.asarray(atom.val, _type(atom)))
+            return constants(builder, np.asarray(atom.val, atom.aval.dtype))  # pyright: ignore
         return known[atom]
 
-    known.update(zip(jaxpr.constvars, consts, strict=True))
-    known.update(zip(jaxpr.invars, inputs, strict=True))
-    for equation in jaxpr.eqns:
+    for equation in program.eqns:
         operands = [read(atom) for atom in equation.invars]
         results = _equation(builder, equation, operands)
         known.update(zip(equation.outvars, results, strict=True))
-    return [read(atom) for atom in jaxpr.outvars]
-
-
-def trace_closed(builder: Builder, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]) -> Arrays:
-    """Trace a program that holds its constants (`trace`)."""
-    values = [constants(builder, np.asarray(value)) for value in closed.consts]
-    return trace(builder, closed.jaxpr, values, inputs)
+    return [read(atom) for atom in program.outvars]
 
 
 def constants(builder: Builder, values: np.ndarray) -> np.ndarray:
@@ -118,7 +106,7 @@ def constants(builder: Builder, values: np.ndarray) -> np.ndarray:
 def is_supported(name: str) -> bool:
     """Return whether there is a rule for a primitive, for any operands."""
     known = (_PROGRAMS, LOOPS, _RULES, _ELEMENTWISE, ARITHMETIC, FLOAT32, LIBRARY)
-    return internals.is_random(name) or any(name in names for names in known)
+    return name in internals.RANDOM or any(name in names for names in known)
 
 
 def _equation(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
@@ -131,17 +119,17 @@ def _equation(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
     if operands and all(operand.size == 0 for operand in operands):
         return _evaluate(builder, equation, operands)
     if name in LOOPS:
-        return LOOPS[name](builder, operands, params, trace_closed)
+        return LOOPS[name](builder, operands, params, trace)
     if name in _RULES:
         return _RULES[name](builder, operands, params)
     if name in _ELEMENTWISE:
         return [elementwise(functools.partial(_ELEMENTWISE[name], builder), *operands)]
     if name in ARITHMETIC:
-        return [elementwise(functools.partial(builder.apply, name), *operands)]
+        return [builder.apply_each(name, *operands)]
     if name in FLOAT32 or name in LIBRARY:
         return [_function(builder, name, operands)]
-    if internals.is_random(name):
-        return trace_closed(builder, internals.random_program(equation), operands)
+    if name in internals.RANDOM:
+        return trace(builder, internals.random_program(equation), operands)
     if all(node.value is not None for operand in operands for node in operand.flat):
         return _evaluate(builder, equation, operands)
     raise Unsupported(f"no rule for {name}")
@@ -152,8 +140,7 @@ def _equation(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
 
 def _call(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
     inner = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
-    closed = isinstance(inner, ClosedJaxpr)
-    return trace_closed(builder, inner, operands) if closed else trace(builder, inner, [], operands)
+    return trace(builder, inner, operands)
 
 
 def _fused(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
@@ -172,17 +159,33 @@ def _fused(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
 
 
 def _linear_map(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
-    inner = trace_of(equation.params, [atom.aval for atom in equation.invars])
-    return trace_closed(builder, inner, operands)
+    run = functools.partial(apply_map, **equation.params)
+    inner = jax.make_jaxpr(run)(*[atom.aval for atom in equation.invars])
+    return trace(builder, inner, operands)
 
 
 def _elimination(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
-    """Call the routine that loops, or write out a short elimination."""
-    answers = eliminate(builder, operands)
-    if answers is not None:
-        return [answers]
-    inner = elimination_of([atom.aval for atom in equation.invars])
-    return trace_closed(builder, inner, operands)
+    """Write out a short elimination, or call the function that loops.
+
+    In written-out code, zero elements cost nothing (`evo_cpg.native.ldl`). An animal whose limbs
+    may all touch has no zeros, so the elimination takes v^3/6 operations for v unknowns. The
+    function eliminates in the same order. It skips elements that are zero for all individuals of a
+    vector, such as the coupling of limbs that do not touch.
+    """
+    H, b = operands
+    if H.ndim == 2:
+        filled = np.vectorize(lambda node: node.value is None or node.value != 0, otypes=[bool])(H)
+        products = 0
+        for k in reversed(range(len(H))):
+            (used,) = np.nonzero(filled[k, :k])
+            products += len(used) * (len(used) + 1) // 2
+            filled[np.ix_(used, used)] = True
+        if products > machine_constants.LONGEST_ELIMINATION:
+            triangle = H[np.tril_indices(len(H))]
+            answers = builder.make("solve", (*triangle, *b), b[0].dtype, len(b))
+            return [builder.rows(answers, b.shape)]
+    inner = jax.make_jaxpr(solve_written_out)(*[atom.aval for atom in equation.invars])
+    return trace(builder, inner, operands)
 
 
 def _linear_solve(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
@@ -190,7 +193,7 @@ def _linear_solve(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
     counts, jaxprs = equation.params["const_lengths"], equation.params["jaxprs"]
     before = counts.matvec + counts.vecmat
     given = operands[sum(counts) :]
-    return trace_closed(builder, jaxprs.solve, [*operands[before : before + counts.solve], *given])
+    return trace(builder, jaxprs.solve, [*operands[before : before + counts.solve], *given])
 
 
 _CALLS = (
@@ -211,17 +214,13 @@ _PROGRAMS: dict[str, Callable[[Builder, Any, Arrays], Arrays]] = {
 def _evaluate(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
     """Compute any other primitive on constants by JAX while tracing."""
     values = [
-        np.array([node.value for node in operand.flat], _type(atom)).reshape(operand.shape)
+        np.array([node.value for node in operand.flat], atom.aval.dtype).reshape(operand.shape)
         for operand, atom in zip(operands, equation.invars, strict=True)
     ]
     with jax.ensure_compile_time_eval():
         results = equation.primitive.bind(*values, **equation.params)
     results = results if equation.primitive.multiple_results else [results]
     return [constants(builder, np.asarray(result)) for result in results]
-
-
-def _type(atom: Any) -> np.dtype:
-    return np.dtype(atom.aval.dtype)
 
 
 # Operations on scalars and on arrays.
@@ -238,32 +237,31 @@ def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
     dtype = next((node.dtype for node in operands[0].flat), np.dtype(np.float32))
     if dtype == np.float32 and name in FLOAT32:
         # The functions are written for scalars, but elementwise operations take arrays as well.
-        inside = [elementwise(builder.opaque, x) for x in np.broadcast_arrays(*operands)]
-        (result,) = trace_closed(builder, _in_float32(name, len(operands)), inside)
+        hide = functools.partial(builder.alias, "opaque")
+        inside = [elementwise(hide, x) for x in np.broadcast_arrays(*operands)]
+        (result,) = trace(builder, _in_float32(name, len(operands)), inside)
         # The sums in these functions are written so that rounding errors cancel. Keep their order.
         part = builder.end_part(all_nodes(operands), result.flat, reorder=False)
-        return elementwise(functools.partial(builder.opaque, part=part), result)
+        return elementwise(functools.partial(hide, part=part), result)
+
     if dtype == np.float64 and name == "logistic":
-        return elementwise(functools.partial(_logistic, builder), *operands)
+        one, make, apply = builder.constant(1, dtype), builder.make, builder.apply
+        return elementwise(
+            lambda x: apply("div", one, apply("add", one, make("exp", (apply("neg", x),), dtype))),
+            *operands,
+        )
     if dtype != np.float64 or name not in LIBRARY:
         raise Unsupported(f"no rule for {name} of {dtype}")
     return elementwise(lambda *x: builder.make(name, x, dtype), *operands)
-
-
-def _logistic(builder: Builder, x: Node) -> Node:
-    one = builder.constant(1, x.dtype)
-    power = builder.make("exp", (builder.negate(x),), x.dtype)
-    return builder.apply("div", one, builder.add(one, power))
 
 
 def _reduction(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
     (x,), axes = operands, params["axes"]
     kept = [i for i in range(x.ndim) if i not in axes]
     rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
-    combine = functools.partial(builder.apply, op)
     total = rows[..., 0]
     for k in range(1, rows.shape[-1]):
-        total = elementwise(combine, total, rows[..., k])
+        total = builder.apply_each(op, total, rows[..., k])
     return [np.asarray(total, object)]
 
 
@@ -272,8 +270,7 @@ def _cumulative(op: str, builder: Builder, operands: Arrays, params: dict) -> Ar
     rows = np.moveaxis(result, params["axis"], 0)
     rows = rows[::-1] if params["reverse"] else rows
     for k in range(1, len(rows)):
-        combine = functools.partial(builder.apply, op)
-        rows[k, ...] = elementwise(combine, rows[k - 1], rows[k])
+        rows[k, ...] = builder.apply_each(op, rows[k - 1], rows[k])
     return [result]
 
 
@@ -292,13 +289,15 @@ def _extreme_place(op: str, builder: Builder, operands: Arrays, params: dict) ->
     for k in range(1, len(x)):
         number = builder.constant(k, dtype)
         chosen = elementwise(better, best, x[k])
-        place = elementwise(lambda c, old, k=number: builder.select(c, k, old), chosen, place)
-        best = elementwise(builder.select, chosen, x[k], best)
+        place = builder.apply_each("select", chosen, number, place)
+        best = builder.apply_each("select", chosen, x[k], best)
     return [np.asarray(place, object)]
 
 
 def _dot_general(builder: Builder, operands: Arrays, params: dict) -> Arrays:
     a, b = operands
+    if (dtype := params["preferred_element_type"]) is not None:
+        a, b = (builder.apply_each("convert", x, dtype=dtype) for x in operands)
     (contract_a, contract_b), (batch_a, batch_b) = params["dimension_numbers"]
     free_a = [i for i in range(a.ndim) if i not in (*contract_a, *batch_a)]
     free_b = [i for i in range(b.ndim) if i not in (*contract_b, *batch_b)]
@@ -321,76 +320,67 @@ def _scalar_product(builder: Builder, a: np.ndarray, b: np.ndarray) -> Node:
     rows are then computed once. The order of summation, and so the rounding, differs from the
     original product.
     """
+    apply = builder.apply
     groups: dict[Node, list[tuple[bool, Node]]] = {}
     for x, y in zip(a, b, strict=True):
         factor, other = (x, y) if x.value is not None else (y, x)
         if factor.value is None:
-            factor, other, negative = builder.constant(1, x.dtype), builder.multiply(x, y), False
+            factor, other, negative = builder.constant(1, x.dtype), apply("mul", x, y), False
         else:
             negative = bool(factor.value < 0)
-            factor = builder.negate(factor) if negative else factor
+            factor = apply("neg", factor) if negative else factor
         if factor.value != 0:
             groups.setdefault(factor, []).append((negative, other))
     total = builder.constant(0, a[0].dtype)
     for factor, terms in groups.items():
         # The first term sets the sign of the product, so that a - b and b - a are the same node.
-        flip = terms[0][0]
-        inner = terms[0][1]
+        flip, inner = terms[0]
         for negative, term in terms[1:]:
-            combine = builder.add if negative == flip else builder.subtract
-            inner = combine(inner, term)
-        product = builder.multiply(factor, inner)
-        total = builder.subtract(total, product) if flip else builder.add(total, product)
+            inner = apply("add" if negative == flip else "sub", inner, term)
+        total = apply("sub" if flip else "add", total, apply("mul", factor, inner))
     return total
 
 
 def _select_n(builder: Builder, operands: Arrays, params: dict) -> Arrays:
     which, *cases = operands
+    select = functools.partial(builder.apply, "select")
     if all(node.dtype.kind == "b" for node in which.flat):
-        return [elementwise(lambda w, no, yes: builder.select(w, yes, no), which, *cases)]
+        return [elementwise(lambda w, no, yes: select(w, yes, no), which, *cases)]
     result = cases[-1]
     for k in range(len(cases) - 2, -1, -1):
-        number = k
-
-        def choose(w: Node, here: Node, later: Node, number: int = number) -> Node:
-            is_it = builder.apply("le", w, builder.constant(number, w.dtype))
-            return builder.select(is_it, here, later)
-
-        result = elementwise(choose, which, cases[k], result)
+        result = elementwise(
+            lambda w, here, later, k=k: select(
+                builder.apply("le", w, builder.constant(k, w.dtype)), here, later
+            ),
+            which,
+            cases[k],
+            result,
+        )
     return [result]
 
 
 def _rounded(builder: Builder, operands: Arrays, params: dict) -> Arrays:
-    if params["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN:
-        return [elementwise(functools.partial(builder.apply, "round"), *operands)]
+    apply, to_even = builder.apply, jax.lax.RoundingMethod.TO_NEAREST_EVEN
+    if params["rounding_method"] == to_even:
+        return [builder.apply_each("round", *operands)]
 
     def away_from_zero(x: Node) -> Node:
-        size = builder.apply("abs", x)
-        below = builder.apply("floor", size)
-        half = builder.apply("ge", builder.subtract(size, below), builder.constant(0.5, x.dtype))
-        up = builder.add(
-            below, builder.select(half, *(builder.constant(v, x.dtype) for v in (1, 0)))
-        )
-        return builder.multiply(up, builder.apply("sign", x))
+        one, zero, half = (builder.constant(value, x.dtype) for value in (1, 0, 0.5))
+        size = apply("abs", x)
+        below = apply("floor", size)
+        far = apply("ge", apply("sub", size, below), half)
+        up = apply("add", below, apply("select", far, one, zero))
+        return apply("mul", up, apply("sign", x))
 
     return [elementwise(away_from_zero, *operands)]
 
 
-def _power(builder: Builder, operands: Arrays, params: dict) -> Arrays:
-    return [elementwise(lambda x: builder.power(x, params["y"]), *operands)]
-
-
-def _conversion(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
-    dtype = np.dtype(params["new_dtype"])
-    return [elementwise(functools.partial(builder.apply, op, dtype=dtype), *operands)]
-
-
 _ELEMENTWISE: dict[str, Callable[..., Node]] = {
-    "add_any": Builder.add,
+    "add_any": lambda b, x, y: b.apply("add", x, y),
     "clamp": lambda b, low, x, high: b.apply("min", b.apply("max", low, x), high),
     # The product keeps all digits near one. JAX 0.12 added this primitive for `tanh`.
-    "one_minus_square": lambda b, x: b.multiply(
-        b.subtract(one := b.constant(1, x.dtype), x), b.add(one, x)
+    "one_minus_square": lambda b, x: b.apply(
+        "mul", b.apply("sub", one := b.constant(1, x.dtype), x), b.apply("add", one, x)
     ),
     "rsqrt": lambda b, x: b.apply("div", b.constant(1, x.dtype), b.apply("sqrt", x)),
     "square": lambda b, x: b.power(x, 2),
@@ -401,14 +391,20 @@ _RULES: dict[str, Rule] = {
     **MOVES,
     "argmax": functools.partial(_extreme_place, "gt"),
     "argmin": functools.partial(_extreme_place, "lt"),
-    "bitcast_convert_type": functools.partial(_conversion, "bitcast"),
-    "convert_element_type": functools.partial(_conversion, "convert"),
+    "bitcast_convert_type": lambda b, xs, params: [
+        b.apply_each("bitcast", *xs, dtype=params["new_dtype"])
+    ],
+    "convert_element_type": lambda b, xs, params: [
+        b.apply_each("convert", *xs, dtype=params["new_dtype"])
+    ],
     "cummax": functools.partial(_cumulative, "max"),
     "cummin": functools.partial(_cumulative, "min"),
     "cumprod": functools.partial(_cumulative, "mul"),
     "cumsum": functools.partial(_cumulative, "add"),
     "dot_general": _dot_general,
-    "integer_pow": _power,
+    "integer_pow": lambda b, operands, params: [
+        elementwise(lambda x: b.power(x, params["y"]), *operands)
+    ],
     "reduce_and": functools.partial(_reduction, "and"),
     "reduce_max": functools.partial(_reduction, "max"),
     "reduce_min": functools.partial(_reduction, "min"),

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from evo_cpg.native.frontend.builder import Builder, elementwise
-from evo_cpg.native.unsupported import Unsupported
+from evo_cpg.native.ir import Unsupported
 
 
 def _broadcast_in_dim(builder, operands, params):
@@ -37,29 +37,20 @@ def _dynamic_slice(builder, operands, params):
 def _dynamic_update_slice(builder, operands, params):
     """Replace the elements under the window by new elements."""
     x, update, *starts = operands
-    first = [
-        _clamped(builder, start.item(), whole - size)
-        for start, whole, size in zip(starts, x.shape, update.shape, strict=True)
-    ]
+    first, reach = [], []
+    for start, whole, size in zip(starts, x.shape, update.shape, strict=True):
+        node = _clamped(builder, start.item(), whole - size)
+        first.append(node)
+        reach.append(range(whole - size + 1) if node.value is None else [int(node.value)])
     result = x.copy()
-    reach = [
-        range(whole - size + 1) if node.value is None else [int(node.value)]
-        for node, whole, size in zip(first, x.shape, update.shape, strict=True)
-    ]
     for begin in itertools.product(*reach):
-        here = [
-            builder.apply("eq", node, builder.constant(b, node.dtype))
-            for node, b in zip(first, begin, strict=True)
-        ]
-        condition = (
-            functools.reduce(functools.partial(builder.apply, "and"), here) if here else None
-        )
+        condition = builder.constant(True, bool)
+        for node, b in zip(first, begin, strict=True):
+            here = builder.apply("eq", node, builder.constant(b, node.dtype))
+            condition = builder.apply("and", condition, here)
         for index in np.ndindex(update.shape):
             place = tuple(b + i for b, i in zip(begin, index, strict=True))
-            new = update[index]
-            result[place] = (
-                new if condition is None else builder.select(condition, new, result[place])
-            )
+            result[place] = builder.apply("select", condition, update[index], result[place])
     return [result]
 
 
@@ -108,13 +99,13 @@ def _gather_at_computed_places(builder, x, indices, params):
             most = x.shape[axis] - sizes[axis]
             first[axis] = _clamped(builder, node, most)
             if filled:
-                inside = builder.apply("eq", builder.convert(first[axis], node.dtype), node)
-                valid = builder.apply("and", valid, inside)
+                same = builder.apply("convert", first[axis], dtype=node.dtype)
+                valid = builder.apply("and", valid, builder.apply("eq", same, node))
         taken = _taken(builder, x, first, window)
         if valid.value is None or not valid.value:
             dtype = x.flat[0].dtype
             other = builder.constant(_filler(dtype) if fill is None else fill, dtype)
-            taken = elementwise(lambda t, v=valid, o=other: builder.select(v, t, o), taken)
+            taken = builder.apply_each("select", valid, taken, other)
         results.append(taken)
     batch = indices.shape[:-1]
     stacked = np.array([t.reshape(-1) for t in results], object)
@@ -143,24 +134,24 @@ def _taken(builder, x, first, window):
     strides = [int(np.prod(x.shape[i + 1 :], dtype=int)) for i in range(x.ndim)]
     start = builder.constant(0, np.int32)
     for node, stride in zip(first, strides, strict=True):
-        step = builder.multiply(builder.convert(node, np.int32), builder.constant(stride, np.int32))
-        start = builder.add(start, step)
+        narrow = builder.apply("convert", node, dtype=np.int32)
+        step = builder.apply("mul", narrow, builder.constant(stride, np.int32))
+        start = builder.apply("add", start, step)
     offsets = sum(w * stride for w, stride in zip(window, strides, strict=True))
     table = builder.table(list(x.flat))
-
-    def take(offset: int):
-        return builder.lookup(table, builder.add(start, builder.constant(offset, np.int32)))
-
-    return elementwise(take, offsets)
+    places = elementwise(lambda offset: builder.constant(offset, np.int32), offsets)
+    places = builder.apply_each("add", start, places)
+    return elementwise(functools.partial(builder.lookup, table), places)
 
 
 def _clamped(builder, place, most):
     """Return an index clamped to ``[0, most]``, int32."""
     if place.dtype.kind == "u":
         place = builder.apply("min", place, builder.constant(most, place.dtype))
-        return builder.convert(place, np.int32)
-    low, high = (builder.constant(value, place.dtype) for value in (0, most))
-    return builder.convert(builder.apply("min", builder.apply("max", place, low), high), np.int32)
+    else:
+        low, high = (builder.constant(value, place.dtype) for value in (0, most))
+        place = builder.apply("min", builder.apply("max", place, low), high)
+    return builder.apply("convert", place, dtype=np.int32)
 
 
 def _filler(dtype):
@@ -170,16 +161,6 @@ def _filler(dtype):
     if dtype.kind == "b":
         return True
     return np.iinfo(dtype).min if dtype.kind == "i" else np.iinfo(dtype).max
-
-
-def _split(builder, operands, params):
-    cuts = np.cumsum(params["sizes"])[:-1]
-    return np.split(operands[0], cuts, params["axis"])
-
-
-def _unstack(builder, operands, params):
-    (x,), axis = operands, params["axis"]
-    return [part.squeeze(axis) for part in np.split(x, x.shape[axis], axis)]
 
 
 def _pad(builder, operands, params):
@@ -196,8 +177,8 @@ def _pad(builder, operands, params):
     return [result[tuple(kept)]]
 
 
-def _scatter(builder, operands, params, combine=lambda old, new: new):
-    """Put elements at constant places. A gather by JAX finds the places."""
+def _scatter(builder, operands, params, adds=False):
+    """Put or add elements at constant places. A gather by JAX finds the places."""
     x, indices, updates = operands
     if any(node.value is None for node in indices.flat):
         raise Unsupported("no rule for a scatter to computed places")
@@ -220,60 +201,44 @@ def _scatter(builder, operands, params, combine=lambda old, new: new):
     result = x.copy().reshape(-1)
     for node, place in zip(updates.flat, _places(gather, x, indices).flat, strict=True):
         if place != _OUTSIDE:
-            result[place] = combine(result[place], node)
+            result[place] = builder.apply("add", result[place], node) if adds else node
     return [result.reshape(x.shape)]
-
-
-def _same(builder, operands, params):
-    return operands
 
 
 # JAX's names of the primitive that adds to some places of an array.
 SCATTER_ADD = ("scatter-add", "scatter_add")
 
 
-def add_to_sums(builder: Builder, operands: list, params: dict) -> list:
-    """Add to numbers in memory, at places that are equal for all individuals.
-
-    Raises:
-        Unsupported: the places differ between individuals.
-    """
-    sums, indices, updates = operands
-    places = indices.reshape(-1)
-    if not all(node.uniform for node in places):
-        raise Unsupported("no rule for adding to places that differ between individuals")
-    for place, value in zip(places, updates.reshape(-1), strict=True):
-        builder.accumulate(sums, builder.convert(place, np.int32), value)
-    return [sums]
-
-
-def _scatter_add(builder, operands, params):
-    return _scatter(builder, operands, params, builder.add)
-
-
 # Rules by the name of JAX's primitive, from its operands and parameters to its results.
 MOVES: dict[str, Callable[[Builder, list[np.ndarray], dict], list[np.ndarray]]] = {
     "broadcast_in_dim": _broadcast_in_dim,
     "concatenate": lambda builder, xs, params: [np.concatenate(xs, params["dimension"])],
-    "copy": _same,
-    "copy_p": _same,
+    "copy": lambda builder, xs, params: xs,
+    "copy_p": lambda builder, xs, params: xs,
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
     "expand_dims": lambda builder, xs, params: [np.expand_dims(xs[0], params["dimensions"])],
     "gather": _gather,
-    "optimization_barrier": _same,
+    "optimization_barrier": lambda builder, xs, params: xs,
     "pad": _pad,
-    "reshard": _same,
-    "reshape": lambda builder, xs, params: [xs[0].reshape(params["new_sizes"])],
+    "reshard": lambda builder, xs, params: xs,
+    "reshape": lambda builder, xs, params: [
+        # JAX may transpose the axes before.
+        xs[0].transpose(params["dimensions"] or range(xs[0].ndim)).reshape(params["new_sizes"])
+    ],
     "rev": lambda builder, xs, params: [np.flip(xs[0], params["dimensions"])],
     "scatter": _scatter,
-    "scatter-add": _scatter_add,
-    "scatter_add": _scatter_add,
+    **dict.fromkeys(SCATTER_ADD, functools.partial(_scatter, adds=True)),
     "slice": _slice,
-    "split": _split,
+    "split": lambda builder, xs, params: np.split(
+        xs[0], np.cumsum(params["sizes"])[:-1], params["axis"]
+    ),
     "squeeze": lambda builder, xs, params: [xs[0].squeeze(params["dimensions"])],
     "stack": lambda builder, xs, params: [np.stack(xs, params["axis"])],
-    "stop_gradient": _same,
+    "stop_gradient": lambda builder, xs, params: xs,
     "transpose": lambda builder, xs, params: [xs[0].transpose(params["permutation"])],
-    "unstack": _unstack,
+    "unstack": lambda builder, xs, params: [
+        each.squeeze(params["axis"])
+        for each in np.split(xs[0], xs[0].shape[params["axis"]], params["axis"])
+    ],
 }

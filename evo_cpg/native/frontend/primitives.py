@@ -1,11 +1,10 @@
 """JAX primitives for programs for one individual.
 
-| primitive | meaning |
-|---|---|
-| ``fused`` | a program that runs as native code for all individuals |
-| ``linear_map`` | a function that is linear in some arguments, and its transpose |
-
-The function `evo_cpg.native.fuse.fuse` binds ``fused``.
+| primitive | meaning | bound by |
+|---|---|---|
+| ``fused`` | a program that runs as native code for all individuals | `evo_cpg.native.fuse.fuse` |
+| ``linear_map`` | a function that is linear in some arguments, and its transpose | `linear_map` |
+| ``eliminate`` | the solution of symmetric equations | `evo_cpg.native.fuse.solve_symmetric` |
 """
 
 import dataclasses
@@ -17,18 +16,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
 from evo_cpg.native import jax_internals as internals
+from evo_cpg.native.ldl import factorize, solve_factorized
 
 Arrays = Sequence[jax.Array]
 
 # Primitives of functions with derivative rules of their own. Loops within them need no derivative.
 _OWN_RULES = {"custom_jvp_call", "custom_vjp_call"}
-_LOOPS = {"scan", "while"}
 
 fused_p = internals.primitive("fused")  # `evo_cpg.native.native` implements it.
 linear_map_p = internals.primitive("linear_map")
+eliminate_p = internals.primitive("eliminate")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,7 +64,8 @@ class Program:
         """Return the results for one individual. Constant results are NumPy arrays."""
         given = iter(arrays[: self.shared])
         consts = [next(given) if own is None else own for own in self.constants]
-        return internals.run(ClosedJaxpr(self.jaxpr, []), [*consts, *arrays[self.shared :]])
+        run = jaxpr_as_fun(ClosedJaxpr(self.jaxpr, []))
+        return list(run(*consts, *arrays[self.shared :]))
 
     @functools.cached_property
     def primitives(self) -> frozenset[str]:
@@ -83,7 +84,7 @@ class Program:
         return any(
             equation.params["program"].loops
             if equation.primitive is fused_p
-            else equation.primitive.name in _LOOPS
+            else equation.primitive.name in ("scan", "while")
             for equation in equations(self.jaxpr, _OWN_RULES)
         )
 
@@ -91,9 +92,7 @@ class Program:
 def equations(jaxpr: Jaxpr, closed: Iterable[str] = ()) -> Iterator[Any]:
     """Iterate over the equations of a program and of the programs within it.
 
-    Args:
-        jaxpr: the program.
-        closed: names of primitives whose inner programs are skipped.
+    The programs within the ``closed`` primitives, given by name, are skipped.
     """
     for equation in jaxpr.eqns:
         yield equation
@@ -114,25 +113,31 @@ def programs_in(equation: Any) -> Iterator[Jaxpr]:
 def plain(program: Program, batch: tuple[int, ...]) -> Callable[..., list[jax.Array]]:
     """Return a function that computes the program for all individuals by plain JAX.
 
-    Args:
-        program: program for one individual.
-        batch: lengths of the trailing batch axes of its own arguments and of its results.
+    ``batch`` has the lengths of the trailing batch axes of its own arguments and of its results.
     """
-
-    def one(*arrays: jax.Array) -> tuple[jax.Array, ...]:
-        return tuple(map(jnp.asarray, program(*arrays)))
 
     def run(*arrays: jax.Array) -> list[jax.Array]:
         if not batch:
-            return list(one(*arrays))
+            return list(map(jnp.asarray, program(*arrays)))
         shared, count = program.shared, int(np.prod(batch, dtype=int))
         axes = [None] * shared + [-1] * (len(arrays) - shared)
         own = [x.reshape(*x.shape[: x.ndim - len(batch)], count) for x in arrays[shared:]]
-        every = jax.vmap(one, in_axes=axes, out_axes=-1, axis_size=count)
-        results = every(*arrays[:shared], *own)
+        one = lambda *x: list(map(jnp.asarray, program(*x)))  # noqa: E731
+        results = jax.vmap(one, axes, -1, axis_size=count)(*arrays[:shared], *own)
         return [x.reshape(*x.shape[:-1], *batch) for x in results]
 
     return run
+
+
+def _mapped_axis(values: Arrays, axes: Sequence[int | None], to: int) -> tuple[int, list]:
+    """Return the length of the mapped axis, and all values with this axis moved to ``to``."""
+    size = next(x.shape[axis] for x, axis in zip(values, axes, strict=True) if axis is not None)
+    return size, [
+        jnp.moveaxis(jnp.broadcast_to(x, (size, *x.shape)), 0, to)
+        if axis is None
+        else jnp.moveaxis(x, axis, to)
+        for x, axis in zip(values, axes, strict=True)
+    ]
 
 
 def linear_map(
@@ -160,7 +165,8 @@ def linear_map(
     )
 
 
-def _apply_map(*values, forward, backward, shapes, count):
+def apply_map(*values, forward, backward, shapes, count):
+    """Evaluate a ``linear_map`` with the given parameters."""
     del backward, shapes
     return list(forward(values[:count], values[count:]))
 
@@ -173,7 +179,7 @@ def _differentiate_map(primals, tangents, **params):
         return results, linear_map_p.bind(*primals[:count], *x, **params)
     # The fixed arrays change as well: a second derivative.
     tangents = [internals.instantiate_zeros(tangent) for tangent in tangents]
-    return jax.jvp(lambda *values: _apply_map(*values, **params), list(primals), tangents)
+    return jax.jvp(functools.partial(apply_map, **params), list(primals), tangents)
 
 
 def _transpose_map(cotangents, *values, forward, backward, shapes, count):
@@ -185,15 +191,7 @@ def _transpose_map(cotangents, *values, forward, backward, shapes, count):
 
 
 def _batch_map(values, axes, *, forward, backward, shapes, count):
-    size = next(
-        value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None
-    )
-    stacked = [
-        jnp.broadcast_to(value, (size, *value.shape))
-        if axis is None
-        else jnp.moveaxis(value, axis, 0)
-        for value, axis in zip(values, axes, strict=True)
-    ]
+    size, stacked = _mapped_axis(values, axes, 0)
     results = linear_map_p.bind(
         *stacked,
         forward=jax.vmap(forward),
@@ -209,13 +207,28 @@ internals.implement(
     lambda *_, forward, backward, shapes, count: [
         jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in shapes
     ],
-    _apply_map,
+    apply_map,
     _differentiate_map,
     _batch_map,
     _transpose_map,
 )
 
 
-def trace_of(params: dict[str, Any], inputs: Sequence[Any]) -> ClosedJaxpr:
-    """Return the program of a ``linear_map`` with the given parameters."""
-    return jax.make_jaxpr(lambda *values: _apply_map(*values, **params))(*inputs)
+def solve_written_out(H: jax.Array, b: jax.Array) -> list[jax.Array]:
+    """Return the solution of ``H x = b`` without a loop. Zero elements of H cost nothing."""
+    return [solve_factorized(factorize(H), b)]
+
+
+def _batch_solution(values, axes):
+    """Move the mapped axis to the end, where the individuals are."""
+    _, (H, b) = _mapped_axis(values, axes, -1)
+    return eliminate_p.bind(H, b), [b.ndim - 1]
+
+
+internals.implement(
+    eliminate_p,
+    lambda H, b: [jax.ShapeDtypeStruct(b.shape, b.dtype)],
+    solve_written_out,
+    None,
+    _batch_solution,
+)

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from evo_cpg.native.ir.graph import Node
+from evo_cpg.native.ir import Node
 
 if TYPE_CHECKING:
     from evo_cpg.native.frontend.builder import Builder
 
 
-class Rule(NamedTuple):
+class RewriteRule(NamedTuple):
     """A rewrite rule.
 
     Attributes:
@@ -35,62 +35,30 @@ def _is(node: Node, value: float) -> bool:
     return node.value is not None and node.value == value
 
 
-def _is_float(node: Node) -> bool:
-    return node.dtype.kind == "f"
-
-
-def _add_zero(b: "Builder", x: Node, y: Node) -> Node | None:
-    return y if _is(x, 0) else x if _is(y, 0) else None
-
-
 def _add_negative(b: "Builder", x: Node, y: Node) -> Node | None:
-    if not _is_float(x):
+    if x.dtype.kind != "f":
         return None
     if x.op == "neg":
-        return b.subtract(y, x.operands[0])
-    return b.subtract(x, y.operands[0]) if y.op == "neg" else None
-
-
-def _subtract_zero(b: "Builder", x: Node, y: Node) -> Node | None:
-    return x if _is(y, 0) else None
-
-
-def _subtract_from_zero(b: "Builder", x: Node, y: Node) -> Node | None:
-    return b.negate(y) if _is(x, 0) and _is_float(x) else None
-
-
-def _subtract_negative(b: "Builder", x: Node, y: Node) -> Node | None:
-    return b.add(x, y.operands[0]) if y.op == "neg" and _is_float(x) else None
-
-
-def _multiply_zero(b: "Builder", x: Node, y: Node) -> Node | None:
-    return x if _is(x, 0) else y if _is(y, 0) else None
-
-
-def _multiply_one(b: "Builder", x: Node, y: Node) -> Node | None:
-    return y if _is(x, 1) else x if _is(y, 1) else None
+        return b.apply("sub", y, x.operands[0])
+    return b.apply("sub", x, y.operands[0]) if y.op == "neg" else None
 
 
 def _multiply_negative(b: "Builder", x: Node, y: Node) -> Node | None:
     """Move minus signs outward, where sums absorb them and equal products meet."""
     factor, other = (x, y) if x.value is not None else (y, x)
-    if factor.value is None or not _is_float(factor) or not factor.value < 0:
+    if factor.value is None or factor.dtype.kind != "f" or not factor.value < 0:
         return None
-    return b.negate(b.multiply(b.constant(-factor.value, factor.dtype), other))
+    return b.apply("neg", b.apply("mul", b.constant(-factor.value, factor.dtype), other))
 
 
 def _divide_by_power(b: "Builder", x: Node, y: Node) -> Node | None:
     """Multiply by the reciprocal of a power of two, which is exact if it is not subnormal."""
-    if y.value is None or not _is_float(y):
+    if y.value is None or y.dtype.kind != "f":
         return None
     mantissa, exponent = math.frexp(float(y.value))
     if abs(mantissa) != 0.5 or abs(exponent) >= 100:
         return None
-    return b.multiply(x, b.constant(1.0 / float(y.value), y.dtype))
-
-
-def _undo(op: str) -> "Callable[[Builder, Node], Node | None]":
-    return lambda b, x: x.operands[0] if x.op == op else None
+    return b.apply("mul", x, b.constant(1.0 / float(y.value), y.dtype))
 
 
 def _settled(decisive: bool) -> "Callable[[Builder, Node, Node], Node | None]":
@@ -110,58 +78,50 @@ def _settled(decisive: bool) -> "Callable[[Builder, Node, Node], Node | None]":
     return settle
 
 
-def _select_known(b: "Builder", condition: Node, yes: Node, no: Node) -> Node | None:
-    return None if condition.value is None else yes if condition.value else no
-
-
-def _select_same(b: "Builder", condition: Node, yes: Node, no: Node) -> Node | None:
-    return yes if yes is no else None
-
-
 def _select_truth(b: "Builder", condition: Node, yes: Node, no: Node) -> Node | None:
     if yes.dtype.kind != "b" or yes.value is None or no.value is None:
         return None
     return condition if yes.value else b.apply("not", condition)
 
 
-RULES: dict[str, tuple[Rule, ...]] = {
+RULES: dict[str, tuple[RewriteRule, ...]] = {
     "add": (
-        Rule("x + 0 -> x", _add_zero),
-        Rule("x + (-y) -> x - y", _add_negative),
+        RewriteRule("x + 0 -> x", lambda b, x, y: y if _is(x, 0) else x if _is(y, 0) else None),
+        RewriteRule("x + (-y) -> x - y", _add_negative),
     ),
     "sub": (
-        Rule("x - 0 -> x", _subtract_zero),
-        Rule("0 - x -> -x", _subtract_from_zero),
-        Rule("x - (-y) -> x + y", _subtract_negative),
+        RewriteRule("x - 0 -> x", lambda b, x, y: x if _is(y, 0) else None),
+        RewriteRule(
+            "0 - x -> -x",
+            lambda b, x, y: b.apply("neg", y) if _is(x, 0) and x.dtype.kind == "f" else None,
+        ),
+        RewriteRule(
+            "x - (-y) -> x + y",
+            lambda b, x, y: (
+                b.apply("add", x, y.operands[0]) if y.op == "neg" and x.dtype.kind == "f" else None
+            ),
+        ),
     ),
     "mul": (
-        Rule("0 x -> 0", _multiply_zero),
-        Rule("1 x -> x", _multiply_one),
-        Rule("(-c) x -> -(c x)", _multiply_negative),
+        RewriteRule("0 x -> 0", lambda b, x, y: x if _is(x, 0) else y if _is(y, 0) else None),
+        RewriteRule("1 x -> x", lambda b, x, y: y if _is(x, 1) else x if _is(y, 1) else None),
+        RewriteRule("(-c) x -> -(c x)", _multiply_negative),
     ),
-    "div": (Rule("x / 2^k -> x 2^-k", _divide_by_power),),
-    "neg": (Rule("-(-x) -> x", _undo("neg")),),
-    "not": (Rule("not not x -> x", _undo("not")),),
-    "and": (Rule("x and true -> x; x and false -> false; x and x -> x", _settled(False)),),
-    "or": (Rule("x or false -> x; x or true -> true; x or x -> x", _settled(True)),),
+    "div": (RewriteRule("x / 2^k -> x 2^-k", _divide_by_power),),
+    "neg": (RewriteRule("-(-x) -> x", lambda b, x: x.operands[0] if x.op == "neg" else None),),
+    "not": (RewriteRule("not not x -> x", lambda b, x: x.operands[0] if x.op == "not" else None),),
+    "and": (RewriteRule("x and true -> x; x and false -> false; x and x -> x", _settled(False)),),
+    "or": (RewriteRule("x or false -> x; x or true -> true; x or x -> x", _settled(True)),),
     "select": (
-        Rule("select c, x, y -> x or y", _select_known),
-        Rule("select a, x, x -> x", _select_same),
-        Rule("select a, true, false -> a; select a, false, true -> not a", _select_truth),
+        RewriteRule(
+            "select c, x, y -> x or y",
+            lambda b, c, x, y: None if c.value is None else x if c.value else y,
+        ),
+        RewriteRule("select a, x, x -> x", lambda b, a, x, y: x if x is y else None),
+        RewriteRule("select a, true, false -> a; select a, false, true -> not a", _select_truth),
     ),
 }
 """Rewrite rules by operation, tried in order."""
-
-
-def saturates(operand: Node, dtype: np.dtype) -> bool:
-    """Return whether a constant is outside the range of an integer type.
-
-    The conversion of such a constant is left to the processor, because NumPy does not saturate.
-    """
-    if not _is_float(operand) or dtype.kind not in "iu":
-        return False
-    ends = np.iinfo(dtype)
-    return not ends.min <= float(operand.value) <= ends.max
 
 
 def _whole_quotient(a: np.integer, b: np.integer) -> Any:

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import cross, dot, matvec, matvec_t
 from evo_cpg.creature.algebra.numerics import is_traced
-from evo_cpg.native.converge import while_each
+from evo_cpg.native.fuse import while_each
 from evo_cpg.physics.contact.separation import RoundedBoxes
 from evo_cpg.physics.contact.terrain import Part, nearest
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
-from evo_cpg.native.frontend.symmetric_solve import solve_symmetric
+from evo_cpg.native.fuse import solve_symmetric
 from evo_cpg.physics.contact.contact import Contacts, find_contacts
 from evo_cpg.physics.contact.pair_contacts import PairContacts, find_pair_contacts
 from evo_cpg.physics.step.body_equations import bias_of_mean, body_equations

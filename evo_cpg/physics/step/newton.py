@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.linear import dot, matvec
-from evo_cpg.native.converge import while_each
+from evo_cpg.native.fuse import while_each
 from evo_cpg.physics.step.step_problem import Linearization, StepProblem
 from evo_cpg.physics.tree.root import joint_part
 

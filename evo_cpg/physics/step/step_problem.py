@@ -20,7 +20,7 @@ K (v - v_k)`` give
 
     (M + h J^T K J) y = M y_free + J^T (F + K (v_k - v_0)),
 
-solved by elimination from the tips to the root (`evo_cpg.native.frontend.symmetric_solve`).
+solved by elimination from the tips to the root (`solve_symmetric`).
 """
 
 from typing import Any, NamedTuple
@@ -33,7 +33,7 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.creature.algebra.linear import dot, matvec, where_each
 from evo_cpg.creature.algebra.numerics import Number, xp
 from evo_cpg.creature.tree import Tree
-from evo_cpg.native.frontend.symmetric_solve import solve_symmetric
+from evo_cpg.native.fuse import solve_symmetric
 from evo_cpg.physics.contact.contact import (
     ContactLinearization,
     bounded,

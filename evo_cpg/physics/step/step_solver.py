@@ -37,7 +37,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.linear import matvec_t, where_each
-from evo_cpg.native.converge import implicit, while_each
+from evo_cpg.native.fuse import implicit, while_each
 from evo_cpg.physics.step.equations import (
     ContactForces,
     Residual,

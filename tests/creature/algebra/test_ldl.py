@@ -8,9 +8,8 @@ import pytest
 from creatures import quick_jit
 from evo_cpg.native import engine, machine_constants
 from evo_cpg.native.frontend.builder import Builder
-from evo_cpg.native.frontend.lower import trace_closed
-from evo_cpg.native.frontend.symmetric_solve import solve_symmetric
-from evo_cpg.native.fuse import fuse
+from evo_cpg.native.frontend.lower import trace
+from evo_cpg.native.fuse import fuse, solve_symmetric
 from evo_cpg.native.ldl import factorize, solve_factorized
 
 
@@ -61,7 +60,7 @@ def test_zeros_between_limbs_cost_no_operations():
 
     builder = Builder()
     closed = jax.make_jaxpr(limbs)(np.zeros(11, np.float32))
-    rows = trace_closed(builder, closed, [builder.argument((11,), np.float32)])[:5]
+    rows = trace(builder, closed, [builder.argument((11,), np.float32)])[:5]
     between = [rows[3][1], rows[3][2], rows[4][1], rows[4][2]]
     assert [node.value for node in between] == [0, 0, 0, 0]
     assert all(node.value is None for node in (*rows[2], rows[3][0], rows[4][0], rows[4][3]))

@@ -2,9 +2,10 @@
 
 | type | meaning |
 |---|---|
-| `Node` | one operation, with the types of its operands and of its result (`ir.types`) |
-| `Block` | the place of a node: the whole program, or the test or the body of a loop |
-| `Loop` | a counted loop, a loop with a condition, or a branch |
+| `Node` | one operation, with the types of its operands and of its result (`OPERATIONS`) |
+| `GraphBlock` | the place of a node: the whole program, or the test or the body of a loop |
+| `GraphLoop` | a counted loop, a loop with a condition, or a branch |
+| `GraphPart` | a program within the program |
 | `Graph` | a program: its arguments, its nodes, its results |
 
 Every node has the type of one scalar and belongs to one block. A node is *uniform* if its value is
@@ -12,10 +13,15 @@ equal for all individuals. Passes read a graph and return a new graph. They neve
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import UnionType
 from typing import Any, NamedTuple
 
 import numpy as np
+
+
+class Unsupported(Exception):
+    """Raised if a part of a program cannot become native code, or this machine has none."""
 
 
 class Buffer(NamedTuple):
@@ -32,7 +38,7 @@ class Buffer(NamedTuple):
     shared: bool = False
 
 
-class Block:
+class GraphBlock:
     """The place where nodes are computed.
 
     Attributes:
@@ -40,9 +46,15 @@ class Block:
         depth: number of blocks around it.
     """
 
-    def __init__(self, parent: "Block | None" = None):
+    def __init__(self, parent: "GraphBlock | None" = None):
         self.parent = parent
         self.depth: int = parent.depth + 1 if parent else 0
+
+    def encloses(self, inner: "GraphBlock | None") -> bool:
+        """Return whether the other block is this block or lies within it."""
+        while inner is not None and inner is not self:
+            inner = inner.parent
+        return inner is self
 
 
 @dataclasses.dataclass(slots=True, eq=False, repr=False)
@@ -50,20 +62,18 @@ class Node:
     """One scalar, or numbers in memory that other nodes read.
 
     Attributes:
-        op: name of the operation, a key of `evo_cpg.native.ir.types.OPERATIONS`.
-        operands: operand nodes.
-        dtype: type of the result.
+        op: name of the operation, a key of `OPERATIONS`.
         block: block in which the node is computed.
         uniform: whether the value is equal for all individuals.
         number: order of creation. Operands come before their users.
         value: value of a constant, else None.
-        detail: other data of the operation (a `Loop`, the place of an input, an index).
+        detail: other data of the operation (a `GraphLoop`, the place of an input, an index).
     """
 
     op: str
     operands: "tuple[Node, ...]"
     dtype: np.dtype
-    block: Block
+    block: GraphBlock
     uniform: bool
     number: float
     value: Any = None
@@ -74,7 +84,7 @@ class Node:
         return f"{self.number}: {self.op} {inside}"
 
 
-class Loop(NamedTuple):
+class GraphLoop(NamedTuple):
     """A loop over a block: ``detail`` of a node whose operands are the initial carried values.
 
     Attributes:
@@ -92,8 +102,8 @@ class Loop(NamedTuple):
     """
 
     count: int | None
-    test: Block
-    body: Block
+    test: GraphBlock
+    body: GraphBlock
     counter: Node | None
     carried: tuple[Node, ...]
     following: tuple[Node, ...]
@@ -103,7 +113,7 @@ class Loop(NamedTuple):
     once: bool = False
 
 
-class Part(NamedTuple):
+class GraphPart(NamedTuple):
     """A program within the program, whose sums are ordered independently.
 
     Attributes:
@@ -117,13 +127,8 @@ class Part(NamedTuple):
     reorder: bool
 
 
-class Run(NamedTuple):
-    """Operations without loops, and the loop after them.
-
-    Attributes:
-        nodes: operations in the order of their computation.
-        loop: loop after the operations, or None after the last loop of a block.
-    """
+class GraphRun(NamedTuple):
+    """Operations in the order of their computation, and the loop after them (None at the end)."""
 
     nodes: Sequence[Node]
     loop: Node | None
@@ -147,12 +152,12 @@ class Graph:
 
     arguments: tuple[Buffer, ...]
     results: tuple[tuple[Buffer, tuple[Node, ...]], ...]
-    top: Block
+    top: GraphBlock
     nodes: Sequence[Node]
-    loops: Mapping[Block, Node]
-    parts: tuple[Part, ...]
+    loops: Mapping[GraphBlock, Node]
+    parts: tuple[GraphPart, ...]
     kept: Mapping[Node, tuple[int, ...]]
-    runs: Mapping[Block, Sequence[Run]] = dataclasses.field(default_factory=dict)
+    runs: Mapping[GraphBlock, Sequence[GraphRun]] = dataclasses.field(default_factory=dict)
 
     @property
     def result_nodes(self) -> list[Node]:
@@ -175,62 +180,6 @@ class Graph:
         return found
 
 
-class Change(NamedTuple):
-    """The replacement of a node. The new node has the type and the block of the old one.
-
-    Attributes:
-        op: new operation.
-        operands: new operands, nodes of the old graph.
-        number: new place in the order.
-    """
-
-    op: str
-    operands: tuple[Node, ...]
-    number: float
-
-
-def rewrite(graph: Graph, changes: Mapping[Node, Change]) -> Graph:
-    """Return a graph in which some nodes and all uses of them are replaced."""
-    if not changes:
-        return graph
-    new: dict[Node, Node] = {}
-
-    def mapped(nodes: Iterable[Node]) -> tuple[Node, ...]:
-        return tuple([new.get(node, node) for node in nodes])
-
-    nodes = sorted(graph.nodes, key=lambda node: changes.get(node, node).number)
-    for i, node in enumerate(nodes):
-        change = changes.get(node)
-        op, operands, number = (node.op, node.operands, node.number) if change is None else change
-        detail, changed = node.detail, change is not None
-        for operand in operands:
-            if operand in new:
-                operands, changed = mapped(operands), True
-                break
-        if op == "loop":
-            lists = "carried", "following", "written"
-            detail, changed = (
-                detail._replace(
-                    condition=new.get(detail.condition, detail.condition),
-                    index=new.get(detail.index, detail.index),
-                    **{name: mapped(getattr(detail, name)) for name in lists},
-                ),
-                True,
-            )
-        if changed:
-            nodes[i] = new[node] = Node(
-                op, operands, node.dtype, node.block, node.uniform, number, None, detail
-            )
-    return dataclasses.replace(
-        graph,
-        results=tuple((buffer, mapped(rows)) for buffer, rows in graph.results),
-        nodes=nodes,
-        loops=dict(zip(graph.loops, mapped(graph.loops.values()), strict=True)),
-        parts=tuple(Part(mapped(a), mapped(results), r) for a, results, r in graph.parts),
-        kept=dict(zip(mapped(graph.kept), graph.kept.values(), strict=True)),
-    )
-
-
 NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside"}
 """Operations without code of their own: known values, inputs, and other names of nodes."""
 
@@ -243,16 +192,8 @@ def resolve(node: Node) -> Node:
 
 
 def home(node: Node) -> Node:
-    """Return the node whose place in memory holds a value.
-
-    A loop's result is in its carried value.
-    """
+    """Return the node whose place in memory holds a value. A loop's result is in its carry."""
     return node.operands[0].detail.carried[node.detail] if node.op == "result" else node
-
-
-def table_values(table: Node) -> np.ndarray:
-    """Return the numbers of a table of constants."""
-    return np.frombuffer(table.detail, table.dtype)
 
 
 def row_count(table: Node) -> int:
@@ -266,14 +207,12 @@ def row_count(table: Node) -> int:
 
 def runs_of(
     graph: Graph, order: Callable[[list[Node]], Sequence[Node]] = list
-) -> dict[Block, list[Run]]:
+) -> dict[GraphBlock, list[GraphRun]]:
     """Return the runs of each block: operations before each loop, and after the last loop.
 
-    Args:
-        graph: the program.
-        order: function that orders the operations of a run, by default the order of their numbers.
+    ``order`` orders the operations of a run, by default in the order of their numbers.
     """
-    blocks: dict[Block, list[Node]] = {}
+    blocks: dict[GraphBlock, list[Node]] = {}
     for node in graph.nodes:
         if node.op not in NO_CODE:
             blocks.setdefault(node.block, []).append(node)
@@ -282,7 +221,89 @@ def runs_of(
         runs[block], start = [], 0
         for stop, node in enumerate(nodes):
             if node.op == "loop":
-                runs[block].append(Run(order(nodes[start:stop]), node))
+                runs[block].append(GraphRun(order(nodes[start:stop]), node))
                 start = stop + 1
-        runs[block].append(Run(order(nodes[start:]), None))
+        runs[block].append(GraphRun(order(nodes[start:]), None))
     return runs
+
+
+class Operation(NamedTuple):
+    """A kind of node.
+
+    Attributes:
+        signature: types of the operands and, after the arrow, of the result. Equal letters are
+            equal types.
+        detail: type of the node's other data, or None if there is none.
+
+    | letter | type |
+    |---|---|
+    | f, i, n | a float, an integer, a float or an integer |
+    | b | a truth value |
+    | k | an int32, an index into memory |
+    | a | any type |
+    | * | any type, independent of other letters |
+    | ... | any number of operands of the type before it |
+    """
+
+    signature: str
+    detail: "type | UnionType | None" = None
+
+
+ARITHMETIC: dict[str, Operation] = {
+    name: Operation(signature)
+    for names, signature in (
+        ("add sub mul div rem max min", "n n -> n"),
+        ("eq ne lt le gt ge", "a a -> b"),
+        ("and or xor", "a a -> a"),
+        ("shift_left shift_right_arithmetic shift_right_logical", "i i -> i"),
+        ("abs neg sign", "n -> n"),
+        ("ceil floor round sqrt", "f -> f"),
+        ("is_finite", "f -> b"),
+        ("not", "a -> a"),
+        ("select", "b a a -> a"),
+        ("convert bitcast", "a -> *"),
+    )
+    for name in names.split()
+}
+"""Operations that compute one scalar from others. Most have the names of JAX's primitives."""
+
+_OF_ONE = (
+    "acos acosh asin asinh atan atanh cbrt cos cosh erf erfc exp exp2 expm1 lgamma log log1p"
+    " sin sinh tan tanh"
+)
+LIBRARY: dict[str, Operation] = {
+    **dict.fromkeys(_OF_ONE.split(), Operation("f -> f")),
+    **dict.fromkeys(("atan2", "pow"), Operation("f f -> f")),
+}
+"""Functions of the C library, by the names of JAX's primitives."""
+
+OPERATIONS: dict[str, Operation] = {
+    **ARITHMETIC,
+    **LIBRARY,
+    # Multiply-adds: x y + z, x y - z, z - x y.
+    **dict.fromkeys(("fma", "fms", "fnma"), Operation("f f f -> f")),
+    # Inputs of a block.
+    "constant": Operation("-> *"),
+    "input": Operation("-> *", tuple),
+    "carried": Operation("-> *"),
+    "counter": Operation("-> k"),
+    # Other names of a number, for use in another part or block.
+    "opaque": Operation("a -> a", int | None),
+    "inside": Operation("a -> a"),
+    # Tables in memory, and the numbers in them.
+    "constants": Operation("-> *", bytes),
+    "rows": Operation("a... -> a"),
+    "solve": Operation("f... -> f", int),
+    "sums": Operation("n... -> n"),
+    "totals": Operation("n... -> n"),
+    "accumulate": Operation("k n n -> n"),
+    "lookup": Operation("a k -> a"),
+    # Loops. A list holds the values that each round has written.
+    "loop": Operation("*... -> b", GraphLoop),
+    "result": Operation("b -> *", int),
+    "list": Operation("b -> *", int),
+}
+
+COMMUTATIVE = {"add", "mul", "max", "min", "and", "or", "xor", "eq", "ne"}
+PREDICATES = {op for op, each in ARITHMETIC.items() if each.signature.endswith("-> b")}
+"""Operations whose result is a truth value."""

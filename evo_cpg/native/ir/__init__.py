@@ -1,1 +1,0 @@
-"""The graph of scalars: its types, its verifier and its printer."""

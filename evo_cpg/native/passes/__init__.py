@@ -1,1 +1,0 @@
-"""Passes: functions from a graph of scalars to a new one."""
