@@ -152,8 +152,11 @@ class Recorder(Observer):
             # Arrays in the controller's state have names such as ``nerve.potential``.
             leaves, _ = jax.tree_util.tree_flatten_with_path(seen.animal.nerves)
             frames |= {NERVE + jax.tree_util.keystr(path).strip("."): x for path, x in leaves}
-        chosen = slice(None) if self.count is None else slice(self.first, self.first + self.count)
-        return {name: frames[name][..., chosen] for name in self.names or frames}
+        frames = {name: frames[name] for name in self.names or frames}
+        if self.count is None:
+            return frames
+        chosen = slice(self.first, self.first + self.count)
+        return {name: values[..., chosen] for name, values in frames.items()}
 
     def finish(
         self, simulation: Simulation, tally: tuple, steps: dict[str, Array]
