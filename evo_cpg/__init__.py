@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from evo_cpg.evolution.strategy import Evaluation, Strategy
     from evo_cpg.io.errors import ConfigError
     from evo_cpg.physics.water.force_law import Bodies, ForceLaw
-    from evo_cpg.simulation.sensor import Sensor
+    from evo_cpg.simulation.sensors import Sensor
     from evo_cpg.simulation.snapshot import Forces, Snapshot
     from evo_cpg.simulation.task import Task, Transition
 

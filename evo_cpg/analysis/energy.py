@@ -55,7 +55,7 @@ from evo_cpg.physics.tree.state import State
 from evo_cpg.physics.tree.tendon import length_of, lengths_of, tendon_energy, torque_of
 from evo_cpg.physics.water.force_law import Bodies, buoyancy_alone, in_body_axes
 from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
-from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.simulation.snapshot import Snapshot
 
 

@@ -20,7 +20,7 @@ from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.tendon import torque_of
-from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.simulation.simulation import Simulation
 
 # Residuals above which a step's equations count as unsolved, and its friction as off its cone

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.limbs import Limb, limbs
-from evo_cpg.simulation.foot_slip import Slip, slip_of_points
+from evo_cpg.simulation.measures import Slip, slip_of_points
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
@@ -57,7 +57,7 @@ class Feet(NamedTuple):
         duty_factor: duty factor of each body.
         phases: phases of the touch-downs in the second half of the trial.
         load: mean load of each body, N.
-        slip: slip speed of each body, m/s (`evo_cpg.simulation.foot_slip`). NaN without load.
+        slip: slip speed of each body, m/s (`evo_cpg.simulation.measures`). NaN without load.
         whole_slip: slip speed of everything that touches the ground, the root included, m/s. NaN
             without load.
         airborne: fraction of the control steps in which nothing touches, the root included.

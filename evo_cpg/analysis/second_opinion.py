@@ -59,7 +59,7 @@ from evo_cpg.physics.tree.muscle import Pull, pull_of
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.force_law import buoyancy_alone, in_body_axes
 from evo_cpg.simulation.control_step import act, begin_episode, motor_command, sense
-from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.system import command_for

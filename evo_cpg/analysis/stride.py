@@ -230,7 +230,7 @@ def relative_slip(slip_speed: Values, speed: Values) -> Values:
     """Return the slip of the feet over the animal's speed, no unit.
 
     Args:
-        slip_speed: slip speed of the feet, m/s (`evo_cpg.simulation.foot_slip`).
+        slip_speed: slip speed of the feet, m/s (`evo_cpg.simulation.measures`).
         speed: speed of the animal, m/s. The result is NaN for 0.
     """
     return ratio(slip_speed, speed)

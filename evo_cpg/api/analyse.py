@@ -15,7 +15,7 @@ from evo_cpg.api.run_start import now
 from evo_cpg.api.runs import open_champion, suffix, writing
 from evo_cpg.errors import advise
 from evo_cpg.files import read_json, write_text
-from evo_cpg.io.opened import OpenedChampion
+from evo_cpg.io.run import Run
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.recording import Recording
@@ -137,16 +137,18 @@ def gait_numbers(run: Path | str, trial: int = 0, trust: bool = False) -> GaitNu
             return measure(opened, trial).numbers
 
 
-def measure(opened: OpenedChampion, trial: int) -> Measured:
+def measure(opened: Run, trial: int) -> Measured:
     """Replay a champion's trial and return its motion with the numbers."""
     from evo_cpg.analysis import gait_numbers as measuring
 
     experiment = opened.experiment
     # Velocities are needed for the power into the water only.
     full = experiment.simulation.world.water is not None
-    ((_, frames, recording),) = opened.replay([opened.champion], trial, full)
-    numbers = measuring.gait_numbers(experiment.simulation, experiment.creature, frames, recording)
-    return Measured(recording, numbers)
+    (replay,) = opened.replay([opened.champion], trial, full)
+    numbers = measuring.gait_numbers(
+        experiment.simulation, experiment.creature, replay.frames, replay.recording
+    )
+    return Measured(replay.recording, numbers)
 
 
 def numbers_path(page: Path) -> Path:
@@ -155,7 +157,7 @@ def numbers_path(page: Path) -> Path:
 
 
 def page(
-    opened: OpenedChampion,
+    opened: Run,
     trial: int,
     measured: Measured,
     crowd: "Panel | None" = None,

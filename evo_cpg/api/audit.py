@@ -1,7 +1,6 @@
 """Audit of a champion: real gait or artefact of the simulation?"""
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -39,22 +38,22 @@ from evo_cpg.errors import UsageError, advise
 from evo_cpg.files import make_folder
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.models.refusals import ExchangeError
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run, class_folders
 from evo_cpg.io.schema.audit import Limits
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.trust import trusting
 from evo_cpg.native.engine import Engine, described
-from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps
-from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.observers import EachPhysicsStep, PhysicsSteps
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training import variations
+from evo_cpg.training import conditions
 from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.conditions import Variation, Varied, blinded
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import ExperimentParts, champion_keys, situation_numbers
-from evo_cpg.training.probe import blinded
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.variations import Variation, Varied
 
-# Relative change of friction and drag in the variations.
+# Relative change of friction and drag in the conditions.
 _CHANGE = 0.1
 
 # Variation of the initial pose: standard deviation of joint angles, roll and pitch, rad, and number
@@ -210,10 +209,10 @@ def audit_runs(run: Path | str, limits: Sequence[str] = (), trust: bool = False)
         return _audited(opened, found, limits)
 
 
-def _audited(opened: Opened, champions: Sequence[Champion], limits: Sequence[str]) -> list[Audit]:
+def _audited(opened: Run, champions: Sequence[Champion], limits: Sequence[str]) -> list[Audit]:
     opened.require_configured()
     allowed = limits_from(limits, opened.config.audit.limits())
-    source, folders = opened.folder.config, opened.class_folders
+    source, folders = opened.folder.config, class_folders(opened.folder)
     with working("auditing: compiling for each of several simulations") as work:
 
         def tell(what: str, done: int, total: int) -> None:
@@ -237,7 +236,7 @@ def audits(
     others = _variations(experiment, config, source, tuple(folders))
     total = len(others) + 3
     tell("replaying the champions", 0, total)
-    live = variations.compile_variation(experiment, own)
+    live = conditions.compile_variation(experiment, own)
     replayed = [live(champion) for champion in champions]
     champions = [with_all_terms(*both) for both in zip(champions, replayed, strict=True)]
     tell("step by step", 1, total)
@@ -246,7 +245,7 @@ def audits(
     kept: list[dict[str, tuple[Variation, Varied]]] = [{} for _ in champions]
     for done, (key, other) in enumerate(others.items(), 2):
         tell(other.name, done, total)
-        live = variations.compile_variation(experiment, other)
+        live = conditions.compile_variation(experiment, other)
         for champion, found in zip(champions, kept, strict=True):
             found[key] = other, live(champion)
     tell("in MuJoCo", total - 1, total)
@@ -321,11 +320,11 @@ def compile_first_look(
         measures the displacement with fresh noise.
     """
     own = experiment.simulation
-    simulations = [variations.finer(own, 2)]
+    simulations = [conditions.finer(own, 2)]
     if not own.noise.silent:
         simulations.insert(0, own)
     places = [Variation("", (simulation,), draws_of(own)) for simulation in simulations]
-    programs = [variations.compile_variation(experiment, place) for place in places]
+    programs = [conditions.compile_variation(experiment, place) for place in places]
     shortest = LEAST_DISPLACEMENT * length_of(experiment.creature)
 
     def look(champion: Champion, own_displacement: float | None) -> Check:
@@ -348,16 +347,16 @@ def compile_first_look(
 def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[AuditedTrial, ...]]:
     """Return a function that replays all trials of a champion, step by step."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
+    live = compile_trials(simulation, population_mesh(1), observers=EachPhysicsStep())
 
     def of(champion: Champion) -> tuple[AuditedTrial, ...]:
-        keys = champion_keys(experiment, champion)
-        genes = jnp.asarray(champion.genes, jnp.float32)[:, None]
+        keys = jax.device_get(champion_keys(experiment, champion))
+        genes = np.asarray(champion.genes, np.float32)[:, None]
         trials = []
         for i in range(experiment.trials):
             own = None if keys is None else keys[:, i : i + 1]
             number = None if numbers is None else numbers[i : i + 1]
-            steps = jax.device_get(live(genes, own, number))
+            steps = live(genes, own, number)
             place = 0 if numbers is None else i
             trials.append(
                 AuditedTrial(
@@ -389,25 +388,25 @@ def _variations(
     found = {
         CHANCE: drawn("new draws of the noise", simulation)
         if draws > 1
-        else Variation("other poses", (variations.shaken(simulation, _SHAKE),), _DRAWS),
-        "half_step": drawn("half the step", variations.finer(simulation, 2)),
-        "quarter_step": drawn("a quarter of the step", variations.finer(simulation, 4)),
-        "limp_way": drawn("limp motors", variations.limp(simulation)),
+        else Variation("other poses", (conditions.shaken(simulation, _SHAKE),), _DRAWS),
+        "half_step": drawn("half the step", conditions.finer(simulation, 2)),
+        "quarter_step": drawn("a quarter of the step", conditions.finer(simulation, 4)),
+        "limp_way": drawn("limp motors", conditions.limp(simulation)),
         "precision": Variation("float64", (simulation,), double=True),
     }
     more_and_less = (1 + _CHANGE, 1 - _CHANGE)
     if simulation.world.contact_model is not None:
-        sims = [variations.with_friction(simulation, x) for x in more_and_less]
+        sims = [conditions.with_friction(simulation, x) for x in more_and_less]
         found["friction"] = drawn("friction 10 % up and down", *sims)
     if simulation.world.water is not None:
-        sims = [variations.with_drag(simulation, x) for x in more_and_less]
+        sims = [conditions.with_drag(simulation, x) for x in more_and_less]
         found["drag"] = drawn("drag 10 % up and down", *sims)
         found["surface_points"] = drawn(
             "other surface points",
             build_experiment(other_points(config), source, folders).simulation,
         )
     if described(simulation.engine)["engine"] == "native":
-        plain = variations.on_engine(simulation, Engine("jax"))
+        plain = dataclasses.replace(simulation, engine=Engine("jax"))
         found["other_engine"] = Variation("plain JAX", (plain,))
     if simulation.lights[0] is not None and simulation.sensors.eye_bodies:
         found["blind"] = drawn("blind", blinded(simulation))

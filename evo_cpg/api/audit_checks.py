@@ -15,10 +15,10 @@ from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
 from evo_cpg.io.schema.audit import Limits
 from evo_cpg.physics.contact.pairs import make_pairs
-from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.conditions import Variation, Varied
 from evo_cpg.training.experiment import ExperimentParts, situation_numbers
-from evo_cpg.training.variations import Variation, Varied
 
 # Largest number of unchecked body pairs that are listed by name.
 _NAMED = 5

@@ -12,7 +12,8 @@ from evo_cpg.io.numbers import number_at
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import ExperimentParts, compile_trials
+from evo_cpg.training.evaluate import compile_trials
+from evo_cpg.training.experiment import ExperimentParts
 
 Numbers = Mapping[str, ArrayLike | Sequence[float]]
 

@@ -29,19 +29,19 @@ from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.load import as_overrides, complete_config, load_config
 from evo_cpg.io.numbers import number_at, with_numbers
-from evo_cpg.io.opened import class_folders
 from evo_cpg.io.own_checks import described, is_real, require_separate
 from evo_cpg.io.parameters import parametrise
+from evo_cpg.io.run import class_folders
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.judge import Outcome, no_terms
 from evo_cpg.simulation.recording import Recorder, as_recording
-from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.task import Task
 from evo_cpg.training import devices
 from evo_cpg.training import experiment as training
 from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.run_folder import RunFolder
 
 Terms = Mapping[str, Float[Array, " *n"]]
@@ -356,7 +356,7 @@ class Experiment:
 
     @functools.cached_property
     def _run_trials(self) -> Callable[..., Outcome]:
-        return training.compile_trials(self.parts.simulation, population_mesh())
+        return compile_trials(self.parts.simulation, population_mesh())
 
     @functools.cached_property
     def _bodies(self) -> VariedBodies:
@@ -372,7 +372,7 @@ class Experiment:
     @functools.cached_property
     def _record(self) -> Callable:
         recorder = Recorder(full=True)
-        return jax.jit(functools.partial(rollout, self.parts.simulation, observers=recorder))
+        return compile_trials(self.parts.simulation, population_mesh(1), observers=recorder)
 
     def _genes(self, genomes: ArrayLike) -> np.ndarray:
         """Check genomes and return them transposed, ``(genes, n)``, in float32."""

@@ -9,9 +9,9 @@ from evo_cpg.analysis.gait_numbers import gait_numbers
 from evo_cpg.api.progress import working
 from evo_cpg.api.runs import REPLAY_TOLERANCE, motion_of, open_champion
 from evo_cpg.errors import UsageError, advise
-from evo_cpg.io.opened import OpenedChampion, Replay
+from evo_cpg.io.run import Replay, Run
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
+from evo_cpg.training.crowd import compile_crowd_motion, populations_at
 from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.frames import Film
@@ -46,7 +46,7 @@ def champion_panel(
     return panel_of(experiment, recording, title, strip, terms_text(opened.champion.terms))
 
 
-def crowd_panel(opened: OpenedChampion, generation: int, trial: int, film: Film) -> Panel:
+def crowd_panel(opened: Run, generation: int, trial: int, film: Film) -> Panel:
     """Return a panel with all animals of a generation: the leader, and the others as ghosts.
 
     Raises:
@@ -105,7 +105,7 @@ def lineage_panels(
     return panels
 
 
-def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champion]:
+def _chosen(opened: Run, generations: list[int] | None) -> list[Champion]:
     """Return champions of a run in the order of generations, each once."""
     folder, champion, run = opened.folder, opened.champion, opened.champion.run
     lineage = [each for each in folder.load_lineage() if each.run == run]
@@ -137,7 +137,7 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
     return found
 
 
-def _signals(opened: OpenedChampion, replay: Replay) -> Signals:
+def _signals(opened: Run, replay: Replay) -> Signals:
     """Return the controller signals of an individual, and the contacts of its feet."""
     experiment, simulation = opened.experiment, opened.experiment.simulation
     word, _, unit = simulation.controller.signal_label.partition(" (")

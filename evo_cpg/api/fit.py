@@ -19,8 +19,8 @@ from evo_cpg.errors import UserError, nearest
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.load import load_config
 from evo_cpg.io.numbers import number_at, with_numbers
-from evo_cpg.io.opened import open_run
 from evo_cpg.io.parameters import Parameters, parametrise
+from evo_cpg.io.run import open_run
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
@@ -173,7 +173,7 @@ def fit(
         use_cores()
         names, begin, fixed, whole = _values(source, keys, settings)
         inner = tuple(name for name in names if not name.startswith(INITIAL))
-        genes = None if run is None else np.asarray(open_run(run).load_champion().champion.genes)
+        genes = None if run is None else np.asarray(open_run(run).with_champion().champion.genes)
         if run is None and any(name.startswith("controller.") for name in inner):
             raise UserError(f"the recorded commands move the joints of {path}. Add --run RUN")
         if run is not None and recording.commands:

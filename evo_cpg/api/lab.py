@@ -14,6 +14,7 @@ from evo_cpg.api.progress import working
 from evo_cpg.api.runs import open_champion
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.io.load import load_config
+from evo_cpg.io.run import class_folders
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
 from evo_cpg.training import devices
@@ -65,7 +66,7 @@ def _subject(animal: Path, number: int | None) -> Subject:
     opened = open_champion(animal, number, cores=devices.available_cores())
     opened.require_configured()
     source, genes = opened.folder.config, opened.champion.genes
-    return Subject(opened.config, source, opened.class_folders, genes)
+    return Subject(opened.config, source, class_folders(opened.folder), genes)
 
 
 def varied_knobs(answer: Answer) -> list[str]:

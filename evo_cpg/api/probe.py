@@ -11,12 +11,12 @@ from evo_cpg.api.progress import working
 from evo_cpg.api.runs import open_champion, suffix
 from evo_cpg.errors import UsageError
 from evo_cpg.files import make_folder, write_table
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run
 from evo_cpg.io.situations import out_of_reach
 from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.training import probe as trials
-from evo_cpg.training.probe import UNSEEING, Probe, around, blinded, seen_from_start
+from evo_cpg.training import conditions as trials
+from evo_cpg.training.conditions import UNSEEING, Probe, around, blinded, seen_from_start
 
 BEARINGS = tuple(np.linspace(-75, 75, 11).tolist())
 """Default bearings of the light, degrees."""
@@ -182,7 +182,7 @@ def probe(
     return Probed(opened.experiment.name, found, seeing, reach, eyes, number)
 
 
-def _require_reachable(opened: Opened, situations: tuple[Situation, ...]) -> None:
+def _require_reachable(opened: Run, situations: tuple[Situation, ...]) -> None:
     """Check that every light can be reached.
 
     Raises:

@@ -15,8 +15,8 @@ from evo_cpg.errors import UsageError, advise
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.load import dump_config
-from evo_cpg.io.opened import fingerprint
 from evo_cpg.io.parameters import Parameters, parametrise
+from evo_cpg.io.run import class_folders, fingerprint
 from evo_cpg.io.trust import trusting
 from evo_cpg.training.ascent import Free
 from evo_cpg.training.experiment import ExperimentParts
@@ -80,7 +80,7 @@ def refine(
     with trusting(trust), folder.locked():
         opened = open_and_build(run, cores)
         opened.require_configured()
-        config, experiment, beside = opened.config, opened.experiment, opened.class_folders
+        config, experiment, beside = opened.config, opened.experiment, class_folders(opened.folder)
         champion, motion, _ = folder.load_champion()
         if number is not None and number != champion.run:
             champion, motion = champion_of(folder, number), None
@@ -134,7 +134,7 @@ def refine(
         if gained:
             best, _, _ = folder.load_champion()
             opened = open_and_build(run, cores)
-            folder.save_champion(best, replayed(opened, best)[2])
+            folder.save_champion(best, replayed(opened, best).recording)
             note = {"finished": now(), "command": sys.argv[1:], "from": last.initial_fitness}
             note["to"] = last.champion.fitness
             before = refinements(folder.read_meta())

@@ -14,7 +14,7 @@ from evo_cpg.api.machine import machine_changes, machine_fingerprint
 from evo_cpg.errors import UsageError
 from evo_cpg.io.build import require_genes
 from evo_cpg.io.load import dump_config
-from evo_cpg.io.opened import Opened, changes, changes_of_fitness, fingerprint, open_run
+from evo_cpg.io.run import Run, changes, changes_of_fitness, fingerprint, open_run
 from evo_cpg.io.shipped import shipped_name
 from evo_cpg.simulation.task import term_names
 from evo_cpg.system import resolved
@@ -47,7 +47,7 @@ class Start(NamedTuple):
     provenance: dict[str, Any]
 
 
-def begin_run(run: Opened, devices: int, source: Path, start: Start | None = None) -> None:
+def begin_run(run: Run, devices: int, source: Path, start: Start | None = None) -> None:
     """Make a run folder, with its configuration and meta.json.
 
     Raises:
@@ -64,7 +64,7 @@ def begin_run(run: Opened, devices: int, source: Path, start: Start | None = Non
     run.folder.create(dump_config(run.config), meta, None if start is None else start.genes)
 
 
-def _known(run: Opened, devices: int, source: Path) -> dict[str, Any]:
+def _known(run: Run, devices: int, source: Path) -> dict[str, Any]:
     """Return the contents of meta.json for a run that begins."""
     meta: dict[str, Any] = {
         "name": run.config.name,
@@ -80,7 +80,7 @@ def _known(run: Opened, devices: int, source: Path) -> dict[str, Any]:
     return meta
 
 
-def reopen_run(run: Opened, devices: int, source: Path | None = None) -> list[str]:
+def reopen_run(run: Run, devices: int, source: Path | None = None) -> list[str]:
     """Record the configuration and machine that a run continues with.
 
     Args:
@@ -127,7 +127,7 @@ def reopen_run(run: Opened, devices: int, source: Path | None = None) -> list[st
     return [f"{folder.path}: {difference}" for difference in found]
 
 
-def require_alike(run: Opened) -> Checkpoint | None:
+def require_alike(run: Run) -> Checkpoint | None:
     """Check that a run fits its configuration, and return the newest checkpoint, if any.
 
     Raises:
@@ -170,7 +170,7 @@ def require_alike(run: Opened) -> Checkpoint | None:
     return done
 
 
-def is_complete(run: Opened, done: Checkpoint | None) -> bool:
+def is_complete(run: Run, done: Checkpoint | None) -> bool:
     """Return whether a run is finished, and none of its files was lost or changed since."""
     if done is None or not is_finished(run.experiment, done):
         return False

@@ -14,12 +14,13 @@ from evo_cpg.errors import UsageError, advise
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.lint import lint
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened, OpenedChampion, open_run
+from evo_cpg.io.run import Run, open_run
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training import devices
 from evo_cpg.training.checkpoint import Champion, genes_digest, outcome_digest
+from evo_cpg.training.evaluate import Replay
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder
 
@@ -59,7 +60,7 @@ def build(config: ExperimentConfig, source: Path, folders: Iterable[Path] = ()) 
         return build_experiment(config, source, folders)
 
 
-def open_and_build(run: Path | str, cores: int | None = None) -> Opened:
+def open_and_build(run: Path | str, cores: int | None = None) -> Run:
     """Open a run and build its experiment, on as many cores as trained the run by default.
 
     Raises:
@@ -77,7 +78,7 @@ def open_champion(
     trial: int = 0,
     cell: str | None = None,
     cores: int | None = None,
-) -> OpenedChampion:
+) -> Run:
     """Open a run with a champion or elite.
 
     Args:
@@ -92,11 +93,11 @@ def open_champion(
         UsageError: the run has no such trial, champion or cell.
     """
     opened = open_and_build(run, cores)
-    found = opened.load_champion()
+    found = opened.with_champion()
     own = found.champion.run if number is None else number
     if cell is not None:
         # This import takes a second, because it imports JAX.
-        from evo_cpg.training.elites import elite
+        from evo_cpg.io.run import elite
 
         try:
             place = tuple(int(part) for part in cell.split(","))
@@ -132,22 +133,18 @@ def champion_of(folder: RunFolder, number: int) -> Champion:
     return champion
 
 
-def replayed(
-    opened: Opened, champion: Champion, trial: int = 0
-) -> tuple[float, dict[str, float], Recording]:
-    """Replay a champion and return its fitness, terms and motion."""
-    # This import takes a second, because it imports JAX.
-    from evo_cpg.training.replay import replay_champion
-
+def replayed(opened: Run, champion: Champion, trial: int = 0) -> Replay:
+    """Replay a champion."""
     with working("replaying the champion"):
-        return replay_champion(opened.experiment, champion, opened.devices, trial)
+        (found,) = opened.replay([champion], trial)
+    return found
 
 
-def motion_of(opened: OpenedChampion, trial: int = 0) -> Recording:
+def motion_of(opened: Run, trial: int = 0) -> Recording:
     """Return the motion of a champion's trial, which is replayed if the folder lacks it."""
     # The folder keeps only the motion of the first trial.
     if opened.recording is None or trial > 0:
-        return replayed(opened, opened.champion, trial)[2]
+        return replayed(opened, opened.champion, trial).recording
     return opened.recording
 
 
@@ -232,9 +229,9 @@ def verify(run: Path | str, cores: int | None = None, trust: bool = False) -> Ve
     misfit = experiment.simulation.genome.misfit(champion.genes)
     if misfit:
         return Verification(champion.fitness, [*differences, misfit], [], False)
-    fitness, terms, _ = replayed(opened, champion)
+    replay = replayed(opened, champion)
     recorded = {"fitness": champion.fitness, **champion.terms}
-    found = {"fitness": fitness, **terms}
+    found = {"fitness": replay.fitness, **replay.terms}
     for name, value in recorded.items():
         now = found.get(name)
         if now is None:

@@ -21,8 +21,8 @@ from evo_cpg.api.runs import open_champion, suffix
 from evo_cpg.errors import UsageError
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.io.errors import ConfigError
-from evo_cpg.io.opened import OpenedChampion
 from evo_cpg.io.parameters import Parameters, all_parameters, parametrise
+from evo_cpg.io.run import Run, class_folders
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.trust import trusting
 from evo_cpg.training.checkpoint import Champion
@@ -123,7 +123,7 @@ def sensitivity(
                 f"{GENES}: bits are 0 or 1 and cannot change by 1 %. Allowed: keys of numbers, or "
                 "controller.graded: true"
             )
-        source, beside = opened.folder.config, opened.class_folders
+        source, beside = opened.folder.config, class_folders(opened.folder)
         chosen = tuple(key for key in keys if key != GENES)
         if not keys:
             with working("finding the numbers that can change"):
@@ -143,7 +143,7 @@ def sensitivity(
     )
 
 
-def _first_trial(opened: OpenedChampion, seconds: float | None) -> ExperimentConfig:
+def _first_trial(opened: Run, seconds: float | None) -> ExperimentConfig:
     """Return the configuration with the first trial alone, and of another duration if given."""
     config, simulation = opened.config, opened.experiment.simulation
     rate, steps = simulation.control_rate, simulation.steps

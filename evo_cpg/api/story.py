@@ -14,13 +14,13 @@ from jaxtyping import Float
 from evo_cpg.api.progress import working
 from evo_cpg.api.runs import motion_of, open_champion, suffix
 from evo_cpg.errors import advise
-from evo_cpg.evolution.random_search import RandomSearch
+from evo_cpg.evolution.strategy import RandomSearch
 from evo_cpg.files import make_folder
-from evo_cpg.io.opened import OpenedChampion
+from evo_cpg.io.run import Run
 from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at
+from evo_cpg.training.crowd import CrowdMotion, compile_crowd_motion, populations_at
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -130,7 +130,7 @@ def story(
         return story_film(takes, words, output, size, processes=processes, progress=work.reached)
 
 
-def _cast_of(opened: OpenedChampion, recording: Recording, trial: int) -> Cast:
+def _cast_of(opened: Run, recording: Recording, trial: int) -> Cast:
     """Return the champion of a run, and the populations that can be made anew."""
     creature, task = opened.experiment.creature, opened.experiment.simulation.task
     panel = panel_of(opened.experiment, recording, creature.name)._replace(numbers=False)
@@ -234,7 +234,7 @@ def generations_of(done: int, champion: int) -> list[int]:
 
 
 def _crowds(
-    opened: OpenedChampion, trial: int, chosen: list[int], seconds: float
+    opened: Run, trial: int, chosen: list[int], seconds: float
 ) -> list[tuple[int, CrowdMotion]]:
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
@@ -269,7 +269,7 @@ def _crowds(
 
 
 def _racers(
-    opened: OpenedChampion, recording: Recording, trial: int, end: float, least: float
+    opened: Run, recording: Recording, trial: int, end: float, least: float
 ) -> list[tuple[int, Recording]]:
     """Return generations and motion of at most three earlier champions, for a race.
 
@@ -294,7 +294,7 @@ def _racers(
     return [(found[i].generation, motions[i]) for i in chosen]
 
 
-def _earlier_champions(opened: OpenedChampion) -> list[Champion]:
+def _earlier_champions(opened: Run) -> list[Champion]:
     """Return the champions of the run that came before its final one, the first one first."""
     final = opened.champion
     try:
@@ -345,7 +345,7 @@ def _speed(recording: Recording, root: int, length: float) -> float:
     return float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
 
 
-def _aim(opened: OpenedChampion, recording: Recording, course: Course) -> str:
+def _aim(opened: Run, recording: Recording, course: Course) -> str:
     """Return the animal's task in words, or nothing for a task of the user's own."""
     if np.isfinite(recording.goal).all():
         return "Its task: reach the light."

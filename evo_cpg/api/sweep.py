@@ -8,7 +8,7 @@
     sweep.png        fitness over generations, and final fitness
 
 Settings with equal trials run together in one program, with any searches
-(`evo_cpg.training.loop`). Others run in turn, each with its own program. The numbers of a body
+(`evo_cpg.training.train`). Others run in turn, each with its own program. The numbers of a body
 are constants of the program, so that evaluations are fast and replays exact to the bit.
 """
 
@@ -35,7 +35,7 @@ from evo_cpg.io.build import build_experiment, require_genes
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.keys import parts_of, replaces
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened, fingerprint
+from evo_cpg.io.run import Run, fingerprint
 from evo_cpg.io.settings import Setting, combine, is_folder_name
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
@@ -53,7 +53,7 @@ _SEARCH = ("name", "seed", "runs", "evolution", "audit")
 
 
 @dataclasses.dataclass(frozen=True)
-class Member(Opened):
+class Member(Run):
     """Setting of a sweep, with its run folder and experiment.
 
     Attributes:
@@ -305,7 +305,7 @@ def run_group(
         LockedError: another process evolves one of the settings.
         OutputError: a folder cannot be written.
     """
-    from evo_cpg.training.loop import train_together
+    from evo_cpg.training.train import train_together
 
     count = jax.local_device_count()
     with contextlib.ExitStack() as stack:

@@ -29,9 +29,10 @@ from evo_cpg.api.run_start import (
 from evo_cpg.api.runs import open_and_build
 from evo_cpg.errors import advise
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run
 from evo_cpg.io.trust import trusting
-from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement
+from evo_cpg.simulation.measures import DISPLACEMENT
+from evo_cpg.simulation.simulation import with_displacement
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -125,7 +126,7 @@ def train(
         if isinstance(start, str | Path):
             with working("reading the earlier run"):
                 given = warm_start(parts, Path(start), what)
-        run = Opened(folder, experiment.config, parts)
+        run = Run(folder, experiment.config, parts)
         begin_run(run, jax.local_device_count(), experiment.source, given)
         if experiment.replaced:
             folder.update_meta(replaced=list(experiment.replaced))
@@ -161,7 +162,7 @@ def resume(
         if generations is not None:
             config = load_config(folder.config, [f"evolution.generations={generations}"])
             experiment = opened.experiment._replace(generations=generations)
-            opened = Opened(folder, config, experiment)
+            opened = Run(folder, config, experiment)
         done = require_alike(opened)
         if is_complete(opened, done):
             champion, _, _ = folder.load_champion()
@@ -171,7 +172,7 @@ def resume(
         return evolve_run(opened, on_generation)
 
 
-def evolve_run(run: Opened, on_generation: Callable[[Rows], object]) -> Trained:
+def evolve_run(run: Run, on_generation: Callable[[Rows], object]) -> Trained:
     """Evolve from the folder's newest checkpoint, and record the champion.
 
     Raises:
@@ -180,7 +181,7 @@ def evolve_run(run: Opened, on_generation: Callable[[Rows], object]) -> Trained:
     folder, experiment = run.folder, run.experiment
     with working("starting JAX"):
         # Importing the loop takes a second.
-        from evo_cpg.training.loop import train as train_generations
+        from evo_cpg.training.train import train as train_generations
 
     done, silent = folder.load(), experiment.simulation.noise.silent
     size, start = experiment.strategy.population, done.generation if done else 0
@@ -276,7 +277,7 @@ class ChampionRecorder:
 
     def compile(self) -> None:
         """Start to compile the programs, one after the other."""
-        from evo_cpg.training.replay import compile_replay
+        from evo_cpg.training.evaluate import compile_replay
 
         devices = self._folder.read_meta()["devices"]
         recorded = self._experiment
@@ -313,9 +314,13 @@ class ChampionRecorder:
         if self._program is None:
             self.compile()
         assert self._program is not None
-        _, terms, motion = self._program.result()(champion)
-        self._folder.save_champion(champion, motion)
-        return float(np.nan_to_num(terms[DISPLACEMENT])) if self._measures_displacement else None
+        replay = self._program.result()(champion)
+        self._folder.save_champion(champion, replay.recording)
+        return (
+            float(np.nan_to_num(replay.terms[DISPLACEMENT]))
+            if self._measures_displacement
+            else None
+        )
 
     def look(self, champion: Champion, displacement: float | None) -> None:
         """Check a recorded champion at half the step."""

@@ -215,7 +215,7 @@ def _show_summary(made: Sequence["evo.Audit"]) -> None:
 def show_verdict(run: Path, made: Sequence["evo.Audit"], subject: str) -> None:
     """Print the verdict, and exit with `ExitCode.NOT_PASSED` if an audit fails."""
     from evo_cpg.analysis.verdict import shown
-    from evo_cpg.training.probe import UNSEEING
+    from evo_cpg.training.conditions import UNSEEING
 
     for done in made:
         lines = list(done.verdict.reasons)

@@ -219,7 +219,7 @@ def plot(
     from evo_cpg.analysis.chains import axis_signs, joint_rows
     from evo_cpg.api.runs import motion_of, open_champion, suffix, writing
     from evo_cpg.files import make_folder
-    from evo_cpg.training.elites import gait_map
+    from evo_cpg.io.run import gait_map
     from evo_cpg.view.figure import save_figure
     from evo_cpg.view.plots import fitness_figure, joint_signals_figure, path_figure
     from evo_cpg.view.search_plots import map_figure

@@ -35,10 +35,8 @@ from evo_cpg.physics.water.buoyancy import make_cells
 from evo_cpg.physics.water.force_law import ForceLaw
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.rules import Rules
-from evo_cpg.simulation.sensor import Sensor
-from evo_cpg.simulation.sensors import place_sensors
-from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.sensors import Sensor, place_sensors
+from evo_cpg.simulation.simulation import Rules, Simulation
 from evo_cpg.simulation.task import Task, term_names
 from evo_cpg.system import resolved, with_working_folder
 from evo_cpg.training.experiment import ExperimentParts

@@ -159,11 +159,11 @@ class Workshop:
 
     def recordings(self, name: str) -> Iterator[tuple[Champion, Recording]]:
         """Replay the champions, and yield each with its recording."""
-        from evo_cpg.training.replay import compile_replay
+        from evo_cpg.training.evaluate import compile_replay
 
         live = compile_replay(self.experiment(name), self.devices)
         for champion in self.champions(name):
-            yield champion, live(champion)[2]
+            yield champion, live(champion).recording
 
     def picture(self, name: str = "") -> Path:
         """Return the path of a picture of the current part, and note it for the provenance."""

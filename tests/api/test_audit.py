@@ -36,14 +36,14 @@ from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.water.water import Current, Water
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.physics_steps import EachPhysicsStep
+from evo_cpg.simulation.observers import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Snapshot
-from evo_cpg.simulation.walk import Distance
+from evo_cpg.simulation.tasks import Distance
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.variations import (
+from evo_cpg.training.conditions import (
     Variation,
     Varied,
     compile_variation,

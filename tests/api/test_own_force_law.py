@@ -25,7 +25,7 @@ from evo_cpg.physics.step.statics import FrictionState, static_forces
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.physics.water.fluid import Drag
-from evo_cpg.simulation.physics_steps import EachPhysicsStep
+from evo_cpg.simulation.observers import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 
 __all__ = ["here"]

@@ -13,9 +13,9 @@ from evo_cpg.api import audit
 from evo_cpg.api.audit import Audit
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.training.elites import gait_map
+from evo_cpg.io.run import gait_map
+from evo_cpg.training.conditions import Variation, compile_variation
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.variations import Variation, compile_variation
 from evo_cpg.view import answer_plots, figure, film
 from evo_cpg.view.legible import terms_text
 from tiny_run import CONFIG, PAIR

@@ -12,8 +12,8 @@ import pytest
 import evo_cpg as evo
 from evo_cpg.api.story import generations_of
 from evo_cpg.errors import Advice
-from evo_cpg.io.opened import open_run
-from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
+from evo_cpg.io.run import open_run
+from evo_cpg.training.crowd import compile_crowd_motion, populations_at
 from evo_cpg.training.run_folder import RunFolderError
 from tiny_run import CONFIG, PAIR
 

@@ -15,9 +15,9 @@ from evo_cpg.cli.evolve import sweep as run_sweep
 from evo_cpg.errors import UsageError
 from evo_cpg.io.load import as_overrides
 from evo_cpg.io.settings import combine
-from evo_cpg.training import devices, loop
-from evo_cpg.training.loop import TIMING_COLUMNS
+from evo_cpg.training import devices, train
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.train import TIMING_COLUMNS
 from evo_cpg.view import search_plots
 from pictures import ink
 from tiny_run import CONFIG, PAIR
@@ -146,7 +146,7 @@ def test_a_continued_sweep_equals_an_uninterrupted_one(tmp_path, monkeypatch):
     class Stop(BaseException):
         pass
 
-    class Stopping(loop.Running):
+    class Stopping(train.Running):
         def tell(self, part, began):
             if len(counted) == 3:
                 raise Stop
@@ -154,7 +154,7 @@ def test_a_continued_sweep_equals_an_uninterrupted_one(tmp_path, monkeypatch):
             return super().tell(part, began)
 
     with monkeypatch.context() as patch, pytest.raises(Stop):
-        patch.setattr(loop, "Running", Stopping)
+        patch.setattr(train, "Running", Stopping)
         sweep(tmp_path / "stopped")
     stopped = [
         RunFolder(tmp_path / "stopped" / name).load().generation

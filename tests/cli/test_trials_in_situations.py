@@ -59,7 +59,7 @@ def test_each_camera_has_its_own_file(situated_run, cli):
 
 
 def test_only_trials_after_the_first_are_replayed(situated_run, tmp_path, monkeypatch):
-    champion, kept, _ = RunFolder(situated_run).load_champion()
+    champion, kept, _ = RunFolder(situated_run).with_champion()
     assert kept is not None
     assert kept.goal == pytest.approx((4, -8 * np.sin(np.pi / 3), 0))
     replayed = []

@@ -15,7 +15,7 @@ from tiny_run import CONFIG, REPOSITORY, TINY
 TASKS = """
 import jax.numpy as jnp
 from evo_cpg.control.controller import Command, Controller
-from evo_cpg.simulation.sensor import Sensor
+from evo_cpg.simulation.sensors import Sensor
 from evo_cpg.simulation.task import Task
 
 class NotATask: ...

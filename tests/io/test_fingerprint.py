@@ -3,7 +3,7 @@
 import pytest
 
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import changes, changes_of_fitness, fingerprint
+from evo_cpg.io.run import changes, changes_of_fitness, fingerprint
 from tiny_run import CONFIG
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evo_cpg.creature.creature import NO_LIMIT, neutral_pose
-from evo_cpg.evolution.bits import BitGenetics
+from evo_cpg.evolution.genetics import BitGenetics
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import ConfigError, nearest
 from evo_cpg.io.load import check_config, dump_config, load_config
@@ -18,8 +18,7 @@ from evo_cpg.physics.water.added_mass import AddedMass
 from evo_cpg.physics.water.fluid import Drag
 from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
 from evo_cpg.physics.water.viscous_drag import ViscousDrag
-from evo_cpg.simulation.reach_light import ReachLight
-from evo_cpg.simulation.walk import Distance, Walk
+from evo_cpg.simulation.tasks import Distance, ReachLight, Walk
 from tiny_run import CONFIG, REPOSITORY
 from wrong_values import SMALL, built, small
 

@@ -31,7 +31,7 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.simulation.walk import Distance
+from evo_cpg.simulation.tasks import Distance
 from trials import SineController
 
 H = 1 / 240

@@ -17,10 +17,6 @@ from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.measures import (
     GROUND_MEASURES,
     MEASURES,
-    Amplitude,
-    Frequency,
-    Strides,
-    Swing,
     Trial,
 )
 from evo_cpg.simulation.recording import Recorder
@@ -73,8 +69,9 @@ def test_frequency_and_amplitude_leave_out_slides():
     assert tree.dof_kinds == (Slide(), Turn())
     trial = Trial(World(tree, 9.81), 2.0)
     changes, angle, square = (np.array(x) for x in ([0.0, 16.0], [50.0, 0.0], [900.0, 0.5]))
-    assert float(Frequency().finish(Strides(changes, changes), trial)) == 4.0
-    assert float(Amplitude().finish(Swing(angle, square), trial)) == pytest.approx(0.5)
+    assert float(MEASURES["frequency"].of({"strides": (changes, changes)}, trial)) == 4.0
+    swing = {"angle": angle, "square": square}
+    assert float(MEASURES["amplitude"].of(swing, trial)) == pytest.approx(0.5)
 
 
 def test_measures_equal_numbers_from_a_recording(evaluated):

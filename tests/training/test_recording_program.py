@@ -10,7 +10,7 @@ import pytest
 from evo_cpg.api.training import ChampionRecorder, evolve_run
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run
 from evo_cpg.training import loop, replay
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, TINY
@@ -43,14 +43,14 @@ def folder_of(path, overrides):
 def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered):
     settings = (*TINY, "seed=76", "audit.after_training=false")
     experiment, folder = folder_of(tmp_path / "run", settings)
-    run = Opened(folder, load_config(CONFIG, settings), experiment)
+    run = Run(folder, load_config(CONFIG, settings), experiment)
     evolve_run(run, lambda rows: None)
     threads = {name: thread for name, thread in lowered if "replay" in name}
     assert threads and all(thread.startswith("recording") for thread in threads.values()), lowered
     mine = [name for name, thread in lowered if thread == threading.main_thread().name]
     assert any("rollout" in name for name in mine)
     assert not any("replay" in name or "judge" in name for name in mine), mine
-    champion, motion, _ = folder.load_champion()
+    champion, motion, _ = folder.with_champion()
     assert motion is not None and len(motion.time) == experiment.simulation.steps
     again = replay.replay_champion(experiment, champion, 2)
     assert again[0] == champion.fitness and again[1] == champion.terms

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from evo_cpg.analysis.feet import Feet, Phases
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Boulder, Plane
-from evo_cpg.training.crowd_motion import CrowdMotion
+from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.clip import sample
 from evo_cpg.view.figure import BLUES
 from evo_cpg.view.plots import path_figure

@@ -9,7 +9,7 @@ import synthetic
 from evo_cpg.api.story import Cast, apart, story_of
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane, Relief
-from evo_cpg.training.crowd_motion import CrowdMotion
+from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import CameraPath, between, overview, project
 from evo_cpg.view.clip import Clip, sample
 from evo_cpg.view.ghosts import coarse

@@ -8,12 +8,9 @@ from typing import Annotated, Literal
 from pydantic import Field, Tag, model_validator
 from typing_extensions import override
 
-from evo_cpg.evolution.archive import Axis
-from evo_cpg.evolution.bits import BitGenetics
-from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.genetics import BitGenetics, RealGenetics
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
-from evo_cpg.evolution.random_search import RandomSearch
-from evo_cpg.evolution.strategy import Strategy
+from evo_cpg.evolution.strategy import Axis, RandomSearch, Strategy
 from evo_cpg.io.errors import KeyProblem, nearest
 from evo_cpg.io.schema.section import (
     Count,
@@ -26,7 +23,7 @@ from evo_cpg.io.schema.section import (
     Section,
     by_type,
 )
-from evo_cpg.simulation.genome import Genome
+from evo_cpg.simulation.simulation import Genome
 from evo_cpg.system import command_for
 from evo_cpg.training.experiment import Learning
 
@@ -328,10 +325,10 @@ class EvosaxConfig(MapSection):
 
     def build(self, genome: Genome, population: int) -> Strategy:
         """Build the search (see `MapSection.build`)."""
-        from evo_cpg.evolution import from_evosax
+        from evo_cpg.evolution.evosax import Evosax, algorithms
 
         try:
-            known = from_evosax.algorithms()
+            known = algorithms()
         except ImportError as error:
             problem = f"'evosax' is not installed here ({error})"
             command = command_for("evosax")
@@ -341,7 +338,7 @@ class EvosaxConfig(MapSection):
             raise KeyProblem(("algorithm",), problem)
         try:
             return self.into(
-                from_evosax.Evosax,
+                Evosax,
                 gene_count=genome.count,
                 binary=genome.binary,
                 gene_bound=genome.bound(self.gene_bound),

@@ -21,9 +21,8 @@ from evo_cpg.io.schema.section import (
     by_type,
 )
 from evo_cpg.physics.step.world import World
-from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.task import Task
-from evo_cpg.simulation.walk import Distance, Heading, Walk
+from evo_cpg.simulation.tasks import Distance, Heading, ReachLight, Walk
 
 
 class LightConfig(OpenSection):

@@ -15,14 +15,13 @@ import numpy as np
 from evo_cpg.errors import UserError
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened, class_folders
+from evo_cpg.io.run import Run, class_folders
 from evo_cpg.native.machine_constants import LANES
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.devices import use_cores
+from evo_cpg.training.evaluate import Replay, compile_population_replay, compile_replay
 from evo_cpg.training.experiment import ExperimentParts
-from evo_cpg.training.population_replay import PopulationReplay, compile_population_replay
-from evo_cpg.training.replay import compile_replay
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.run_page.html import number
 from evo_cpg.view.run_page.viewer_data import motion_data, viewer_data
@@ -110,21 +109,19 @@ class Replays:
 
     def champion(self, champion: Champion) -> Recording:
         """Return the motion of a champion in its first trial."""
-        return self._champion(champion)[2]
+        return self._champion(champion).recording
 
-    def population(
-        self, checkpoint: Checkpoint, run: int, places: Sequence[int]
-    ) -> PopulationReplay:
+    def population(self, checkpoint: Checkpoint, run: int, places: Sequence[int]) -> list[Replay]:
         """Run individuals of the next generation (see `compile_population_replay`)."""
         return self._population(checkpoint, run, places)
 
     @functools.cached_property
-    def _champion(self) -> Callable[[Champion], tuple]:
+    def _champion(self) -> Callable[[Champion], Replay]:
         # The trainer compiles the same program, and keeps it on disk.
         return compile_replay(self.experiment, self._devices)
 
     @functools.cached_property
-    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], PopulationReplay]:
+    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], list[Replay]]:
         return compile_population_replay(self.experiment)
 
 
@@ -220,7 +217,7 @@ class Replaying:
         if self._replays is None or settings != self._settings:
             self._forget()
             self._replays = Replays(self._folder)
-            Opened(self._folder, config, self._replays.experiment).require_configured()
+            Run(self._folder, config, self._replays.experiment).require_configured()
             self._settings = settings
         return self._replays
 
@@ -256,11 +253,11 @@ class Replaying:
         tiles = [
             {
                 "place": place,
-                "value": float(fitness),
-                "fitness": number(fitness),
-                "motion": _motion(recording),
+                "value": replay.fitness,
+                "fitness": number(replay.fitness),
+                "motion": _motion(replay.recording),
             }
-            for place, fitness, recording in zip(own, found.fitness, found.recordings, strict=True)
+            for place, replay in zip(own, found, strict=True)
         ]
         shown = self.wall.content
         self.wall = self.wall._replace(content={**shown, "tiles": shown["tiles"] + tiles})

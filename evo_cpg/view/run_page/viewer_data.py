@@ -18,7 +18,7 @@ import pyvista as pv
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.physics.contact.terrain import GroundPart
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.training.crowd_motion import CrowdMotion
+from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import smooth
 from evo_cpg.view.clip import Clip, quaternions, sample
 from evo_cpg.view.ghosts import coarse

@@ -15,7 +15,7 @@ from evo_cpg.io.load import load_config
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
 from evo_cpg.physics.tree.state import resting_state
-from evo_cpg.simulation.physics_steps import EachPhysicsStep
+from evo_cpg.simulation.observers import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 from tiny_run import CONFIG, PAIR, TINY
 

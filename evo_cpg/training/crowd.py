@@ -14,21 +14,20 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from evo_cpg.simulation.recording import Recorder, Recording
-from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.checkpoint import history_columns
-from evo_cpg.training.devices import layout, population_mesh, run_in_blocks, sharded
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import (
     ExperimentParts,
-    compile_trials,
     first_population,
     situation_numbers,
     trial_keys,
 )
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-from evo_cpg.training.running import Running
+from evo_cpg.training.train import Running
 
 # Most animals in a crowd. More of them hide each other, and take memory.
 _MOST = 400
@@ -175,21 +174,13 @@ def compile_crowd_motion(
     names = simulation.world.tree.names
     order = [names.index(body.name) for body in experiment.creature.bodies]
 
-    def poses(genes: Array, keys: Array | None, trial: Array | None) -> dict[str, Array]:
-        frames = rollout(short, genes, keys, trial, Recorder(count=None))
-        return {name: frames[name][::every] for name in ("position", "rotation")}
-
-    spread = layout(count, population_mesh())
-    program = sharded(poses, spread.mesh, (2, 2, 1), {"position": 4, "rotation": 5})
+    recorder = Recorder(count=None, names=("position", "rotation"), every=every)
+    live = compile_trials(short, population_mesh(), observers=recorder)
 
     def of(genes: Float[np.ndarray, "g n"], generation: int) -> CrowdMotion:
         keys = trial_keys(experiment, generation, of_run, individuals, trials)
-        given = np.asarray(genes, np.float32), jax.tree.map(np.asarray, keys), numbers
-
-        def pick(chosen: np.ndarray) -> tuple:
-            return jax.tree.map(lambda x: x[..., chosen], given)
-
-        found = run_in_blocks(program, spread, count, pick)
+        own = np.asarray(genes, np.float32)[:, :count]
+        found = live(own, jax.device_get(keys), numbers)
         position = np.moveaxis(found["position"], (3, 2), (1, 2))[:, :, order]
         rotation = np.moveaxis(found["rotation"], (4, 3), (1, 2))[:, :, order]
         sane = (np.abs(position) < _ASTRAY).all((0, 2, 3)) & np.isfinite(rotation).all((0, 2, 3, 4))

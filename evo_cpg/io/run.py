@@ -1,4 +1,4 @@
-"""Run folder with its built experiment and one of its champions, and the digests of a run."""
+"""Run folder with its built experiment, and with one of its champions or elites."""
 
 import dataclasses
 import functools
@@ -9,16 +9,20 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxtyping import Array
+import jax
+import numpy as np
+from jaxtyping import Float
 
+from evo_cpg.evolution.strategy import Archive, Axis
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
 from evo_cpg.io.trust import own_parts
-from evo_cpg.simulation.recording import Recording, as_recording
-from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.experiment import ExperimentParts
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.training.checkpoint import Champion, Checkpoint, StrategyError, state_from
+from evo_cpg.training.evaluate import Replay, compile_replay
+from evo_cpg.training.experiment import ExperimentParts, begin
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 _SOURCE = "the source of "
@@ -30,43 +34,35 @@ _HARMLESS = (
 )
 
 
-class Replay(NamedTuple):
-    """Results of a replayed trial.
-
-    Attributes:
-        fitness: mean fitness over all trials of the individual.
-        frames: frames of one individual, see `evo_cpg.simulation.recording.Recorder`.
-        recording: motion in the trial.
-    """
-
-    fitness: float
-    frames: dict[str, Array]
-    recording: Recording
-
-
 @dataclasses.dataclass(frozen=True)
-class Opened:
-    """Run folder with its configuration and experiment.
+class Run:
+    """Run folder with its configuration and experiment, and perhaps one of its individuals.
 
     Attributes:
         folder: run folder.
         config: configuration in the folder.
         experiment: experiment built from the configuration.
+        individual: champion or elite, from `with_champion`.
+        recording: motion of the individual in its first trial, or None if not kept or of another
+            configuration.
     """
 
     folder: RunFolder
     config: ExperimentConfig
     experiment: ExperimentParts
+    individual: Champion | None = dataclasses.field(default=None, kw_only=True)
+    recording: Recording | None = dataclasses.field(default=None, kw_only=True)
+
+    @property
+    def champion(self) -> Champion:
+        """The individual, of a run `with_champion`."""
+        assert self.individual is not None
+        return self.individual
 
     @property
     def devices(self) -> int:
         """Number of devices that shared the population."""
         return self.folder.read_meta().get("devices", 1)
-
-    @property
-    def class_folders(self) -> list[Path]:
-        """Folders of a user's own classes."""
-        return class_folders(self.folder)
 
     @functools.cached_property
     def changed(self) -> str | None:
@@ -95,28 +91,23 @@ class Opened:
                 "genomes, and `evo.train(..., start=...)` begins a new run with them"
             )
 
-    def load_champion(self) -> "OpenedChampion":
-        """Return the run with its champion.
+    def with_champion(self, champion: Champion | None = None) -> "Run":
+        """Return the run with one of its individuals, by default the champion in the folder.
 
         Raises:
             RunFolderError: there is no champion, or it does not fit the configuration.
         """
-        champion, recording, digests = self.folder.load_champion()
-        same = digests["config_sha256"] == self.folder.config_digest()
-        return self.with_champion(champion, recording if same else None)
-
-    def with_champion(
-        self, champion: Champion, recording: Recording | None = None
-    ) -> "OpenedChampion":
-        """Return the run with one of its individuals.
-
-        Raises:
-            RunFolderError: the individual does not fit the configuration.
-        """
+        recording = None
+        if champion is None:
+            champion, recording, digests = self.folder.load_champion()
+            if digests["config_sha256"] != self.folder.config_digest():
+                recording = None
         wrong = self.experiment.simulation.genome.misfit(champion.genes)
         if wrong:
             raise RunFolderError(f"{self.folder.config} was changed after training: {wrong}")
-        return OpenedChampion(self.folder, self.config, self.experiment, champion, recording)
+        return Run(
+            self.folder, self.config, self.experiment, individual=champion, recording=recording
+        )
 
     def replay(self, champions: Sequence[Champion], trial: int, full: bool = False) -> list[Replay]:
         """Replay individuals of the run in turn, with one program.
@@ -126,33 +117,10 @@ class Opened:
             trial: number of the recorded trial, from 0.
             full: whether to record all quantities, see `evo_cpg.simulation.recording.Recorder`.
         """
-        # This import computes nothing, but takes a second, because it imports JAX.
-        from evo_cpg.training.replay import compile_frames
-
-        live = compile_frames(self.experiment, self.devices, trial, full)
-        names = [body.name for body in self.experiment.creature.bodies]
-        found = []
-        for champion in champions:
-            fitness, _, frames = live(champion)
-            recording = as_recording(self.experiment.simulation, frames, names, trial=trial)
-            found.append(Replay(fitness, frames, recording))
-        return found
+        return list(map(compile_replay(self.experiment, self.devices, trial, full), champions))
 
 
-@dataclasses.dataclass(frozen=True)
-class OpenedChampion(Opened):
-    """Run with one of its champions or elites.
-
-    Attributes:
-        champion: the individual.
-        recording: motion in its first trial, or None if not kept or of another configuration.
-    """
-
-    champion: Champion
-    recording: Recording | None
-
-
-def open_run(run: Path | str, build: Callable[..., ExperimentParts] = build_experiment) -> Opened:
+def open_run(run: Path | str, build: Callable[..., ExperimentParts] = build_experiment) -> Run:
     """Read a run folder and build its experiment.
 
     Args:
@@ -166,13 +134,85 @@ def open_run(run: Path | str, build: Callable[..., ExperimentParts] = build_expe
     folder = RunFolder(run)
     folder.require()
     config = load_config(folder.config)
-    return Opened(folder, config, build(config, folder.config, class_folders(folder)))
+    return Run(folder, config, build(config, folder.config, class_folders(folder)))
 
 
 def class_folders(folder: RunFolder) -> list[Path]:
     """Return the folder of a user's classes: the folder of the run's original config file."""
     origin = folder.read_meta().get("config")
     return [Path(origin).parent] if isinstance(origin, str) else []
+
+
+class GaitMap(NamedTuple):
+    """Map of behaviour of one run.
+
+    Attributes:
+        axes: axes of the map.
+        fitness: fitness of the elites, with an array axis for each map axis. NaN in empty cells.
+        archive: the elites, with cells along the last axis.
+    """
+
+    axes: tuple[Axis, ...]
+    fitness: Float[np.ndarray, "..."]
+    archive: Archive
+
+
+def gait_map(experiment: ExperimentParts, checkpoint: Checkpoint, run: int) -> GaitMap | None:
+    """Return the map of a run, or None if its strategy has none.
+
+    Raises:
+        StrategyError: the checkpoint comes from another strategy.
+    """
+    strategy = experiment.strategy
+    axes = strategy.map_axes
+    if not axes or not checkpoint.state:
+        return None
+    like = jax.eval_shape(lambda: begin(experiment))[1]
+    state = jax.tree.map(lambda x: x[run], state_from(checkpoint.state, like))
+    archive = strategy.map_of(state)
+    assert archive is not None
+    fitness = np.where(np.isfinite(archive.fitness), archive.fitness, np.nan)
+    return GaitMap(axes, fitness.reshape([axis.cells for axis in axes]), archive)
+
+
+def elite(
+    experiment: ExperimentParts, checkpoint: Checkpoint, cell: tuple[int, ...], run: int
+) -> Champion:
+    """Return the individual of a cell, ready to be replayed.
+
+    Args:
+        experiment: experiment in which the individual evolved.
+        checkpoint: checkpoint of the run.
+        cell: index of the cell on each axis of the map, from 0.
+        run: number of the run.
+
+    Raises:
+        StrategyError: there is no map, no such cell, or the cell is empty.
+    """
+    found = gait_map(experiment, checkpoint, run)
+    if found is None:
+        raise StrategyError("there is no map: the search of this run fills no cells")
+    axes, shape = found.axes, found.fitness.shape
+    if len(cell) != len(shape) or not all(0 <= i < n for i, n in zip(cell, shape, strict=True)):
+        allowed = ", ".join(f"{axis.name} 0 to {axis.cells - 1}" for axis in axes)
+        raise StrategyError(f"there is no cell {','.join(map(str, cell))}. Allowed: {allowed}")
+    number = int(np.ravel_multi_index(cell, shape))
+    archive = found.archive
+    if not np.isfinite(archive.fitness[number]):
+        filled = np.argwhere(np.isfinite(found.fitness))
+        near = filled[np.abs(filled - np.array(cell)).sum(1).argmin()] if len(filled) else None
+        hint = "" if near is None else f". The nearest filled cell is {','.join(map(str, near))}"
+        raise StrategyError(f"cell {','.join(map(str, cell))} is empty{hint}")
+    terms = archive.descriptors[:, number]
+    return Champion(
+        np.ascontiguousarray(archive.genes[:, number]),
+        float(archive.fitness[number]),
+        int(archive.generation[number]),
+        {axis.name: float(value) for axis, value in zip(axes, terms, strict=True)},
+        {name: values[run] for name, values in checkpoint.scales.items()},
+        run,
+        int(archive.index[number]),
+    )
 
 
 def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:

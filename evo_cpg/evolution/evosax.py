@@ -28,7 +28,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, PyTree
 
-from evo_cpg.evolution.selection import rank_order
+from evo_cpg.evolution.operators import rank_order
 from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 
 # Probability that a bit is flipped in a population around one individual.

@@ -1,8 +1,14 @@
-"""Run in progress: trials of the next generation, and the use of their outcome."""
+"""Training: generation after generation of one experiment, or of several together.
+
+Experiments evolve together if their animals have equal trials. Their populations are concatenated
+on the population axis. So a machine's vectors and cores are full however small each population is,
+and the program compiles once.
+"""
 
 import functools
+import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -11,7 +17,16 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, PyTree, UInt32
 
 from evo_cpg.simulation.judge import Outcome
-from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.training.ascent import compile_learning
+from evo_cpg.training.checkpoint import (
+    Champion,
+    Checkpoint,
+    StrategyError,
+    state_arrays,
+    state_from,
+)
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import (
     ExperimentParts,
     Generation,
@@ -22,24 +37,15 @@ from evo_cpg.training.experiment import (
     situation_numbers,
 )
 from evo_cpg.training.lineage import extended, until
-from evo_cpg.training.memetic import compile_learning
 from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
 from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
-from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
 
-
-class Trials(NamedTuple):
-    """Arguments of the trials of a generation, see `compile_trials`.
-
-    Attributes:
-        genes: genome of every individual.
-        keys: random key of every trial, or None without noise.
-        numbers: number of the situation of every trial, or None if there is only one.
-    """
-
-    genes: Float[np.ndarray, "g individuals"]
-    keys: UInt32[np.ndarray, "w n"] | None
-    numbers: Int[np.ndarray, " n"] | None
+Trials = tuple[
+    Float[np.ndarray, "g individuals"],
+    UInt32[np.ndarray, "w n"] | None,
+    Int[np.ndarray, " n"] | None,
+]
+"""Genomes, random keys of all trials or None without noise, and numbers of their situations."""
 
 
 class Evolution(NamedTuple):
@@ -103,11 +109,13 @@ class Running:
 
     def trials(self) -> Trials:
         """Return the trials of the next generation or round."""
-        genes = self._genes()
+        genes, keys = self._genes(), jax.device_get(self._programs.keys(np.int32(self._number)))
+        if self._choice:
+            keys = self._choice.keys(keys, self._experiment.trials)
         numbers = situation_numbers(self._experiment)
         if numbers is not None:
             numbers = np.tile(numbers, genes.shape[1])
-        return Trials(genes, self._keys(), numbers)
+        return genes, keys, numbers
 
     def tell(self, outcome: Outcome, start: float) -> list[dict[str, float]]:
         """Take the outcome of the trials, breed, and write a checkpoint.
@@ -121,8 +129,10 @@ class Running:
         """
         experiment, before = self._experiment, self.checkpoint
         genes, number = self._genes(), self._number
-        index, scales = np.int32(number), _float32(before.scales)
-        result = jax.device_get(self._programs.breed(genes, outcome, index, scales, self._state))
+        scales = {name: np.array(values, np.float32) for name, values in before.scales.items()}
+        result = jax.device_get(
+            self._programs.breed(genes, outcome, np.int32(number), scales, self._state)
+        )
         if before.generation >= experiment.generations:
             # This was a round that chooses the champion. Only its fitness is used, because no
             # generation follows.
@@ -135,25 +145,22 @@ class Running:
         if self._learn and experiment.learning and done % experiment.learning.every == 0:
             population = self._learn(population, done, scales)
         seconds = time.perf_counter() - start
-        records = tuple(
-            _better(champion, result, before.generation, run)
-            for run, champion in enumerate(before.records)
-        )
-        rows = [
-            _metrics(experiment, before.generation, result, run, champion, seconds)
-            for run, champion in enumerate(records)
-        ]
+        records, found, rows = list(before.records), [], []
+        for run, champion in enumerate(before.records):
+            best = int(result.best[run])
+            fitness = float(result.fitness[run, best])
+            if np.isfinite(fitness) and (champion is None or fitness > champion.fitness):
+                best_genes = np.asarray(result.best_genes[run])
+                champion = _individual(best_genes, result, before.generation, run, best)
+                records[run] = champion
+                found.append(champion)
+            rows.append(_metrics(experiment, before.generation, result, run, champion, seconds))
         history = [*before.history, *rows]
         self.checkpoint = Checkpoint(
-            done, population, records, history, scales, state_arrays(self._state)
+            done, population, tuple(records), history, scales, state_arrays(self._state)
         )
         # Save the lineage first: after a kill between the two writes it is ahead of the
         # checkpoint, and `until` drops the newer champions.
-        found = [
-            new
-            for new, old in zip(records, before.records, strict=True)
-            if new is not None and new is not old
-        ]
         if found:
             self._lineage = extended(self._lineage, found)
             self._folder.save_lineage(self._lineage)
@@ -196,11 +203,6 @@ class Running:
         """Return the genomes to evaluate next."""
         return self._choice.genes(self.checkpoint.genes) if self._choice else self.checkpoint.genes
 
-    def _keys(self) -> np.ndarray | None:
-        """Return the random keys of all next trials, or None without noise."""
-        keys = jax.device_get(self._programs.keys(np.int32(self._number)))
-        return self._choice.keys(keys, self._experiment.trials) if self._choice else keys
-
 
 def compile_evolution(experiment: ExperimentParts) -> Evolution:
     """Return the functions that a run needs besides its trials, for any number of generations."""
@@ -218,10 +220,6 @@ def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
     return until(lineage, checkpoint.records, checkpoint.generation)
 
 
-def _float32(scales: dict[str, tuple[float, ...]]) -> dict[str, np.ndarray]:
-    return {name: np.array(values, np.float32) for name, values in scales.items()}
-
-
 def _require_finite(
     experiment: ExperimentParts, genes: Float[np.ndarray, "g all"], done: int
 ) -> None:
@@ -237,17 +235,6 @@ def _require_finite(
             f"finite for generation {done} ({wrong} of {genes.shape[1]}). The run folder holds the "
             "earlier generations"
         )
-
-
-def _better(
-    champion: Champion | None, result: Generation, generation: int, run: int
-) -> Champion | None:
-    best = int(result.best[run])
-    fitness = float(result.fitness[run, best])
-    if not np.isfinite(fitness) or (champion is not None and fitness <= champion.fitness):
-        return champion
-    genes = np.asarray(result.best_genes[run])
-    return _individual(genes, result, generation, run, best)
 
 
 def _candidates(
@@ -302,3 +289,80 @@ def _metrics(
         "seconds": seconds,
         "steps_per_second": steps / seconds,
     }
+
+
+TIMING_COLUMNS = ("seconds", "steps_per_second")
+"""Columns of metrics.csv that measure time, so they differ when a run is repeated."""
+
+
+def train(
+    experiment: ExperimentParts,
+    folder: RunFolder,
+    on_generation: Callable[[list[dict[str, float]]], object] = lambda rows: None,
+    mesh: Mesh | None = None,
+    on_compiled: Callable[[], object] = lambda: None,
+) -> Checkpoint:
+    """Evolve one experiment (see `train_together`)."""
+    return train_together(
+        [experiment], [folder], lambda number, rows: on_generation(rows), mesh, on_compiled
+    )[0]
+
+
+def train_together(
+    experiments: Sequence[ExperimentParts],
+    folders: Sequence[RunFolder],
+    on_generation: Callable[[int, list[dict[str, float]]], object] = lambda number, rows: None,
+    mesh: Mesh | None = None,
+    on_compiled: Callable[[], object] = lambda: None,
+) -> list[Checkpoint]:
+    """Evolve several experiments, each from its folder's newest checkpoint to its last generation.
+
+    The result of each experiment does not depend on the others.
+
+    Args:
+        experiments: experiments with equal simulations and equally many trials of an individual.
+        folders: existing run folder of each experiment.
+        on_generation: called after each generation of an experiment, with the experiment's index
+            and its new rows of metrics.csv, one for each run.
+        mesh: devices to use, or None for all.
+        on_compiled: called once, after the program of the trials has been compiled and run. It can
+            start a thread that compiles later programs.
+
+    Returns:
+        The checkpoint of each experiment after its last generation.
+
+    Raises:
+        StrategyError: a strategy returns genomes that are not finite, or a checkpoint comes from
+            another strategy.
+    """
+    mesh = mesh or population_mesh()
+    running = [
+        Running(experiment, folder, mesh)
+        for experiment, folder in zip(experiments, folders, strict=True)
+    ]
+    trials = experiments[0].trials
+    run_trials = compile_trials(experiments[0].simulation, mesh)
+    compiled = False
+    while left := [number for number, each in enumerate(running) if not each.finished]:
+        # After a kill some experiments may be one generation ahead of the others.
+        fewest = min(running[number].checkpoint.generation for number in left)
+        behind = [number for number in left if running[number].checkpoint.generation == fewest]
+        start = time.perf_counter()
+        given = [running[number].trials() for number in behind]
+        joined = jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=-1), *given)
+        outcome = run_trials(*(joined if len(given) > 1 else given[0]), trials)
+        if not compiled:
+            on_compiled()
+            compiled = True
+        widths = [genes.shape[1] for genes, _, _ in given]
+        ends = [trials * end for end in itertools.accumulate(widths)]
+        spent = time.perf_counter() - start
+        for number, width, end in zip(behind, widths, ends, strict=True):
+            own = slice(end - trials * width, end)
+            part = jax.tree.map(lambda x, own=own: x[..., own], outcome)
+            # Each experiment's time includes its part of the time for the common trials.
+            own_start = time.perf_counter() - spent * width / sum(widths)
+            rows = running[number].tell(part, own_start)
+            if rows:
+                on_generation(number, rows)
+    return [each.checkpoint for each in running]
