@@ -17,7 +17,7 @@ from evo_cpg.cli.errors import UsageError, require_free, warn
 from evo_cpg.cli.tables import show_table, show_words
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.system import named
-from evo_cpg.view.answer_plots import Panel, cell, lab_figure
+from evo_cpg.view.answer_plots import MeasurePanel, cell, lab_figure
 from evo_cpg.view.figure import save_figure
 
 # Most rows of a table on the terminal, and most panels of a picture.
@@ -138,7 +138,7 @@ def show_answer(name: str, answer: Answer, place: Path) -> None:
         write_table(place / "columns.csv", meanings)
     drawn = [one for one in columns if len({cell(row[one.key]) for row in rows}) > 1] or columns
     panels = [
-        Panel(one.label, [row[one.key] for row in rows], one.decades, one.cycle)
+        MeasurePanel(one.label, [row[one.key] for row in rows], one.decades, one.cycle)
         for one in drawn[:_MOST_PANELS]
     ]
     fixed = ", ".join(f"{k}={cell(v)}" for k, v in answer.settings[0].items() if k not in varied)

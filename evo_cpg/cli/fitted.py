@@ -30,8 +30,8 @@ from evo_cpg.io.parameters import Parameters, parametrise
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.track import ATTITUDE, POSITION, beginning_names, column_names, track
-from evo_cpg.view.answer_plots import fit_figure
 from evo_cpg.view.figure import save_figure
+from evo_cpg.view.plots import fit_figure
 
 INITIAL = "initial."
 UNITS = {"position": "m", "attitude": "rad", "angle": "rad"}

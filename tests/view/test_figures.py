@@ -12,9 +12,15 @@ from evo_cpg.files import OutputError
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.probe import Probe
 from evo_cpg.view import plots
-from evo_cpg.view.answer_plots import audit_figure, fit_figure, probe_figure, sensitivity_figure
+from evo_cpg.view.answer_plots import audit_figure, probe_figure, sensitivity_figure
 from evo_cpg.view.figure import new_figure, save_figure
-from evo_cpg.view.plots import _crests, fitness_figure, joint_signals_figure, path_figure
+from evo_cpg.view.plots import (
+    _crests,
+    fit_figure,
+    fitness_figure,
+    joint_signals_figure,
+    path_figure,
+)
 from evo_cpg.view.search_plots import (
     Curves,
     champions_figure,
