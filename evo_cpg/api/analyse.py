@@ -207,13 +207,11 @@ def page(
         crowd: a generation that the page also shows, or None.
     """
     from evo_cpg.analysis.gait_numbers import chain_places
-    from evo_cpg.view.clip import sample
-    from evo_cpg.view.film import picture
-    from evo_cpg.view.frames import Film
+    from evo_cpg.view.film import Film, picture
     from evo_cpg.view.run_page.document import document
     from evo_cpg.view.run_page.subject import RecordedMotion, Subject
     from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
-    from evo_cpg.view.scene import panel_of
+    from evo_cpg.view.scene import panel_of, sample
 
     folder, config, champion = opened.folder, opened.config, opened.champion
     experiment, meta = opened.experiment, folder.read_meta()

@@ -37,7 +37,7 @@ def analyse(
     together = None
     if crowd is not None:
         from evo_cpg.cli.filmed import crowd_panel
-        from evo_cpg.view.frames import Film
+        from evo_cpg.view.film import Film
 
         together = crowd_panel(opened, crowd, trial, Film())
     with working("replaying the champion") as work:

@@ -80,7 +80,7 @@ class CameraPath(NamedTuple):
     view_angle: float
 
 
-class Bodies(NamedTuple):
+class BodyBoxes(NamedTuple):
     """Boxes around all bodies in every frame.
 
     Attributes:
@@ -107,7 +107,7 @@ class Bodies(NamedTuple):
 
 
 def follow(
-    bodies: Bodies,
+    bodies: BodyBoxes,
     goal: Float[np.ndarray, "3"],
     rate: float,
     aspect: float,

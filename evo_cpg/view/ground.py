@@ -16,10 +16,9 @@ from evo_cpg.view.camera import (
     project,
     turned_about_vertical,
 )
-from evo_cpg.view.offscreen import add_faded, write_depth
+from evo_cpg.view.offscreen import add_faded, floor_texture, write_depth
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Terrain
-from evo_cpg.view.textures import floor_texture
 
 # Numbers on the ground: height of a digit and distance from the path, in radii of the animal. They
 # fade between two fractions of the height from the picture's middle to its lower edge, because
@@ -66,7 +65,7 @@ def add_ground(stage: Stage) -> Update:
     look, marks = stage.look, stage.scene.marks
     # On ground with relief, a net of strong lines makes slopes visible. On a level floor, strong
     # lines mark the places of the painted distances (`add_numbers`).
-    marked = stage.scene.walks or isinstance(stage.ground, Terrain)
+    marked = stage.measured or isinstance(stage.ground, Terrain)
     texture = floor_texture(look.floor, look.grid, look.checkered, marked)
     if isinstance(stage.ground, Terrain):
         return _add_relief(stage, stage.ground, texture)

@@ -13,10 +13,9 @@ from jaxtyping import Float
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.crowd_motion import CrowdMotion
-from evo_cpg.view.camera import Bodies, course, overview, project
-from evo_cpg.view.clip import sample
+from evo_cpg.view.camera import BodyBoxes, course, overview, project
 from evo_cpg.view.look import STYLES
-from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing
+from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing, sample
 from evo_cpg.view.scenery import LAMP
 from evo_cpg.view.story import FPS, GLIDE, Overview
 from evo_cpg.view.terrain import heights
@@ -150,7 +149,7 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
     aside = np.array([-ahead[1], ahead[0], 0.0])
     clip = sample(recording, FPS)
     box = np.array([body.shape.half_extents for body in creature.bodies])
-    corners = Bodies(clip.position[:1], clip.rotation[:1], box).corners()[0]
+    corners = BodyBoxes(clip.position[:1], clip.rotation[:1], box).corners()[0]
     across = (corners - start) @ aside
     lane = max(_LANE * length, _ROOMY * np.ptp(across), _HIGH * np.ptp(corners[:, 2]))
     progress, spacing = (path - start) @ ahead, mark_spacing(length)

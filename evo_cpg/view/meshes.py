@@ -130,7 +130,7 @@ def drawn_eyes(creature: Creature) -> list[LightSensor]:
     return [LightSensor(body, tuple(place), tuple(axis), np.pi) for axis in axes]
 
 
-class Piece(NamedTuple):
+class BodySurface(NamedTuple):
     """A surface that moves with a body, in the body's frame.
 
     Attributes:
@@ -157,15 +157,17 @@ def surfaces(creature: Creature) -> list[pv.PolyData]:
     ]
 
 
-def pieces(creature: Creature) -> list[list[Piece]]:
+def pieces(creature: Creature) -> list[list[BodySurface]]:
     """Return the pieces of every body: its own surface, then white and pupil of its eyes."""
     colors = [pv.Color(color).hex_rgb for color in body_colors(creature)]
-    found = [[Piece(mesh, color)] for mesh, color in zip(surfaces(creature), colors, strict=True)]
+    found = [
+        [BodySurface(mesh, color)] for mesh, color in zip(surfaces(creature), colors, strict=True)
+    ]
     for number, sensor in enumerate(creature.light_sensors or drawn_eyes(creature), 1):
         white, pupil = eye_meshes(creature, sensor)
         found[creature.body_index(sensor.body)] += [
-            Piece(white, _WHITE, f"eye{number}"),
-            Piece(pupil, _PUPIL, f"pupil{number}"),
+            BodySurface(white, _WHITE, f"eye{number}"),
+            BodySurface(pupil, _PUPIL, f"pupil{number}"),
         ]
     return found
 
@@ -185,7 +187,7 @@ def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[
     finish = {False: skin, True: {"ambient": 0.4, "specular": 0.8}}
     draw = functools.partial(plotter.add_mesh, smooth_shading=True, culling="back")
 
-    def paint(piece: Piece) -> dict[str, Any]:
+    def paint(piece: BodySurface) -> dict[str, Any]:
         if "rgb" in piece.mesh.point_data:
             return {"scalars": "rgb", "rgb": True, "show_scalar_bar": False}
         return {"color": piece.color}

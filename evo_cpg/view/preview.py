@@ -17,17 +17,16 @@ from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import VIEW_ANGLE, CameraPath, level_axes
-from evo_cpg.view.clip import sample
 from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import STYLES
 from evo_cpg.view.meshes import add_bodies, shape_mesh
-from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import check_size, output_path, oversampling, picture_of, save_picture
-from evo_cpg.view.scene import Panel, Scene, grid_spacing, scene_of
+from evo_cpg.view.scene import Panel, Scene, grid_spacing, sample, scene_of
 from evo_cpg.view.skin import drape
 from evo_cpg.view.stage import Stage
+from evo_cpg.view.terrain import obstacle_mesh
 
 # Pale looks of dry land, a shore and the bottom of the sea, so that names and axes stand out.
 _BACKGROUND = "#f4f6f8"

@@ -8,12 +8,11 @@ from jaxtyping import Float
 
 from evo_cpg.view.camera import level_axes, turned_about_vertical
 from evo_cpg.view.meshes import head_index
-from evo_cpg.view.offscreen import add_faded
+from evo_cpg.view.offscreen import add_faded, spot_texture
 from evo_cpg.view.scene import Track
 from evo_cpg.view.shadows import Spots
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Terrain
-from evo_cpg.view.textures import spot_texture
 
 # Points along a side of the pool of light, and its height in radii of the animal.
 _POOL, _POOL_LIFT = 41, 0.02
@@ -265,7 +264,7 @@ _WHITE, _BLACK = "#ffffff", "#11161c"
 
 
 def add_track(stage: Stage, track: Track) -> None:
-    """Draw the lines. `evo_cpg.view.story_words` writes their distances."""
+    """Draw the lines. `evo_cpg.view.captions` writes their distances."""
     radius, color = stage.radius, stage.look.text
     parts: list[tuple[np.ndarray, np.ndarray]] = []
 

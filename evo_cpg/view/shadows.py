@@ -6,10 +6,9 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.view.offscreen import add_faded, write_depth
+from evo_cpg.view.offscreen import add_faded, spot_texture, write_depth
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Level, Terrain
-from evo_cpg.view.textures import spot_texture
 
 # Height of a body at which the patch under it begins to fade, and at which it has gone, in radii of
 # the animal.

@@ -37,7 +37,7 @@ _RINGS, _POINTS = 5, 16
 _BOX, _FIN, _ROUND, _END = (5.0, 0.93), (2.0, 1.06), (2.0, 1.045), (2.0, 0.97)
 
 
-class Skin(NamedTuple):
+class ChainSkin(NamedTuple):
     """Skin over a chain, in the animal's neutral pose.
 
     Attributes:
@@ -57,7 +57,7 @@ class Skin(NamedTuple):
     weights: np.ndarray
 
 
-def skins(creature: Creature) -> list[Skin]:
+def skins(creature: Creature) -> list[ChainSkin]:
     """Return a skin over every chain of at least three bodies."""
     pose, finned, made = neutral_pose(creature), fins(creature), []
     for chain in slender_chains(creature):
@@ -76,7 +76,7 @@ def _skin(
     finned: dict[int, Fin],
     chain: SlenderChain,
     part: slice,
-) -> Skin:
+) -> ChainSkin:
     """Return the skin over a part of a chain."""
     bodies = np.array(chain.bodies[part])
     tangents = np.asarray(chain.tangents, float)[part]
@@ -118,7 +118,7 @@ def _skin(
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
     colors = body_colors(creature)[bodies]
     mixed = colors[i] * (1 - t) + colors[i + 1] * t
-    return Skin(
+    return ChainSkin(
         points,
         normals.reshape(-1, 3),
         _faces(len(along)),
@@ -175,7 +175,7 @@ class Draped:
         mesh: the surface, which `move` changes.
     """
 
-    def __init__(self, creature: Creature, skin: Skin):
+    def __init__(self, creature: Creature, skin: ChainSkin):
         self._skin = skin
         centres, rotations = neutral_pose(creature)
         turn = np.asarray(rotations, float)[skin.bodies]

@@ -15,17 +15,15 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.view.camera import SMOOTHING, CameraPath, between, overview, smooth
-from evo_cpg.view.captions import pointer
-from evo_cpg.view.clip import Clip, sample_at
+from evo_cpg.view.captions import Words, pointer, tags_of, written
 from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.film import Reel, drawing_processes, drawn_frames
 from evo_cpg.view.legible import lettering
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import check_size, film_writer, oversampling
-from evo_cpg.view.scene import Panel, Scene, scene_of
+from evo_cpg.view.scene import Clip, Panel, Scene, sample_at, scene_of
 from evo_cpg.view.stage import Stage, camera_path
-from evo_cpg.view.story_words import Words, tags_of, written
 
 FPS = 30
 """Frames per second of a story."""

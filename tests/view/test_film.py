@@ -21,14 +21,12 @@ from evo_cpg.physics.contact.terrain import Boulder, Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view import film as view_film
 from evo_cpg.view import output
-from evo_cpg.view.camera import Bodies, follow, in_camera, project, smooth
+from evo_cpg.view.camera import BodyBoxes, follow, in_camera, project, smooth
 from evo_cpg.view.captions import edge_places, fitted, heading
-from evo_cpg.view.clip import mean_speed, sample
-from evo_cpg.view.film import DrawingError, side_by_side
-from evo_cpg.view.frames import Film, Frames
+from evo_cpg.view.film import Film, Frames, RenderError, side_by_side
 from evo_cpg.view.legible import font
 from evo_cpg.view.meshes import body_colors
-from evo_cpg.view.scene import Panel, scene_of
+from evo_cpg.view.scene import Panel, sample, scene_of
 from evo_cpg.view.stage import camera_path
 from films import film
 
@@ -272,7 +270,7 @@ def test_a_process_that_cannot_draw_is_reported(creature, recording, monkeypatch
     make = functools.partial(Frames, [Panel(creature, recording)], made)
     monkeypatch.setattr(view_film, "_makers", [make])
     words = "draws frames failed: camera is 'missing'"
-    with ThreadPoolExecutor(1) as pool, pytest.raises(DrawingError, match=words):
+    with ThreadPoolExecutor(1) as pool, pytest.raises(RenderError, match=words):
         next(view_film._in_order(pool, 5, 2))
 
 
@@ -326,7 +324,7 @@ def test_the_camera_stays_off_a_light_that_the_animal_overshoots():
     position = (frames * [40.0, 0.0, 0.0])[:, None]
     goal = np.array([20.0, 0.0, 0.0])
     turn = np.broadcast_to(np.eye(3), (200, 1, 3, 3))
-    bodies = Bodies(position, turn, np.full((1, 3), 1 / np.sqrt(3)))
+    bodies = BodyBoxes(position, turn, np.full((1, 3), 1 / np.sqrt(3)))
     camera = follow(bodies, goal, 30, 16 / 9, 0.0)
     assert np.linalg.norm(camera.position - goal, axis=1).min() > 1.5
 
@@ -367,11 +365,12 @@ def test_sampling_interpolates_between_steps(recording):
     assert sample(recording, 30).speed.mean() == pytest.approx(7.7 / 33, rel=0.1)
 
 
-def test_an_animal_that_starts_from_rest_shows_no_speed_at_first():
+def test_an_animal_that_starts_from_rest_shows_no_speed_at_first(recording):
     """It accelerates by 1 m/s^2, so the mean of a second is its speed half a second before."""
-    time = np.arange(0, 4, 1 / 30)
-    path = np.stack([0.5 * time**2, 0 * time, 0 * time], 1)
-    speed = mean_speed(path, 30.0)
+    start = recording.position[:1] + np.zeros((len(recording.time), 1, 1))
+    away = 0.5 * recording.time**2 * np.eye(3)[:, :1]
+    clip = sample(recording._replace(position=start + away.T[:, None]), 30, seconds=4)
+    time, speed = clip.time, clip.speed
     assert speed[0] == 0
     assert np.allclose(speed[:31], time[:31] / 2)
     assert np.allclose(speed[30:], time[30:] - 0.5)
@@ -413,7 +412,7 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
         assert made.shape == (height, width, 3) and (made < 100).any() and (made == 255).any()
         return made
 
-    monkeypatch.setattr("evo_cpg.view.frames.heading", heard)
+    monkeypatch.setattr("evo_cpg.view.film.heading", heard)
     settings = {"size": SMALL, "fps": 1, "sheet": (2, 1)}
     panels = [Panel(creature, recording, "")] * 3
     image = synthetic.read(side_by_side(panels, tmp_path / "s.png", Film(**settings)))

@@ -7,11 +7,10 @@ import synthetic
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.view.camera import project
-from evo_cpg.view.clip import sample
 from evo_cpg.view.look import STYLES
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.preview import _apart, preview
-from evo_cpg.view.scene import Panel, mark_spacing, scene_of
+from evo_cpg.view.scene import Panel, mark_spacing, sample, scene_of
 from evo_cpg.view.stage import camera_path
 from films import film
 

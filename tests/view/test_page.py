@@ -16,14 +16,13 @@ from evo_cpg.analysis.footfalls import Phases
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Boulder, Plane
 from evo_cpg.training.crowd_motion import CrowdMotion
-from evo_cpg.view.clip import sample
 from evo_cpg.view.figure import BLUES
 from evo_cpg.view.plots import path_figure
 from evo_cpg.view.run_page.animal_data import thinned
 from evo_cpg.view.run_page.charts import chart, footfall_figure
 from evo_cpg.view.run_page.html import join, long_table, table, tag
 from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
-from evo_cpg.view.scene import Panel
+from evo_cpg.view.scene import Panel, sample
 
 
 def decoded(made: dict, number: int, kind: str) -> np.ndarray:

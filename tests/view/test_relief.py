@@ -9,13 +9,11 @@ from creatures import quick_jit
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Block, Boulder, Plane, Relief, Shore
 from evo_cpg.view.camera import hidden, project
-from evo_cpg.view.clip import sample
 from evo_cpg.view.look import SHORE
-from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
-from evo_cpg.view.scene import Panel, scene_of, surface_is_seen
+from evo_cpg.view.scene import Panel, sample, scene_of, surface_is_seen
 from evo_cpg.view.scenery import add_particles
 from evo_cpg.view.stage import Stage, camera_path
-from evo_cpg.view.terrain import heights, make_terrain
+from evo_cpg.view.terrain import add_obstacles, heights, make_terrain, obstacle_mesh, obstacle_top
 from evo_cpg.view.water import Ripples
 from films import film
 

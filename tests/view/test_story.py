@@ -11,13 +11,13 @@ from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane, Relief
 from evo_cpg.training.crowd_motion import CrowdMotion
 from evo_cpg.view.camera import CameraPath, between, overview, project
-from evo_cpg.view.clip import Clip, sample
+from evo_cpg.view.captions import Words, placed_tags, wrapped, written
 from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.lanes import course_of, in_lanes, tank_of
 from evo_cpg.view.legible import font, lettering
 from evo_cpg.view.look import STYLES
 from evo_cpg.view.output import picture_of
-from evo_cpg.view.scene import Panel, Staging, moved_aside, scene_of
+from evo_cpg.view.scene import Clip, Panel, Staging, moved_aside, sample, scene_of
 from evo_cpg.view.stage import bends_sideways
 from evo_cpg.view.story import (
     DISSOLVE,
@@ -30,7 +30,6 @@ from evo_cpg.view.story import (
     clip_of,
     spans,
 )
-from evo_cpg.view.story_words import Words, placed_tags, wrapped, written
 
 SIZE = (192, 108)
 POINTS = np.array([[-0.5, -0.5, 0.0], [1.0, 2.5, 0.6]])

@@ -11,8 +11,8 @@ from evo_cpg.analysis.laboratory.ask import Subject, ask
 from evo_cpg.io.load import complete_config
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.devices import use_cores
-from evo_cpg.view.clip import quaternions, sample
 from evo_cpg.view.drawing_page.document import Data, DrawingError
+from evo_cpg.view.scene import quaternions, sample
 
 How = Literal["rest", "rhythm"]
 

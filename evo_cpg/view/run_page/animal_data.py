@@ -15,10 +15,10 @@ import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.training.crowd_motion import CrowdMotion
-from evo_cpg.view.clip import quaternions
 from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.look import Look
-from evo_cpg.view.meshes import Piece
+from evo_cpg.view.meshes import BodySurface
+from evo_cpg.view.scene import quaternions
 from evo_cpg.view.skin import skins
 
 Add = Callable[[Any, str], Any]
@@ -27,7 +27,7 @@ Add = Callable[[Any, str], Any]
 _SHORT = 65536
 
 
-def piece_data(piece: Piece, add: Add) -> dict[str, Any]:
+def piece_data(piece: BodySurface, add: Add) -> dict[str, Any]:
     """Return a surface."""
     mesh = piece.mesh
     if mesh.point_data.active_normals is None:

@@ -14,11 +14,10 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.contact.terrain import Part
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import smooth
-from evo_cpg.view.clip import Clip, quaternions, sample
-from evo_cpg.view.meshes import Piece, head_index, pieces
-from evo_cpg.view.obstacles import obstacle_mesh
+from evo_cpg.view.meshes import BodySurface, head_index, pieces
 from evo_cpg.view.run_page.animal_data import crowd_data, piece_data, skin_data
-from evo_cpg.view.scene import Panel, Scene, scene_of
+from evo_cpg.view.scene import Clip, Panel, Scene, quaternions, sample, scene_of
+from evo_cpg.view.terrain import obstacle_mesh
 
 # Frames per second. The viewer interpolates between them.
 RATE = 30.0
@@ -134,5 +133,5 @@ def _obstacle(obstacle: Part, arrays: Arrays) -> dict[str, Any]:
     if coarse.n_points > _FINE:
         coarse = coarse.decimate(1 - _FINE / coarse.n_points)
     turned = quaternions(turn[None])[0].tolist()
-    made = piece_data(Piece(cast(pv.PolyData, coarse), _STONE), arrays.add)
+    made = piece_data(BodySurface(cast(pv.PolyData, coarse), _STONE), arrays.add)
     return made | {"place": place.tolist(), "turn": turned}
