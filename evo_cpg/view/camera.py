@@ -93,11 +93,6 @@ class BodyBoxes(NamedTuple):
     rotation: Float[np.ndarray, "frames b 3 3"]
     half_extents: Float[np.ndarray, "b 3"]
 
-    def radius(self, centre: Float[np.ndarray, "frames 3"]) -> float:
-        """Return the largest distance of a box's corner from a moving point, m."""
-        away = np.linalg.norm(self.position - centre[:, None], axis=-1)
-        return float((away + np.linalg.norm(self.half_extents, axis=-1)).max())
-
     def corners(self) -> Float[np.ndarray, "frames corners 3"]:
         """Return the corners of the boxes, m."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -130,7 +125,8 @@ def follow(
     """
     position = bodies.position
     centre = smooth(position.mean(1), SMOOTHING * rate)
-    radius = bodies.radius(centre)
+    far = np.linalg.norm(position - centre[:, None], axis=-1)
+    radius = float((far + np.linalg.norm(bodies.half_extents, axis=-1)).max())
     lit = bool(np.isfinite(goal).all())
     bearing = course(centre, goal, radius / 10)
     focus = centre

@@ -120,7 +120,10 @@ class Frames:
         self._one = width, height = film.size[0] // 2 * 2, film.size[1] // 2 * 2
         self._grouped = sheet is not None and len(panels) > 1
         columns = 1 if self._grouped and film.columns is None else film.columns
-        self._columns, rows = _grid(len(panels), columns)
+        if columns is None:
+            most = len(panels)
+            columns = _COLUMNS[most] if most < len(_COLUMNS) else int(np.ceil(np.sqrt(most)))
+        self._columns, rows = columns, -(-len(panels) // columns)
         head = _HEAD if self._grouped else 0
         self.size = (
             self._columns * (width + _GUTTER) - _GUTTER,
@@ -239,13 +242,6 @@ def _instants(
     return np.linspace(0, frames - 1, columns * rows).round().astype(int).tolist()
 
 
-def _grid(count: int, columns: int | None) -> tuple[int, int]:
-    """Return the columns and rows of a number of pictures."""
-    if columns is None:
-        columns = _COLUMNS[count] if count < len(_COLUMNS) else int(np.ceil(np.sqrt(count)))
-    return columns, -(-count // columns)
-
-
 def film_path(path: str | os.PathLike[str], film: Film, signals: bool = False) -> Path:
     """Check the settings of a film before any recording exists.
 
@@ -318,8 +314,7 @@ def side_by_side(
         return path
     frames = Frames(panels, film)
     processes = drawing_processes(frames.count, processes)
-    make = functools.partial(Frames, panels, film)
-    with drawn_frames(frames, make, processes) as drawn:
+    with drawn_frames(frames, processes) as drawn:
         counted = _counted(drawn, frames.count, progress)
         if numbered:
             save_numbered((picture_of(frame, frames.size) for frame in counted), path)
@@ -393,8 +388,8 @@ class Reel(Protocol):
         ...
 
 
-# Function that lays out the frames, in a process that draws.
-_makers: list[Callable[[], Reel]] = []
+# Frames to draw, in a process that draws.
+_laid_out: list[Reel] = []
 
 
 class RenderError(RuntimeError):
@@ -402,24 +397,16 @@ class RenderError(RuntimeError):
 
 
 def drawing_processes(frames: int, cores: int) -> int:
-    """Return the number of processes that draw the frames fastest.
-
-    Args:
-        frames: number of frames.
-        cores: number of usable cores.
-    """
+    """Return the number of processes that draw a number of frames fastest on usable cores."""
     return max(1, min(cores, frames // _WORTH, _MOST))
 
 
 @contextlib.contextmanager
-def drawn_frames(
-    frames: Reel, make: Callable[[], Reel], processes: int
-) -> Iterator[Iterator[np.ndarray]]:
+def drawn_frames(frames: Reel, processes: int) -> Iterator[Iterator[np.ndarray]]:
     """Draw all frames, one after the other.
 
     Args:
-        frames: the frames.
-        make: function that lays out the same frames in another process.
+        frames: the frames. Each drawing process receives a copy.
         processes: number of drawing processes. With 1, this process draws.
 
     Yields:
@@ -434,7 +421,7 @@ def drawn_frames(
             yield map(draw, range(frames.count))
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context, _prepare, (make,)) as pool:
+    with ProcessPoolExecutor(processes, context, _prepare, (frames,)) as pool:
         try:
             yield _in_order(pool, frames.count, _AHEAD * processes)
         finally:
@@ -453,13 +440,13 @@ def _in_order(pool: Executor, count: int, ahead: int) -> Iterator[np.ndarray]:
         awaited.extend(pool.submit(_draw, number) for number in itertools.islice(numbers, 1))
 
 
-def _prepare(make: Callable[[], Reel]) -> None:
-    """Store the function that lays out the frames."""
+def _prepare(frames: Reel) -> None:
+    """Store the frames in a process that draws."""
     # Ignore Ctrl-C, because the parent process stops this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # The CPU is enough for heights of the ground.
     jax.config.update("jax_platforms", "cpu")
-    _makers[:] = [make]
+    _laid_out[:] = [frames]
 
 
 def _draw(number: int) -> np.ndarray:
@@ -470,4 +457,4 @@ def _draw(number: int) -> np.ndarray:
 def _scene() -> Callable[[int], np.ndarray]:
     stack = contextlib.ExitStack()
     atexit.register(stack.close)
-    return stack.enter_context(_makers[0]().drawn())
+    return stack.enter_context(_laid_out[0].drawn())

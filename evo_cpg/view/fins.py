@@ -112,7 +112,11 @@ def fins(creature: Creature) -> dict[int, Fin]:
         if body.joint is None or body.whole or body.name in wholes:
             continue
         found = _plate(creature, body.shape, body.joint)
-        if found is not None and not _is_foot(found, centres[i], rotations[i], lowest):
+        if found is None:
+            continue
+        level = abs(rotations[i][2] @ found.axes[2]) > _LEVEL
+        # A plate that lies level at the lowest height of the animal is a foot.
+        if not (level and centres[i][2] - found.half[2] <= lowest + 2 * found.half[2]):
             plates[i] = found
     after: dict[int, list[int]] = {}
     for i, plate in plates.items():
@@ -183,12 +187,6 @@ def _plate(creature: Creature, shape: Shape, joint: Joint) -> _Plate | None:
     axes[2] = np.cross(axes[0], axes[1])
     place = np.asarray(joint.parent_anchor, float)
     return _Plate(axes, half[order], creature.body_index(joint.parent), place)
-
-
-def _is_foot(plate: _Plate, centre: np.ndarray, turn: np.ndarray, lowest: float) -> bool:
-    """Return whether a plate lies level at the lowest height of the animal, m."""
-    level = abs(turn[2] @ plate.axes[2]) > _LEVEL
-    return bool(level and centre[2] - plate.half[2] <= lowest + 2 * plate.half[2])
 
 
 def _sheet(points: np.ndarray, grid: np.ndarray, normal: np.ndarray | None = None) -> pv.PolyData:

@@ -97,16 +97,10 @@ def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv
     sight = np.array(sensor.position) + reach[:, None] * axis
     outside = shape.distance(sight) >= 0
     centre = sight[outside.argmax()] if outside.any() else sight[0]
+    ball = functools.partial(pv.Sphere, theta_resolution=_BALL[0], phi_resolution=_BALL[1])
     centre = centre - 0.35 * radius * axis
-    return (
-        _ball(radius, centre),
-        _ball(0.72 * radius, centre + 0.42 * radius * axis),
-    )
-
-
-def _ball(radius: float, centre: np.ndarray) -> pv.PolyData:
-    around, down = _BALL
-    return pv.Sphere(radius=radius, center=centre, theta_resolution=around, phi_resolution=down)
+    pupil = ball(radius=0.72 * radius, center=centre + 0.42 * radius * axis)
+    return ball(radius=radius, center=centre), pupil
 
 
 def drawn_eyes(creature: Creature) -> list[LightSensor]:
@@ -146,15 +140,15 @@ class BodySurface(NamedTuple):
 
 def surfaces(creature: Creature) -> list[pv.PolyData]:
     """Return the drawn surface of every body in its own frame, m: its shape, a fin or a shell."""
-    finned, colors = fins(creature), body_colors(creature)
-    return [
-        finned[i].mesh()
-        if i in finned
-        else _shell_mesh(body, colors[i])
-        if _is_shell(body)
-        else shape_mesh(body.shape)
-        for i, body in enumerate(creature.bodies)
-    ]
+    finned, colors, found = fins(creature), body_colors(creature), []
+    for i, body in enumerate(creature.bodies):
+        if i in finned:
+            found.append(finned[i].mesh())
+        elif body.name in _SHELLS and isinstance(body.shape, Ellipsoid):
+            found.append(_shell_mesh(body, colors[i]))
+        else:
+            found.append(shape_mesh(body.shape))
+    return found
 
 
 def pieces(creature: Creature) -> list[list[BodySurface]]:
@@ -185,17 +179,16 @@ def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[
     """
     skin = {"ambient": ambient, "diffuse": 0.8, "specular": 0.25, "specular_power": 18}
     finish = {False: skin, True: {"ambient": 0.4, "specular": 0.8}}
-    draw = functools.partial(plotter.add_mesh, smooth_shading=True, culling="back")
-
-    def paint(piece: BodySurface) -> dict[str, Any]:
-        if "rgb" in piece.mesh.point_data:
-            return {"scalars": "rgb", "rgb": True, "show_scalar_bar": False}
-        return {"color": piece.color}
-
-    return [
-        [draw(piece.mesh, **paint(piece), **finish[bool(piece.name)]) for piece in own]
-        for own in pieces(creature)
-    ]
+    actors: list[list[pv.Actor]] = []
+    for own in pieces(creature):
+        actors.append([])
+        for piece in own:
+            paint: dict[str, Any] = {"color": piece.color}
+            if "rgb" in piece.mesh.point_data:
+                paint = {"scalars": "rgb", "rgb": True, "show_scalar_bar": False}
+            paint |= finish[bool(piece.name)] | {"smooth_shading": True, "culling": "back"}
+            actors[-1].append(plotter.add_mesh(piece.mesh, **paint))
+    return actors
 
 
 # Bodies with these names that are ellipsoids are drawn as shells.
@@ -214,11 +207,6 @@ _BELLY, _BELLY_COLOR = 0.6, np.array([0.86, 0.78, 0.55])
 _OUT, _AROUND = 25, 64
 # The belly has a ring of points for this many rings above.
 _COARSER = 4
-
-
-def _is_shell(body: Body) -> bool:
-    """Return whether a body is drawn as a shell."""
-    return body.name in _SHELLS and isinstance(body.shape, Ellipsoid)
 
 
 def _shell_mesh(body: Body, color: np.ndarray) -> pv.PolyData:

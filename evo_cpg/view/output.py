@@ -167,7 +167,7 @@ def save_numbered(pictures: Iterable[Image.Image], path: Path) -> None:
 @contextlib.contextmanager
 def film_writer(
     path: Path, size: tuple[int, int], rendered: tuple[int, int], fps: float
-) -> Iterator[Callable[[np.ndarray], None]]:
+) -> Iterator[Callable[[np.ndarray], object]]:
     """Write frames to a film: H.264, WebP or GIF.
 
     Args:
@@ -197,7 +197,7 @@ def film_writer(
         )
         try:
             with contextlib.suppress(BrokenPipeError), cast(IO[bytes], process.stdin) as pipe:
-                yield lambda frame: _send(pipe, frame)
+                yield lambda frame: pipe.write(frame.data)
         except BaseException:
             process.kill()
             raise
@@ -208,7 +208,3 @@ def film_writer(
             said = complaints.read().decode(errors="replace").split()
             reason = " ".join(said) or f"code {code}"
             raise OutputError(f"cannot write {path}: ffmpeg failed: {reason}")
-
-
-def _send(pipe: IO[bytes], frame: np.ndarray) -> None:
-    pipe.write(frame.data)

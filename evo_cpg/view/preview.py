@@ -48,7 +48,9 @@ _SIGHT = "#E69F00"
 _PRESSURE = "#CC79A7"
 _DEPTH = "#56B4E9"
 # The camera looks along this direction, onto the animal's left front.
-_VIEW = np.array([-0.55, -0.95, -0.62])
+_AHEAD = np.array([-0.55, -0.95, -0.62]) / np.linalg.norm([-0.55, -0.95, -0.62])
+_RIGHT = level_axes(_AHEAD)[0]
+_UP = np.cross(_RIGHT, _AHEAD)
 # Fraction of the picture that the animal fills.
 _FILL = 0.72
 # Opacity of the bodies, which lets the joints inside show.
@@ -140,8 +142,10 @@ def preview(
         notes.append(water_note(surface, hull))
     if size[0] >= _ROOM[0] and size[1] >= _ROOM[1]:
         unit = scale * max(min(size[0] / _SCREEN[0], size[1] / _SCREEN[1]), 0.5)
-        places = _places(camera, scene.clip.position[0], half_height, rendered)
-        _write(picture, creature, places, rendered[1] / 2 / half_height, legend, notes, unit)
+        pixels_per_metre = rendered[1] / 2 / half_height
+        offset = (rest[0] - camera.focus[0]) @ np.column_stack([_RIGHT, -_UP])
+        places = np.array(rendered) / 2 + pixels_per_metre * offset
+        _write(picture, creature, places, pixels_per_metre, legend, notes, unit)
     save_picture(picture_of(picture, size), path)
     return path
 
@@ -223,13 +227,8 @@ def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
 
 def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
     """Draw lines of sight, depth gauges and pressure sensors, and return their colours."""
-    creature, scale, meaning = scene.creature, _thickness(scene), {}
+    creature, scale, balls, meaning = scene.creature, _thickness(scene), [], {}
     posed = {body.name: (body, centre, turn) for body, centre, turn in _posed(scene)}
-
-    def add_ball(place: np.ndarray, radius: float, color: str) -> None:
-        ball = pv.Sphere(radius=radius, center=place)
-        plotter.add_mesh(ball, color=color, lighting=False, render=False)
-
     for sensor in creature.light_sensors:
         _, centre, turn = posed[sensor.body]
         eye = centre + turn @ np.array(sensor.position)
@@ -237,13 +236,16 @@ def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
         meaning["line of sight"] = _SIGHT
     for gauge in creature.depth_sensors:
         _, centre, turn = posed[gauge.body]
-        add_ball(centre + turn @ np.array(gauge.position), 0.3 * scale, _DEPTH)
+        balls.append((centre + turn @ np.array(gauge.position), 0.3, _DEPTH))
         meaning["depth gauge"] = _DEPTH
     for name in creature.pressure_sensors if scene.stands else ():
         body, centre, turn = posed[name]
         for outward in (*np.eye(3)[1:], *-np.eye(3)[1:]):
-            add_ball(centre + turn @ body.shape.support(outward), 0.22 * scale, _PRESSURE)
+            balls.append((centre + turn @ body.shape.support(outward), 0.22, _PRESSURE))
         meaning["pressure sensor"] = _PRESSURE
+    for place, size, color in balls:
+        ball = pv.Sphere(radius=size * scale, center=place)
+        plotter.add_mesh(ball, color=color, lighting=False, render=False)
     return meaning
 
 
@@ -275,30 +277,14 @@ def _add_arrow(
 
 def _camera(shown: np.ndarray, size: tuple[int, int]) -> tuple[CameraPath, float]:
     """Return a camera whose picture the points ``(n, 3)`` fill, and half the shown height, m."""
-    ahead = _VIEW / np.linalg.norm(_VIEW)
-    axes = np.stack(_picture_axes())
+    axes = np.stack([_RIGHT, _UP])
     place = shown @ axes.T
     low, high = place.min(0), place.max(0)
-    focus = (low + high) / 2 @ axes + shown.mean(0) @ ahead * ahead
+    focus = (low + high) / 2 @ axes + shown.mean(0) @ _AHEAD * _AHEAD
     width, height = (high - low) / _FILL
-    eye = focus - 5 * np.ptp(shown, axis=0).max() * ahead
+    eye = focus - 5 * np.ptp(shown, axis=0).max() * _AHEAD
     half_height = max(width * size[1] / size[0], height) / 2
     return CameraPath(eye[None], focus[None], VIEW_ANGLE), float(half_height)
-
-
-def _picture_axes() -> tuple[np.ndarray, np.ndarray]:
-    """Return unit vectors to the right and up in the picture."""
-    right, _ = level_axes(_VIEW)
-    return right, np.cross(right, _VIEW / np.linalg.norm(_VIEW))
-
-
-def _places(
-    camera: CameraPath, points: np.ndarray, half_height: float, rendered: tuple[int, int]
-) -> np.ndarray:
-    """Return the pixels to the right and down at which points ``(n, 3)`` are drawn."""
-    right, up = _picture_axes()
-    offset = (points - camera.focus[0]) @ np.column_stack([right, -up])
-    return np.array(rendered) / 2 + rendered[1] / 2 / half_height * offset
 
 
 def _write(

@@ -288,12 +288,6 @@ def add_track(stage: Stage, track: Track) -> None:
                 fill(near, near + side, right, right + side, shade, _OPAQUE)
     points = np.concatenate([place for place, _ in parts])
     rgba = np.concatenate([np.tile(shade, (4, 1)) for _, shade in parts]).astype(np.uint8)
+    points[:, 2] = stage.ground.height(points[:, :2]) + stage.lift
     quads = np.arange(len(points)).reshape(-1, 4)
-    _lay(stage, pv.PolyData.from_regular_faces(points, quads), rgba)
-
-
-def _lay(stage: Stage, mesh: pv.PolyData, rgba: np.ndarray) -> None:
-    """Draw a mesh on the ground."""
-    place = np.asarray(mesh.points)[:, :2].astype(float)
-    mesh.points = np.column_stack([place, stage.ground.height(place) + stage.lift])
-    add_faded(stage.plotter, mesh, rgba)
+    add_faded(stage.plotter, pv.PolyData.from_regular_faces(points, quads), rgba)

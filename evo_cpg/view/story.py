@@ -6,7 +6,6 @@ follows the champion.
 """
 
 import contextlib
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +16,7 @@ from jaxtyping import Float
 from evo_cpg.view.camera import SMOOTHING, CameraPath, between, overview, smooth
 from evo_cpg.view.captions import Words, pointer, tags_of, written
 from evo_cpg.view.drawing import set_scene
-from evo_cpg.view.film import Reel, drawing_processes, drawn_frames
+from evo_cpg.view.film import drawing_processes, drawn_frames
 from evo_cpg.view.legible import lettering
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
@@ -205,9 +204,18 @@ def clip_of(take: Take, count: int) -> Clip:
 
 def camera_of(take: Take, scene: Scene, aspect: float) -> CameraPath:
     """Return the camera of a take in all of its frames."""
-    count = len(scene.clip.time)
+    count, paths = len(scene.clip.time), []
     seconds = np.arange(count) / FPS
-    paths = [_path_of(view, scene, aspect) for _, view in take.views]
+    for _, view in take.views:
+        if view is None:
+            paths.append(camera_path(scene, "follow", aspect, close=True))
+            continue
+        path = overview(view.points, view.bearing, view.elevation, aspect, view.titled)
+        if view.follows:
+            centre = smooth(scene.clip.position.mean(1), SMOOTHING * scene.clip.rate)
+            moved = centre - centre[-1]
+            path = path._replace(position=path.position + moved, focus=path.focus + moved)
+        paths.append(path)
     found = paths[0]
     for (start, _), (end, _), after in zip(take.views, take.views[1:], paths[1:], strict=False):
         found = between(found, after, eased((seconds - start) / (end - start)))
@@ -216,18 +224,6 @@ def camera_of(take: Take, scene: Scene, aspect: float) -> CameraPath:
     return CameraPath(
         found.position.repeat(count, 0), found.focus.repeat(count, 0), found.view_angle
     )
-
-
-def _path_of(view: Overview | None, scene: Scene, aspect: float) -> CameraPath:
-    """Return a camera that keeps a view in all frames, or in one frame if it stands still."""
-    if view is None:
-        return camera_path(scene, "follow", aspect, close=True)
-    path = overview(view.points, view.bearing, view.elevation, aspect, view.titled)
-    focus, back = path.focus, path.position - path.focus
-    if view.follows:
-        centre = smooth(scene.clip.position.mean(1), SMOOTHING * scene.clip.rate)
-        focus = focus + centre - centre[-1]
-    return path._replace(position=focus + back, focus=focus)
 
 
 def eased(part: Float[np.ndarray, " *n"]) -> Float[np.ndarray, " *n"]:
@@ -260,14 +256,13 @@ def story_film(
         OutputError: the film cannot be written.
     """
     check_size(size)
-    make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
-    frames, ends = make(), np.cumsum([take.seconds for take in takes])
+    frames, ends = StoryFrames(takes, size), np.cumsum([take.seconds for take in takes])
     styles = [
         scene_of(take.panel._replace(crowd=None), clip_of(take, round(take.seconds * FPS))).look
         for take in takes
     ]
     with (
-        drawn_frames(frames, make, drawing_processes(frames.count, processes)) as drawn,
+        drawn_frames(frames, drawing_processes(frames.count, processes)) as drawn,
         film_writer(path, frames.size, frames.rendered, FPS) as write,
     ):
         for number, bare in enumerate(drawn):

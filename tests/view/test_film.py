@@ -1,7 +1,6 @@
 """Films: the files decode to the given size and frames, and show the animal."""
 
 import dataclasses
-import functools
 import itertools
 import os
 import re
@@ -266,9 +265,8 @@ def test_several_processes_draw_the_same_film(movie, creature, recording, tmp_pa
 
 def test_a_process_that_cannot_draw_is_reported(creature, recording, monkeypatch):
     """A thread replaces the process."""
-    made = Film(SMALL, 10, 0.5, camera="missing")
-    make = functools.partial(Frames, [Panel(creature, recording)], made)
-    monkeypatch.setattr(view_film, "_makers", [make])
+    frames = Frames([Panel(creature, recording)], Film(SMALL, 10, 0.5, camera="missing"))
+    monkeypatch.setattr(view_film, "_laid_out", [frames])
     words = "draws frames failed: camera is 'missing'"
     with ThreadPoolExecutor(1) as pool, pytest.raises(RenderError, match=words):
         next(view_film._in_order(pool, 5, 2))
@@ -367,9 +365,9 @@ def test_sampling_interpolates_between_steps(recording):
 
 def test_an_animal_that_starts_from_rest_shows_no_speed_at_first(recording):
     """It accelerates by 1 m/s^2, so the mean of a second is its speed half a second before."""
-    start = recording.position[:1] + np.zeros((len(recording.time), 1, 1))
-    away = 0.5 * recording.time**2 * np.eye(3)[:, :1]
-    clip = sample(recording._replace(position=start + away.T[:, None]), 30, seconds=4)
+    away = np.outer(0.5 * recording.time**2, [1.0, 0.0, 0.0])
+    moved = recording.position[:1] + away[:, None]
+    clip = sample(recording._replace(position=moved), 30, seconds=4)
     time, speed = clip.time, clip.speed
     assert speed[0] == 0
     assert np.allclose(speed[:31], time[:31] / 2)
