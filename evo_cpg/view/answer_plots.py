@@ -385,11 +385,7 @@ class Bar(NamedTuple):
 
 @framed
 def card_figure(bars: Sequence[Bar]) -> Figure:
-    """Draw a card, each row with its own axis. The median is green if reproduced, else red.
-
-    Args:
-        bars: rows from top to bottom.
-    """
+    """Draw a card, each row with its own axis. The median is green if reproduced, else red."""
     figure = new_figure(_CARD, _RULE * len(bars) + 0.3)
     for axes, bar in zip(figure.subplots(len(bars), 1, squeeze=False)[:, 0], bars, strict=True):
         _draw_rule(axes, bar)

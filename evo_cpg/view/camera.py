@@ -119,8 +119,8 @@ def follow(
         aspect: width of the picture over its height.
         elevation: height of the eye above the focus as an angle, rad.
         turn: angle between the line of sight and the animal's course, rad, with a value per frame
-            if it changes. None for a camera that shows the light, or the animal's side if there is
-            no light.
+            if it changes. None for a camera that shows the light or, if there is none, the
+            animal's side.
         close: whether the animal shall be large and go to the right, perhaps without the light.
     """
     position = bodies.position
@@ -223,12 +223,7 @@ def _centred(
 ) -> CameraPath | None:
     """Return a camera of one frame with the points in the middle, or None if they do not fit.
 
-    Args:
-        focus: point at which the camera may look first, m.
-        ahead: way from the eye to the focus, m.
-        points: the points, m.
-        aspect: width of the picture over its height.
-        above: upper end of the part of the frame for the points.
+    The camera first looks ahead (m) at a focus. The part of the frame for the points ends above.
     """
     path = CameraPath((focus - ahead)[None], focus[None], VIEW_ANGLE)
     for _ in range(_SHIFTS):
@@ -294,11 +289,7 @@ def _moved(
 ) -> CameraPath:
     """Return the camera at a multiple of its distance, with another point in the middle.
 
-    Args:
-        path: the camera.
-        factor: new distance from the focus over the present one.
-        off: place in the picture that comes into the middle: right and up, from -1 to 1.
-        aspect: width of the picture over its height.
+    That point is ``off``: right and up in the picture, from -1 to 1.
     """
     right, up, _ = _axes(path)
     back = path.position - path.focus
@@ -334,11 +325,9 @@ def _clearest(
 def aspect_of(
     camera: str, frames: int = 1
 ) -> tuple[float | Float[np.ndarray, " frames"], float] | None:
-    """Return turn and elevation of a camera, rad, or None for the following camera.
+    """Return turn and elevation of one of `CAMERAS`, rad, or None for the following camera.
 
-    Args:
-        camera: one of `CAMERAS`.
-        frames: number of frames of the film. A circling camera has a turn for each frame.
+    A circling camera has a turn for each frame.
 
     Raises:
         ValueError: no camera has this name.
@@ -360,7 +349,7 @@ def hidden(
 
     Args:
         path: the camera of every frame.
-        points: observed points ``(frames, n, 3)``, m.
+        points: observed points, m.
         height: function that returns the height of solid things, m, at x and y ``(..., 2)``.
         margin: least height of a line of sight above solid things at the camera, m. The margin
             falls to 0 at the points.
@@ -418,12 +407,7 @@ def in_camera(
 
 
 def turned_about_vertical(vector: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3"]:
-    """Return a vector, turned to the left as seen from above.
-
-    Args:
-        vector: vector before the turn.
-        angle: angle of the turn, rad.
-    """
+    """Return a vector turned by an angle (rad) to the left, as seen from above."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
 
@@ -435,11 +419,7 @@ def level_axes(sight: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def smooth(path: Float[np.ndarray, "frames k"], width: float) -> Float[np.ndarray, "frames k"]:
-    """Return the Gaussian average of a path ``(frames, k)`` without lag.
-
-    Args:
-        path: one point for each frame.
-        width: standard deviation of the window, frames.
+    """Return the Gaussian average of a path, over a standard deviation in frames, without lag.
 
     The ends are continued by point reflection, so a steady motion stays steady there.
     """

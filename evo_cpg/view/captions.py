@@ -36,11 +36,13 @@ def captions(
 ) -> Callable[[np.ndarray, float, float, float], None]:
     """Lay out the captions.
 
+    If a picture is too narrow for the title and the values, the last values are left out. A title
+    that does not fit next to the time shrinks, and may be cut. A small picture has only title and
+    time.
+
     Args:
         look: look of the world.
-        title: text at the bottom right. If a picture is too narrow for the title and the values,
-            the last values are left out. A title that does not fit next to the time shrinks, and
-            may be cut. A small picture has only title and time.
+        title: text at the bottom right.
         distance: name of the shown distance.
         note: text below the title.
         size: width and height of the film, pixels.
@@ -78,13 +80,7 @@ def captions(
 
 
 def heading(text: str, width: int, height: int) -> np.ndarray:
-    """Return a moment's heading, dark on white: ``(height, width, 3)`` bytes, bottom row first.
-
-    Args:
-        text: words of the line.
-        width: width, pixels.
-        height: height, pixels.
-    """
+    """Return a moment's heading, dark on white: ``(height, width, 3)`` bytes, bottom row first."""
     picture = np.full((height, width, 3), 255, np.uint8)
     with lettering(picture) as draw:
         write(draw, text, (width / 2, height / 2), _HEADING * height, "black", anchor="mm")
@@ -92,13 +88,7 @@ def heading(text: str, width: int, height: int) -> np.ndarray:
 
 
 def fitted(title: str, size: float, room: float) -> tuple[str, float]:
-    """Return a title, cut if it is too long, and the letter size at which it fits.
-
-    Args:
-        title: text in any script.
-        size: size of the letters if there is room, pixels.
-        room: available width, pixels.
-    """
+    """Return a title, cut if it is too long, and the size at which it fits the room, pixels."""
     full = font(size).getlength(legible(title))
     if full * _LEAST <= room:
         return title, size * min(1.0, room / max(full, 1.0))
@@ -125,7 +115,7 @@ def pointer(
     size: tuple[int, int],
     name: str = "light",
 ) -> Callable[[np.ndarray, int], None]:
-    """Return a function that draws the arrow into a frame, if the goal is outside of it.
+    """Return a function that draws the arrow to a goal (m) into a frame, if the goal is outside.
 
     Args:
         camera: the camera in every frame.
@@ -231,15 +221,7 @@ class Words(NamedTuple):
 def written(
     draw: ImageDraw.ImageDraw, words: Words, time: float, look: Look, size: tuple[int, int]
 ) -> None:
-    """Write words into a picture, if they are shown at a time.
-
-    Args:
-        draw: drawing context, see `evo_cpg.view.legible.lettering`.
-        words: the words.
-        time: time in the film, s.
-        look: look of the world.
-        size: width and height of the picture, pixels.
-    """
+    """Write words into a picture of a size (pixels), if they are shown at a time of the film, s."""
     opacity = min((time - words.start) / _FADE, (words.end - time) / _FADE, 1.0)
     if opacity <= 0:
         return
@@ -274,13 +256,7 @@ def written(
 
 
 def wrapped(text: str, size: float, room: float) -> list[str]:
-    """Return the lines of a text that are at most this wide, if its words are.
-
-    Args:
-        text: the text.
-        size: size of the letters, pixels.
-        room: available width, pixels.
-    """
+    """Return the lines of a text that fit a room (pixels) if its words do."""
     lines = _filled(text, size, room)
     # Lines of about equal length look better than a last line of one word.
     while len(lines) > 1 and len(shorter := _filled(text, size, 0.95 * room)) == len(lines):
@@ -351,15 +327,10 @@ def tags_of(
 
 
 def placed_tags(camera: CameraPath, scene: Scene, size: tuple[int, int]) -> list[Tag]:
-    """Return the names of animals, and then the distances at the lines.
+    """Return the names of animals, and then the distances at the lines, for a picture of a size.
 
     A name is below the first animal and above the others. A tag fades where it would leave the
     picture or cross an earlier one.
-
-    Args:
-        camera: the camera in every frame.
-        scene: the animals and the lanes.
-        size: width and height of the picture, pixels.
     """
     staging = scene.staging
     if staging is None:

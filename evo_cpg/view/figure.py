@@ -81,6 +81,13 @@ def count_in_whole_numbers(axes: Axes) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
 
 
+def right_axis(axes: Axes) -> Axes:
+    """Return axes with a second scale on the right."""
+    right = axes.twinx()
+    right.spines["right"].set_visible(True)
+    return right
+
+
 def name_rows(axes: Axes, names: Sequence[str]) -> None:
     """Name horizontal rows 0, 1, 2, ..., from the top down."""
     axes.set_yticks(range(len(names)), [legible(name) for name in names], fontsize=8.5)

@@ -91,20 +91,10 @@ class Film:
 
 
 class Frames:
-    """Frames, laid out and ready to be drawn in any order.
-
-    Args:
-        panels: the animals, row by row.
-        film: settings of the film.
-        still: whether to show one instant.
+    """Frames of animals, row by row, laid out and ready to be drawn in any order, as a `Reel`.
 
     Raises:
         SettingError: the sheet has more moments than the film has frames.
-
-    Attributes:
-        count: number of frames.
-        size: width and height of a frame in the result, pixels.
-        rendered: width and height of a frame before averaging, pixels.
     """
 
     def __init__(self, panels: Sequence[Panel], film: Film, still: bool = False):
@@ -139,12 +129,7 @@ class Frames:
 
     @contextlib.contextmanager
     def drawn(self) -> Iterator[Callable[[int], np.ndarray]]:
-        """Build the scenes of all animals, and close them at the end of the context.
-
-        Yields:
-            A function that draws the frame of a given number: ``(height, width, 3)`` bytes, bottom
-            row first. The next call may overwrite the result.
-        """
+        """Build the scenes of all animals, and yield a function that draws frames (see `Reel`)."""
         # The gaps stay white. The picture of each animal fills its place.
         picture = np.full((self.rendered[1], self.rendered[0], 3), 255, np.uint8)
         with contextlib.ExitStack() as stack:
@@ -243,15 +228,7 @@ def _instants(
 
 
 def film_path(path: str | os.PathLike[str], film: Film, signals: bool = False) -> Path:
-    """Check the settings of a film before any recording exists.
-
-    Args:
-        path: file or numbered pictures, see `side_by_side`.
-        film: settings of the film.
-        signals: whether signals are shown below an animal.
-
-    Returns:
-        The path.
+    """Check path (see `side_by_side`) and settings of a film before any recording exists.
 
     Raises:
         OutputError: the path cannot be written, or has another suffix.
@@ -291,8 +268,8 @@ def side_by_side(
             name such as ``frames/%04d.png`` gives a picture of every frame, counted from 0, in a
             new folder.
         film: settings of the film.
-        processes: number of processes that draw a film. The calling process draws a still or a
-            sheet. Each process takes some 400 MB of memory and a few seconds to start.
+        processes: number of processes that draw a film. Each takes some 400 MB of memory and a few
+            seconds to start, so the calling process draws a still or a sheet.
         progress: function that receives the number of finished frames and their total.
 
     Returns:
@@ -330,12 +307,7 @@ def picture(
     film: Film,
     progress: Callable[[int, int], None] | None = None,
 ) -> Image.Image:
-    """Return a still, or a sheet of moments.
-
-    Args:
-        panels: the animals.
-        film: settings. Without a sheet, the picture is a still.
-        progress: function that receives the number of finished frames and their total.
+    """Return a still or, if the film has a sheet, a sheet of moments. See `side_by_side`.
 
     Raises:
         SettingError: the sheet has more moments than the film has frames.
@@ -403,15 +375,9 @@ def drawing_processes(frames: int, cores: int) -> int:
 
 @contextlib.contextmanager
 def drawn_frames(frames: Reel, processes: int) -> Iterator[Iterator[np.ndarray]]:
-    """Draw all frames, one after the other.
+    """Yield all frames in order, drawn by this process or by several (see `Reel.drawn`).
 
-    Args:
-        frames: the frames. Each drawing process receives a copy.
-        processes: number of drawing processes. With 1, this process draws.
-
-    Yields:
-        The frames in order: ``(height, width, 3)`` bytes, bottom row first. Each is valid until the
-        next one.
+    Each frame is valid until the next one. Each drawing process receives a copy of the reel.
 
     Raises:
         RenderError: one of the processes failed.

@@ -169,13 +169,7 @@ def pieces(creature: Creature) -> list[list[BodySurface]]:
 def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[list[pv.Actor]]:
     """Draw the bodies and eyes, each in its own frame at the origin.
 
-    Args:
-        plotter: plotter of the picture.
-        creature: the animal.
-        ambient: fraction of light that comes from everywhere.
-
-    Returns:
-        The actors of each body, to be moved together.
+    Return the actors of each body, to be moved together.
     """
     skin = {"ambient": ambient, "diffuse": 0.8, "specular": 0.25, "specular_power": 18}
     finish = {False: skin, True: {"ambient": 0.4, "specular": 0.8}}
@@ -210,12 +204,7 @@ _COARSER = 4
 
 
 def _shell_mesh(body: Body, color: np.ndarray) -> pv.PolyData:
-    """Return the surface of a shell in its own frame, m, with colours ``rgb`` of its points.
-
-    Args:
-        body: the body, an ellipsoid.
-        color: colour of the scutes: red, green and blue from 0 to 1.
-    """
+    """Return the surface of a shell in its own frame, m, with colours ``rgb`` of its points."""
     out, half = np.linspace(0, np.pi / 2, _OUT), np.asarray(body.shape.half_extents, float)
     flat, height = _dome(out)
     scute, far = _scutes(flat)
@@ -237,8 +226,7 @@ def _shell_mesh(body: Body, color: np.ndarray) -> pv.PolyData:
 def _dome(out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return places ``(n, 2)`` and heights ``(n,)`` on a half sphere, ring by ring.
 
-    Args:
-        out: angles of the rings from the middle, rad.
+    The rings have angles ``out`` from the middle, rad.
     """
     around = 2 * np.pi * np.arange(_AROUND) / _AROUND
     ring = np.stack([np.cos(around), np.sin(around)], -1)

@@ -17,11 +17,7 @@ from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
 
 @contextlib.contextmanager
 def canvas(size: tuple[int, int]) -> Iterator[pv.Plotter]:
-    """Open a plotter that needs no display.
-
-    Args:
-        size: width and height, pixels.
-    """
+    """Open a plotter of a width and height (pixels) that needs no display."""
     # VTK warns that there is no X server before it uses EGL.
     with pv.vtk_verbosity("error"):
         plotter = pv.Plotter(off_screen=True, window_size=list(size), lighting="none")
@@ -46,13 +42,9 @@ def pixels(plotter: pv.Plotter) -> np.ndarray:
 
 
 def add_faded(plotter: pv.Plotter, mesh: pv.PolyData, rgba: np.ndarray, **given: Any) -> pv.Actor:
-    """Draw a mesh unlit, in the colours and opacities of its points.
+    """Draw a mesh unlit, in colours and opacities ``rgba`` of its points: bytes ``(points, 4)``.
 
-    Args:
-        plotter: plotter of the picture.
-        mesh: mesh that receives the colours as its array ``rgba``.
-        rgba: colours and opacities, bytes ``(points, 4)``.
-        given: further arguments of `pyvista.Plotter.add_mesh`.
+    Further arguments are those of `pyvista.Plotter.add_mesh`.
     """
     mesh.point_data["rgba"] = rgba
     actor = plotter.add_mesh(mesh, scalars="rgba", rgba=True, lighting=False, **given)

@@ -27,6 +27,7 @@ from evo_cpg.view.figure import (
     draw_runs,
     framed,
     new_figure,
+    right_axis,
 )
 from evo_cpg.view.legible import legible
 
@@ -211,8 +212,7 @@ def _draw_rows(
     for i, panel in enumerate(panels):
         panel.axhline(0, color=GREY, lw=0.5, alpha=0.6)
         panel.set_xlim(time[0], time[-1])
-        scales = panel, panel.twinx()
-        scales[1].spines["right"].set_visible(True)
+        scales = panel, right_axis(panel)
         for axes, (label, values), (color, width, style), top in zip(
             scales, signals.items(), styles, tops, strict=True
         ):
@@ -254,10 +254,6 @@ def path_figure(recording: Recording, root_index: int) -> Figure:
     """Draw the root's path from above, with outlines of the animal, and the distance over time.
 
     The distance is measured to the light. Without a light it is the displacement from the start.
-
-    Args:
-        recording: the motion.
-        root_index: index of the root among the bodies.
     """
     figure = new_figure(10.5, 4.4)
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))

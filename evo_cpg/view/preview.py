@@ -87,7 +87,7 @@ def preview(
     pose: tuple[np.ndarray, np.ndarray] | None = None,
     surface: float | None = None,
 ) -> Path:
-    """Draw a creature in its neutral pose, or in another pose.
+    """Draw a creature in its neutral pose, or in another pose, and return the path.
 
     Args:
         creature: creature to draw.
@@ -99,9 +99,6 @@ def preview(
             or None for the neutral pose.
         surface: height of the water in the world's frame, m. Infinity means water everywhere, None
             no water.
-
-    Returns:
-        The path.
 
     Raises:
         OutputError: the path cannot be written, or is not a ``.png`` file.
@@ -175,9 +172,7 @@ def _at_rest(
 def obstacles_near(ground: Ground, hull: np.ndarray) -> tuple[np.ndarray, int]:
     """Return points of near obstacles ``(n, 3)``, m, and the number of obstacles farther away.
 
-    Args:
-        ground: ground with its obstacles.
-        hull: points of the creature ``(n, 3)`` in the world, m.
+    The hull holds points of the creature ``(n, 3)``, m.
     """
     middle = (hull.min(0) + hull.max(0)) / 2
     length = float(np.ptp(hull, axis=0).max())
@@ -193,12 +188,7 @@ def obstacles_near(ground: Ground, hull: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def water_note(surface: float, hull: np.ndarray) -> str:
-    """Return a phrase about the creature's place in the water.
-
-    Args:
-        surface: height of the water, m. Infinity means water everywhere.
-        hull: points of the creature ``(n, 3)``, m.
-    """
+    """Return a phrase about the place of a creature's hull ``(n, 3)`` in water of a height, m."""
     low, high = float(hull[:, 2].min()), float(hull[:, 2].max())
     if surface == math.inf:
         return "water everywhere"
@@ -338,12 +328,7 @@ def _write(
 
 
 def _apart(places: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Move labels up or down as little as possible, so that none covers another.
-
-    Args:
-        places: desired middles ``(n, 2)``, pixels.
-        sizes: widths and heights ``(n, 2)``, pixels.
-    """
+    """Move middles ``(n, 2)`` of labels up or down as little as possible, so that none overlap."""
     placed = np.array(places, float)
     # Half a line up, half a line down, a line up, and so on.
     steps = [sign * count / 2 for count in range(2 * len(placed)) for sign in (1, -1)]

@@ -38,12 +38,7 @@ _DEEP, _BRIGHT = -1.5, 7.0
 
 
 def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
-    """Draw the goal: a glowing sphere, its halo, and its light on the floor and on the bodies.
-
-    Args:
-        stage: scene and camera.
-        goal: place of the light ``(3,)``, m.
-    """
+    """Draw the goal: a glowing sphere, its halo, and its light on the floor and on the bodies."""
     plotter, look, radius = stage.plotter, stage.look, stage.radius
     shine = spot_texture(look.halo, look.glow, sharpness=3.0)
     pool = Spots(plotter, shine, stage.ground, _POOL_LIFT * radius, 1, _POOL)
@@ -76,12 +71,7 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
 
 
 def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "n 3"]) -> Update:
-    """Draw the lights of the other lanes of a race: small spheres, each with a halo.
-
-    Args:
-        stage: scene and camera.
-        goals: places of the lights, m.
-    """
+    """Draw the lights of the other lanes of a race: small spheres, each with a halo."""
     plotter, look, core = stage.plotter, stage.look, LAMP * stage.radius
     sphere = cast(pv.PolyData, pv.Sphere(radius=core, theta_resolution=16, phi_resolution=12))
     own, faces = np.asarray(sphere.points), sphere.regular_faces

@@ -161,15 +161,10 @@ _MOST_PANELS = 25
 
 @framed
 def map_figure(axes: Sequence[Axis], fitness: Float[np.ndarray, "..."], title: str) -> Figure:
-    """Draw a map of gaits.
+    """Draw a map of gaits: the fitness of its elites, or NaN in empty cells.
 
     Two axes make a picture, a third several pictures. Further axes, and a third axis with more than
     25 cells, are not drawn: each place shows the best of all cells along them.
-
-    Args:
-        axes: axes of the map.
-        fitness: fitness of the elites, one array axis for each map axis, or NaN in empty cells.
-        title: text above the picture.
     """
     head = f"{title}: {np.isfinite(fitness).mean():.0%} of {fitness.size} cells filled"
     most = 3 if len(axes) > 2 and axes[2].cells <= _MOST_PANELS else 2

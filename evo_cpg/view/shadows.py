@@ -69,11 +69,9 @@ class Spots:
 
 
 def add_sun_shadows(stage: Stage, meshes: Sequence[pv.PolyData]) -> Update:
-    """Draw the shadows that bodies or obstacles cast on the ground in the sun.
+    """Draw the shadows that meshes of bodies or obstacles, in their own frames, cast in the sun.
 
-    Args:
-        stage: scene and camera. Nothing is drawn if its look has no cast shadows.
-        meshes: meshes of the bodies, in their own frames.
+    Nothing is drawn if the look has no cast shadows.
     """
     look, ground, sun = stage.look, stage.ground, stage.sun
     if not look.cast_strength or not meshes:
@@ -156,10 +154,7 @@ def patch_opacity(height: np.ndarray) -> np.ndarray:
 def patch_under(turn: np.ndarray, half: np.ndarray, gap: float) -> np.ndarray:
     """Return half axes of the soft patch under a body, the columns of ``(2, 2)``, m.
 
-    Args:
-        turn: rotation from body to world ``(3, 3)``.
-        half: half extents of the body ``(3,)``, m.
-        gap: height of the body's centre above the floor, m.
+    The gap is the height of the body's centre above the floor, m.
     """
     if not half.any():
         return np.zeros((2, 2))

@@ -239,12 +239,7 @@ class Strip:
 
 
 def _shown(signals: Signals, room: float) -> Signals:
-    """Return the signals of those joints and feet for which the strip has room.
-
-    Args:
-        signals: signals of all joints and feet.
-        room: height for all rows of least height, pixels.
-    """
+    """Return the signals of those joints and feet for which the strip has room (pixels)."""
     steps = [len(footfalls.touch_downs(foot, 1.0)) for foot in signals.touched.T]
     # A foot that hardly ever touches down would leave its row empty.
     often = [i for i, count in enumerate(steps) if count >= _SELDOM * max(steps)]

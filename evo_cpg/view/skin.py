@@ -135,14 +135,10 @@ def _narrowed(
     which: np.ndarray,
     away: np.ndarray,
 ) -> np.ndarray:
-    """Return the size of ellipsoids' sections away from their centres, relative to the middle.
+    """Return the size of ellipsoids' sections away (m) from their centres, relative to the middle.
 
-    Args:
-        creature: the animal.
-        bodies: indices of the bodies of a chain.
-        tangents: unit vectors along them.
-        which: number of the body in the chain, for each section.
-        away: distance of the section from the body's centre, m.
+    The tangents are unit vectors along the bodies of a chain. Each section belongs to the body
+    with the number ``which``.
     """
     shapes = [creature.bodies[body].shape for body in bodies]
     half = np.array(
@@ -201,13 +197,7 @@ class Draped:
 
 
 def drape(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[tuple[Draped, pv.Actor]]:
-    """Draw the skins of an animal in its neutral pose.
-
-    Args:
-        plotter: plotter of the picture.
-        creature: the animal.
-        ambient: fraction of light that comes from everywhere.
-    """
+    """Draw the skins of an animal in its neutral pose, and return them with their actors."""
     made = []
     for skin in skins(creature):
         draped = Draped(creature, skin)

@@ -86,17 +86,7 @@ class Take(NamedTuple):
 
 
 class StoryFrames:
-    """Frames of a story, laid out and ready to be drawn in order.
-
-    Args:
-        takes: the takes.
-        size: width and height of the film, pixels.
-
-    Attributes:
-        count: number of frames.
-        size: width and height of a frame in the result, pixels.
-        rendered: width and height of a frame before averaging, pixels.
-    """
+    """Frames of a story, laid out in a size (pixels) and ready to be drawn in order: a `Reel`."""
 
     def __init__(self, takes: Sequence[Take], size: tuple[int, int]):
         self._takes = takes
@@ -176,10 +166,8 @@ class StoryFrames:
 def spans(seconds: Sequence[float]) -> list[tuple[int, int]]:
     """Return the first frame of every take, and the frame after its last one.
 
-    Takes share the frames in which one turns into the next.
-
-    Args:
-        seconds: lengths of the takes. Their sum is the length of the film.
+    Takes share the frames in which one turns into the next. The sum of their lengths (s) is the
+    length of the film.
     """
     ends = np.round(np.cumsum([0.0, *seconds]) * FPS).astype(int)
     half = round(DISSOLVE * FPS / 2)
@@ -241,11 +229,11 @@ def story_film(
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a story to a film.
+    """Write a story to a film of a size (pixels), with words at times of the film.
 
     Args:
         takes: the takes.
-        words: texts, with times of the film.
+        words: the texts.
         path: path checked by `evo_cpg.view.output.output_path`.
         size: width and height, pixels.
         processes: number of processes that draw.

@@ -86,14 +86,10 @@ class Terrain(NamedTuple):
 
 
 def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-    """Return the height of the ground above the world's origin, m.
+    """Return the height of the ground above the world's origin, m, at places x and y, m.
 
     The surface lies ``gap / n_z`` straight below a point at z = 0. This is exact for planes, and
     follows from the definition of the distance for z = H(x, y).
-
-    Args:
-        floor: floor of the ground.
-        place: coordinates x and y, m.
 
     Raises:
         TypeError: ground of this kind has no heights.
@@ -191,9 +187,7 @@ def obstacle_mesh(
 ) -> tuple[pv.PolyData, np.ndarray, np.ndarray]:
     """Return an obstacle's surface in its frame, its place ``(3,)``, m, and rotation ``(3, 3)``.
 
-    Args:
-        obstacle: obstacle on the ground.
-        shade: whether the surface only casts a shadow, which needs fewer facets.
+    A surface that only casts a shade has fewer facets.
 
     Raises:
         TypeError: the obstacle is neither a boulder nor a block.
@@ -215,11 +209,7 @@ def obstacle_mesh(
 
 
 def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
-    """Return the height of an obstacle's upper side, m, or -inf outside of it.
-
-    Args:
-        obstacle: obstacle on the ground.
-        place: x and y ``(..., 2)``, m.
+    """Return the height of an obstacle's upper side at x and y, m, or -inf outside of it.
 
     Raises:
         TypeError: the obstacle is neither a boulder nor a block.
