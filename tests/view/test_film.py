@@ -86,15 +86,11 @@ def orange(image):
     return (image[..., 0].astype(int) - image[..., 2] > 90) & (image[..., 1] < 165)
 
 
-def test_a_film_has_the_given_size_and_frames(movie):
+def test_a_film_has_the_given_frames_and_the_animal_moves(movie):
     path, told = movie
     frames = decode(path)
     assert [frame.shape for frame in frames] == [(108, 192, 3)] * 10
     assert told == [(i, 10) for i in range(1, 11)]
-
-
-def test_the_animal_moves_from_frame_to_frame(movie):
-    frames = decode(movie[0])
     for one, next_one in itertools.pairwise(frames):
         assert np.abs(one.astype(int) - next_one).max() > 60
     heads = [np.argwhere(orange(frame)).mean(0) for frame in frames]
@@ -113,15 +109,19 @@ def test_the_head_is_where_the_camera_projects_it(creature, recording, tmp_path)
 
 
 @pytest.mark.parametrize("world", ["water", "land"])
-def test_every_body_stays_in_the_frame(creature, recording, world):
+def test_bodies_and_light_stay_in_the_frame_of_a_calm_camera(creature, recording, world):
     clip, camera = seen(creature, recording, world)
     place = project(camera, clip.position, 1280 / 720)
     assert np.abs(place).max() < 0.96
     # The animal fills a third to a half of the width, a little less between the centres of its
     # bodies. The first picture shows the light.
     assert 0.28 < np.median(np.ptp(place, axis=1)[:, 0]) / 2 < 0.5
-    goal = project(camera, np.repeat(recording.goal[None, None], len(place), 0), 1280 / 720)[0, 0]
-    assert np.abs(goal).max() < 0.92
+    goal = project(camera, np.repeat(recording.goal[None, None], len(place), 0), 1280 / 720)
+    assert np.abs(goal[0]).max() < 0.92 and np.abs(goal).max() < 1
+    assert np.linalg.norm(camera.position - recording.goal, axis=1).min() > 2
+    # The camera moves about as fast as the animal, without its tail beat.
+    speed = np.linalg.norm(np.diff(camera.focus, axis=0), axis=1) * 30
+    assert speed.max() < 1.35 * clip.speed.max()
 
 
 def test_an_arrow_points_to_a_light_outside_the_picture(creature, recording, tmp_path):
@@ -146,13 +146,6 @@ def test_an_arrow_points_to_a_light_outside_the_picture(creature, recording, tmp
     around = np.s_[max(row - 15, 0) : row + 15, max(column - 15, 0) : column + 15]
     yellow = [((x[around][..., 0] > 230) & (x[around][..., 2] < 150)).sum() for x in stills]
     assert yellow[0] > yellow[1] + 20
-
-
-def test_the_light_stays_in_the_frame_and_off_the_camera(creature, recording):
-    clip, camera = seen(creature, recording)
-    goals = np.repeat(recording.goal[None, None], len(clip.time), 0)
-    assert np.abs(project(camera, goals, 1280 / 720)).max() < 1
-    assert np.linalg.norm(camera.position - recording.goal, axis=1).min() > 2
 
 
 @pytest.mark.parametrize("world", ["water", "land"])
@@ -310,13 +303,6 @@ def test_animals_stand_side_by_side(creature, recording, tmp_path):
     assert decode(movie)[0].shape == (height, 3 * width + 2 * gap, 3)
 
 
-def test_the_camera_moves_without_the_tail_beat(creature, recording):
-    """Its speed is close to the speed of the animal."""
-    clip, camera = seen(creature, recording)
-    speed = np.linalg.norm(np.diff(camera.focus, axis=0), axis=1) * 30
-    assert speed.max() < 1.35 * clip.speed.max()
-
-
 def test_the_camera_stays_off_a_light_that_the_animal_overshoots():
     frames = np.linspace(0, 1, 200)[:, None]
     position = (frames * [40.0, 0.0, 0.0])[:, None]
@@ -342,13 +328,9 @@ def test_head_and_tail_differ_in_colour(creature):
     assert head[0] > 0.8 and head[2] < 0.3
     assert tail[2] > 0.8 and tail[0] < 0.4
     assert len(np.unique(colors, axis=0)) == len(creature.bodies)
-
-
-def test_a_body_may_have_a_colour_of_its_own(creature):
-    painted = dataclasses.replace(
-        creature,
-        bodies=(*creature.bodies[:-1], dataclasses.replace(creature.bodies[-1], color="#00ff00")),
-    )
+    *others, last = creature.bodies
+    own = dataclasses.replace(last, color="#00ff00")
+    painted = dataclasses.replace(creature, bodies=(*others, own))
     assert np.allclose(body_colors(painted)[-1], [0, 1, 0])
 
 
@@ -375,8 +357,8 @@ def test_an_animal_that_starts_from_rest_shows_no_speed_at_first(recording):
 
 
 @pytest.mark.parametrize("kind", ["gif", "webp"])
-def test_a_small_film_is_animated(creature, recording, tmp_path, kind):
-    path = film(creature, recording, tmp_path / f"swim.{kind}", size=SMALL, fps=10, seconds=0.2)
+def test_a_film_of_an_odd_size_is_animated_in_an_even_size(creature, recording, tmp_path, kind):
+    path = film(creature, recording, tmp_path / f"s.{kind}", size=(193, 109), fps=10, seconds=0.2)
     with Image.open(path) as picture:
         assert (picture.size, picture.n_frames) == (SMALL, 3)
 
@@ -406,9 +388,7 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
 
     def heard(text: str, width: int, height: int) -> np.ndarray:
         said.append(text)
-        made = heading(text, width, height)
-        assert made.shape == (height, width, 3) and (made < 100).any() and (made == 255).any()
-        return made
+        return heading(text, width, height)
 
     monkeypatch.setattr("evo_cpg.view.film.heading", heard)
     settings = {"size": SMALL, "fps": 1, "sheet": (2, 1)}
@@ -443,48 +423,23 @@ def test_every_frame_gets_a_picture_of_its_own(creature, recording, tmp_path):
         difference = synthetic.read(folder / f"f{i:03d}.png").astype(int) - frame
         # Loss of the film's compression.
         assert np.abs(difference).mean() < 6
-    with pytest.raises(OutputError, match=r"frames is not empty\. Name a new folder"):
-        film(creature, recording, folder / "%04d.png", **settings)
-    with pytest.raises(OutputError, match=r"there is no folder .*missing\. Create it first"):
-        film(creature, recording, tmp_path / "missing" / "frames" / "%04d.png", **settings)
-
-
-def test_interrupted_frames_leave_no_folder(creature, recording, tmp_path):
-    def interrupt(done, total):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        film(creature, recording, tmp_path / "new" / "%d.png", size=SMALL, progress=interrupt)
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_odd_size_is_rounded_down(creature, recording, tmp_path):
-    path = film(creature, recording, tmp_path / "s.mp4", size=(193, 109), fps=10, seconds=0.1)
-    assert decode(path)[0].shape == (108, 192, 3)
-
-
-def test_a_walker_without_a_light_is_filmed_on_land(creature, tmp_path):
-    standing = synthetic.standing(creature)._replace(goal=np.full(3, np.nan))
-    image = synthetic.read(
-        film(creature, standing, tmp_path / "stand.png", size=SMALL, world="land", title="")
-    )
-    # There is sand all around. On it the head is orange and the tail is blue.
-    assert orange(image).sum() > 60
-    assert (image[..., 2] - image[..., 0] > 60)[SMALL[1] // 3 :].sum() > 60
-    assert np.median(image[-20:, :, 0] - image[-20:, :, 2]) > 20
+    absent = tmp_path / "missing" / "frames"
+    for place, words in ((folder, "frames is not empty"), (absent, "no folder .*missing")):
+        with pytest.raises(OutputError, match=words):
+            film(creature, recording, place / "%04d.png", **settings)
 
 
 def test_the_floor_moves_with_the_world_not_with_the_camera(creature, recording, tmp_path):
     """Shifting the animal and its light by whole floor tiles gives the same picture."""
     shift = np.array([8.0, -4.0, 0.0])
     moved = recording._replace(position=recording.position + shift, goal=recording.goal + shift)
-    half = recording._replace(
-        position=recording.position + shift / 16, goal=recording.goal + shift / 16
-    )
-    pictures = []
-    for i, motion in enumerate((recording, moved, half)):
-        path = film(creature, motion, tmp_path / f"{i}.png", size=SMALL, seconds=1, world="land")
-        pictures.append(synthetic.read(path))
+    part = shift / 16
+    half = recording._replace(position=recording.position + part, goal=recording.goal + part)
+    settings = {"size": SMALL, "seconds": 1, "world": "land"}
+    pictures = [
+        synthetic.read(film(creature, motion, tmp_path / "x.png", **settings))
+        for motion in (recording, moved, half)
+    ]
     assert np.abs(pictures[0] - pictures[1]).mean() < 1.0
     assert np.abs(pictures[0] - pictures[2]).mean() > 3.0
 
@@ -504,12 +459,11 @@ def test_a_path_that_cannot_be_written_is_refused(creature, recording, tmp_path,
         film(creature, recording, tmp_path / name, size=SMALL)
 
 
-def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch):
+@pytest.mark.parametrize("name", ["swim.mp4", "frames/%04d.png"])
+def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch, name):
     monkeypatch.setattr("os.access", lambda *_: False)
     with pytest.raises(OutputError, match="no permission"):
-        film(creature, recording, tmp_path / "swim.mp4", size=SMALL)
-    with pytest.raises(OutputError, match="no permission to write in"):
-        film(creature, recording, tmp_path / "frames" / "%04d.png", size=SMALL)
+        film(creature, recording, tmp_path / name, size=SMALL)
 
 
 def test_a_folder_name_may_have_a_colon(creature, recording, tmp_path, monkeypatch):
@@ -526,7 +480,8 @@ def test_errors_of_ffmpeg_are_reported(creature, recording, tmp_path, monkeypatc
     assert not list(tmp_path.iterdir())
 
 
-def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path):
+@pytest.mark.parametrize("name", ["swim.mp4", "new/%d.png"])
+def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path, name):
     path = tmp_path / "swim.mp4"
     path.write_bytes(b"old")
 
@@ -534,7 +489,7 @@ def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        film(creature, recording, path, size=SMALL, seconds=0.2, progress=interrupt)
+        film(creature, recording, tmp_path / name, size=SMALL, seconds=0.2, progress=interrupt)
     assert path.read_bytes() == b"old"
     assert [file.name for file in tmp_path.iterdir()] == ["swim.mp4"]
 
@@ -543,16 +498,14 @@ def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path):
     ("settings", "words"),
     [
         ({"world": "air"}, r"world is 'air'\. Allowed: water, land"),
+        ({"surface": np.nan}, "surface is nan"),
         ({"camera": "front"}, r"camera is 'front'\. Allowed: follow, side, top, orbit"),
-        ({"sheet": (0, 3)}, "sheet is 0x3, but needs at least 1 column"),
+        ({"sheet": (0, 3)}, "sheet is 0x3"),
         ({"sheet": (4, 3), "seconds": 0.1}, "has 4 frames, fewer than .* of 4x3"),
         ({"size": (8, 8)}, "8 x 8 pixels"),
-        ({"fps": 0}, "fps is 0"),
-        ({"fps": np.nan}, "fps is nan, but must be positive and finite"),
-        ({"speed": np.inf}, "speed is inf, but must be positive and finite"),
+        ({"fps": np.nan}, "fps is nan"),
         ({"speed": -1}, "speed is -1"),
-        ({"seconds": -1}, "seconds is -1"),
-        ({"seconds": np.nan}, "seconds is nan, but must be at least 0"),
+        ({"seconds": np.nan}, "seconds is nan"),
     ],
 )
 def test_settings_out_of_range_are_refused(creature, recording, tmp_path, settings, words):
@@ -564,15 +517,12 @@ def test_settings_out_of_range_are_refused(creature, recording, tmp_path, settin
 def test_recordings_that_cannot_be_shown_are_refused(creature, recording, tmp_path):
     path = tmp_path / "swim.mp4"
     empty = recording._replace(time=recording.time[:0], position=recording.position[:0])
-    with pytest.raises(ValueError, match="holds no instant"):
-        film(creature, empty, path)
     other = recording._replace(position=recording.position[:, :9])
-    with pytest.raises(ValueError, match="9 bodies, but 'swimmer' has 10"):
-        film(creature, other, path)
-    position = recording.position.copy()
-    position[120:] = np.nan
-    with pytest.raises(ValueError, match="diverges at 2 s"):
-        film(creature, recording._replace(position=position), path)
+    lost = recording._replace(position=recording.position.copy())
+    lost.position[120:] = np.nan
+    for motion, words in ((empty, "no instant"), (other, "9 bodies"), (lost, "diverges at 2 s")):
+        with pytest.raises(ValueError, match=words):
+            film(creature, motion, path)
 
 
 def test_importing_the_package_loads_neither_vtk_nor_matplotlib():
