@@ -257,9 +257,8 @@ def _filled(
     """
     wide, high = _FILL if aspect >= 1 else _FILL_TALL, _FILL_HEIGHT
     for _ in range(_ROUNDS):
-        few, shown = _thinned(path, points)
-        place = project(few, shown, aspect)
-        first = project(few, at_first[None], aspect)[0] * _APART
+        place = _thinly(path, points, aspect)
+        first = project(path, at_first[None], aspect)[0] * _APART
         every = np.concatenate([place.reshape(-1, 2), first])
         if not np.isfinite(every).all():
             # Points behind the camera: step back.
@@ -298,16 +297,16 @@ def _moved(
     return path._replace(position=path.focus + aside + back * factor, focus=path.focus + aside)
 
 
-def _thinned(path: CameraPath, points: np.ndarray) -> tuple[CameraPath, np.ndarray]:
-    """Return camera and points in some of the frames."""
+def _thinly(path: CameraPath, points: np.ndarray, aspect: float) -> np.ndarray:
+    """Return the places of points in the picture, in some of the frames."""
     every = max(len(points) // _MEASURED, 1)
-    return CameraPath(path.position[::every], path.focus[::every], path.view_angle), points[::every]
+    few = CameraPath(path.position[::every], path.focus[::every], path.view_angle)
+    return project(few, points[::every], aspect)
 
 
 def _extent(path: CameraPath, points: np.ndarray, aspect: float) -> Float[np.ndarray, "2"]:
     """Return the median parts of the frame's width and height that the animal fills."""
-    few, shown = _thinned(path, points)
-    return np.median(np.ptp(project(few, shown, aspect), axis=1) / 2, axis=0)
+    return np.median(np.ptp(_thinly(path, points, aspect), axis=1) / 2, axis=0)
 
 
 def _clearest(

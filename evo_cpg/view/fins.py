@@ -12,6 +12,7 @@ import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, Joint, lowest_height, neutral_pose
 from evo_cpg.creature.shapes import Box, Shape
+from evo_cpg.view.offscreen import grid_triangles, smooth_surface
 
 # Largest thickness of a plate relative to its width, and least distance of the joint from the
 # plate's middle, relative to its half length.
@@ -191,15 +192,8 @@ def _plate(creature: Creature, shape: Shape, joint: Joint) -> _Plate | None:
 
 def _sheet(points: np.ndarray, grid: np.ndarray, normal: np.ndarray | None = None) -> pv.PolyData:
     """Return a smooth surface over a grid of points, or a flat one with a normal."""
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    faces = np.concatenate(
-        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
-    )
-    sheet = pv.PolyData.from_regular_faces(points, faces)
-    if normal is not None:
-        sheet.point_data.active_normals = np.tile(normal, (len(points), 1)).astype(np.float32)
-        return sheet
-    smooth = sheet.compute_normals(
-        cell_normals=False, split_vertices=False, consistent_normals=False
-    )
-    return cast(pv.PolyData, smooth)
+    if normal is None:
+        return smooth_surface(points, grid_triangles(grid))
+    sheet = pv.PolyData.from_regular_faces(points, grid_triangles(grid))
+    sheet.point_data.active_normals = np.tile(normal, (len(points), 1)).astype(np.float32)
+    return sheet

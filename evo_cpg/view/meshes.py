@@ -16,6 +16,7 @@ import pyvista as pv
 from evo_cpg.creature.creature import Body, Creature, LightSensor, length_of, neutral_pose
 from evo_cpg.creature.shapes import Ellipsoid, Shape
 from evo_cpg.view.fins import fins
+from evo_cpg.view.offscreen import grid_triangles, smooth_surface
 
 _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
 # Radius of an eye, relative to the body's smallest half size.
@@ -206,51 +207,33 @@ _COARSER = 4
 def _shell_mesh(body: Body, color: np.ndarray) -> pv.PolyData:
     """Return the surface of a shell in its own frame, m, with colours ``rgb`` of its points."""
     out, half = np.linspace(0, np.pi / 2, _OUT), np.asarray(body.shape.half_extents, float)
-    flat, height = _dome(out)
+    flat, height, faces = _dome(out)
     scute, far = _scutes(flat)
     # Seams end at the rim, where the belly begins.
     seam = _DEPTH * (1 - scute) * np.sqrt(height)
     above = np.column_stack([flat, height]) * (1 - seam)[:, None]
     tone = _DARK + (1 + (_PALE - 1) * np.exp(-((far / _MIDDLE_SIZE) ** 2)) - _DARK) * scute
-    top = _sheet(above * half, _faces(_OUT), np.minimum(color * tone[:, None], 1))
-    flat, height = _dome(out[::_COARSER])
-    below = np.column_stack([flat, -_BELLY * height]) * half
-    belly = _sheet(
-        below,
-        _faces(len(below) // _AROUND)[:, ::-1],
-        np.broadcast_to(_BELLY_COLOR, below.shape),
-    )
+    top = smooth_surface(above * half, faces)
+    top["rgb"] = np.round(255 * np.minimum(color * tone[:, None], 1)).astype(np.uint8)
+    flat, height, faces = _dome(out[::_COARSER])
+    belly = smooth_surface(np.column_stack([flat, -_BELLY * height]) * half, faces[:, ::-1])
+    belly["rgb"] = np.tile(np.round(255 * _BELLY_COLOR).astype(np.uint8), (len(flat), 1))
     return cast(pv.PolyData, pv.merge([top, belly], merge_points=False))
 
 
-def _dome(out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return places ``(n, 2)`` and heights ``(n,)`` on a half sphere, ring by ring.
+def _dome(out: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return places ``(n, 2)``, heights ``(n,)`` and triangles ``(m, 3)`` of a half sphere.
 
     The rings have angles ``out`` from the middle, rad.
     """
     around = 2 * np.pi * np.arange(_AROUND) / _AROUND
     ring = np.stack([np.cos(around), np.sin(around)], -1)
     flat = (np.sin(out)[:, None, None] * ring).reshape(-1, 2)
-    # The rim is level.
-    return flat, np.repeat(np.maximum(np.cos(out), 0).round(9), _AROUND)
-
-
-def _faces(rings: int) -> np.ndarray:
-    """Return the triangles between rings. The first ring is one point."""
-    grid = np.arange(rings * _AROUND).reshape(rings, _AROUND)
-    a, b = grid[:-1], grid[1:]
-    c, d = np.roll(b, -1, 1), np.roll(a, -1, 1)
-    one, two = np.stack([a, b, c], -1), np.stack([a, c, d], -1)[1:]
-    return np.concatenate([one.reshape(-1, 3), two.reshape(-1, 3)])
-
-
-def _sheet(points: np.ndarray, faces: np.ndarray, rgb: np.ndarray) -> pv.PolyData:
-    sheet = pv.PolyData.from_regular_faces(points, faces)
-    sheet["rgb"] = np.round(255 * rgb).astype(np.uint8)
-    smooth = sheet.compute_normals(
-        cell_normals=False, split_vertices=False, consistent_normals=False
-    )
-    return cast(pv.PolyData, smooth)
+    grid = np.arange(len(flat)).reshape(-1, _AROUND)
+    faces = grid_triangles(np.column_stack([grid, grid[:, 0]]))
+    # The first ring is one point, so half of its triangles have no area. The rim is level.
+    faces = faces[(faces < _AROUND).sum(1) < 2]
+    return flat, np.repeat(np.maximum(np.cos(out), 0).round(9), _AROUND), faces
 
 
 def _scutes(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

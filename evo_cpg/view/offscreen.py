@@ -52,6 +52,22 @@ def add_faded(plotter: pv.Plotter, mesh: pv.PolyData, rgba: np.ndarray, **given:
     return actor
 
 
+def grid_triangles(grid: np.ndarray) -> np.ndarray:
+    """Return the triangles between neighbours in a grid ``(rows, columns)`` of points' indices."""
+    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+    corners = [np.stack(each, -1).reshape(-1, 3) for each in ((a, b, c), (a, c, d))]
+    return np.concatenate(corners)
+
+
+def smooth_surface(points: np.ndarray, triangles: np.ndarray) -> pv.PolyData:
+    """Return a surface with the mean normals of the triangles around each point."""
+    surface = pv.PolyData.from_regular_faces(points, triangles)
+    made = surface.compute_normals(
+        cell_normals=False, split_vertices=False, consistent_normals=False
+    )
+    return cast(pv.PolyData, made)
+
+
 def placed(rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Return the matrix ``(4, 4)`` of an actor that is turned and then moved."""
     matrix = np.eye(4)

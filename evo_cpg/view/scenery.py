@@ -256,18 +256,14 @@ _WHITE, _BLACK = "#ffffff", "#11161c"
 def add_track(stage: Stage, track: Track) -> None:
     """Draw the lines. `evo_cpg.view.captions` writes their distances."""
     radius, color = stage.radius, stage.look.text
-    parts: list[tuple[np.ndarray, np.ndarray]] = []
-
-    def fill(near: float, far: float, right: float, left: float, shade: str, part: float) -> None:
-        corners = [(near, right), (far, right), (far, left), (near, left)]
-        place = np.array([track.at(*corner) for corner in corners])
-        parts.append((place, np.array(pv.Color(shade, opacity=part).int_rgba)))
-
+    # Near and far end, right and left side, m, colour and opacity of each rectangle.
+    parts: list[tuple[float, float, float, float, str, float]] = []
     for number in range(track.lines + 1):
         half = (_LINE if number else _START) * radius / 2
         middle = number * track.spacing
         if middle != track.finish:
-            fill(middle - half, middle + half, -track.right, track.left, color, _OPACITY)
+            sides = -track.right, track.left
+            parts.append((middle - half, middle + half, *sides, color, _OPACITY))
     if track.finish is not None:
         count = max(round((track.right + track.left) / (_SQUARE * radius)), 1)
         side = (track.right + track.left) / count
@@ -275,9 +271,13 @@ def add_track(stage: Stage, track: Track) -> None:
             for column in range(count):
                 near, right = track.finish + row * side, column * side - track.right
                 shade = (_WHITE, _BLACK)[(row + column) % 2]
-                fill(near, near + side, right, right + side, shade, _OPAQUE)
-    points = np.concatenate([place for place, _ in parts])
-    rgba = np.concatenate([np.tile(shade, (4, 1)) for _, shade in parts]).astype(np.uint8)
+                parts.append((near, near + side, right, right + side, shade, _OPAQUE))
+    points, rgba = np.zeros((4 * len(parts), 3)), np.zeros((4 * len(parts), 4), np.uint8)
+    for number, (near, far, right, left, shade, opacity) in enumerate(parts):
+        corners = [(near, right), (far, right), (far, left), (near, left)]
+        own = slice(4 * number, 4 * number + 4)
+        points[own] = [track.at(*corner) for corner in corners]
+        rgba[own] = pv.Color(shade, opacity=opacity).int_rgba
     points[:, 2] = stage.ground.height(points[:, :2]) + stage.lift
     quads = np.arange(len(points)).reshape(-1, 4)
     add_faded(stage.plotter, pv.PolyData.from_regular_faces(points, quads), rgba)

@@ -121,11 +121,15 @@ class Strip:
         look: look of the world, for the colours.
         size: width and height, pixels of the film.
         scale: pixels drawn per pixel of the film.
+
+    Attributes:
+        height: height of the drawn strip, pixels.
     """
 
     def __init__(self, signals: Signals, look: Look, size: tuple[int, int], scale: float):
         self._look, self._scale = look, scale
         self._size = round(size[0] * scale), round(size[1] * scale)
+        self.height = self._size[1]
         self._letter = scale * max(_LETTER, _LETTERS * size[1])
         height = size[1] - 2.6 * self._letter / scale
         self._signals = _shown(signals, height / max(1.0, self._letter / scale / _LETTER))
@@ -136,11 +140,6 @@ class Strip:
         self._length = (last - first) / self._pages or self._length
         self._ink = np.uint8(255 * np.array(to_rgb(look.text)))
         self._drawn, self._picture, self._box = -1, np.zeros(0), (0, 0, 0, 0)
-
-    @property
-    def height(self) -> int:
-        """Height of the drawn strip, pixels."""
-        return self._size[1]
 
     def at(self, time: float) -> np.ndarray:
         """Draw the strip at a time, s: ``(height, width, 3)`` bytes, bottom row first."""

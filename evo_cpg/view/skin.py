@@ -27,6 +27,7 @@ from evo_cpg.creature.shapes import Box, Ellipsoid, Shape
 from evo_cpg.creature.slender import LEAST_BODIES, SlenderChain, slender_chains
 from evo_cpg.view.fins import Fin, fins
 from evo_cpg.view.meshes import body_colors
+from evo_cpg.view.offscreen import grid_triangles
 from evo_cpg.view.stage import Shot, Stage, Update
 
 # Rings from one body to the next, and points around a ring.
@@ -116,12 +117,13 @@ def _skin(
     normals = np.cross(around, np.gradient(curve, axis=0)[:, None])
     normals *= np.sign((normals * across).sum(-1, keepdims=True))
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    grid = np.arange(len(along) * _POINTS).reshape(-1, _POINTS)
     colors = body_colors(creature)[bodies]
     mixed = colors[i] * (1 - t) + colors[i + 1] * t
     return ChainSkin(
         points,
         normals.reshape(-1, 3),
-        _faces(len(along)),
+        grid_triangles(np.column_stack([grid, grid[:, 0]])),
         np.repeat(np.round(255 * mixed).astype(np.uint8), _POINTS, 0),
         np.repeat(np.stack([bodies[i], bodies[i + 1]], -1), _POINTS, 0),
         np.repeat(np.concatenate([1 - after, after], -1), _POINTS, 0),
@@ -149,15 +151,6 @@ def _narrowed(
     )[which]
     part = np.divide(away, half, out=np.ones_like(away), where=half > 0)
     return np.sqrt(np.maximum(1 - part**2, 0))
-
-
-def _faces(rings: int) -> np.ndarray:
-    """Return the triangles of a tube of rings."""
-    ring = np.arange(rings - 1)[:, None] * _POINTS
-    here, there = np.arange(_POINTS), np.roll(np.arange(_POINTS), -1)
-    corners = np.stack([ring + here, ring + _POINTS + there, ring + there], -1)
-    others = np.stack([ring + here, ring + _POINTS + here, ring + _POINTS + there], -1)
-    return np.concatenate([corners.reshape(-1, 3), others.reshape(-1, 3)])
 
 
 class Draped:

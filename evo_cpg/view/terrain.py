@@ -14,7 +14,7 @@ import pyvista as pv
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.contact.terrain import Block, Boulder, Part, Plane, Relief, Shore
-from evo_cpg.view.offscreen import placed
+from evo_cpg.view.offscreen import grid_triangles, placed
 
 # Distance between the grid's lines near the path, and the margin with this distance, in radii of
 # the animal. Most lines with this distance, and growth of the distance further out. A frame of 960
@@ -66,9 +66,7 @@ class Terrain(NamedTuple):
 
     def triangles(self) -> np.ndarray:
         """Return the triangles as indices of their corners among the crossings ``(m, 3)``."""
-        first = np.arange(self.z.size).reshape(self.z.shape)
-        a, b, c, d = first[:-1, :-1], first[1:, :-1], first[1:, 1:], first[:-1, 1:]
-        return np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2).reshape(-1, 3)
+        return grid_triangles(np.arange(self.z.size).reshape(self.z.shape))
 
     def height(self, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
         """Return the height of the mesh, m. Places beyond the mesh have the height of its edge.
