@@ -78,29 +78,28 @@ class Fin(NamedTuple):
         side = middle[:, None] + np.outer(wide, across)
         bulge = np.outer(thick, np.sqrt(np.maximum(1 - across**2, 0)))
         grid = np.arange(_ALONG * _ACROSS).reshape(_ALONG, _ACROSS)
-        sides = [
-            _sheet(self._points(place, side, sign * bulge), grid if sign > 0 else grid[:, ::-1])
-            for sign in (1, -1)
+        patches: list[tuple] = [
+            (place, side, bulge, grid, None),
+            (place, side, -bulge, grid[:, ::-1], None),
         ]
-        ends = [
-            _sheet(
-                self._points(
-                    np.tile(place[row], (2, 1)),
-                    np.tile(side[row], (2, 1)),
-                    sign * np.stack([bulge[row], -bulge[row]]),
-                ),
-                np.arange(2 * _ACROSS).reshape(2, _ACROSS),
-                sign * self.axes[0],
-            )
-            for row, sign in ((0, -1), (-1, 1))
-            if bulge[row].max() > _FLAT
-        ]
-        return cast(pv.PolyData, pv.merge([*sides, *ends], merge_points=False))
-
-    def _points(self, *places: np.ndarray) -> np.ndarray:
-        """Return points ``(n, 3)`` of places along, across and through, relative to the plate."""
-        own = np.stack([each.ravel() for each in places], -1) * self.half
-        return own @ self.axes
+        for row, sign in ((0, -1), (-1, 1)):
+            if bulge[row].max() > _FLAT:
+                edge = [np.tile(each[row], (2, 1)) for each in (place, side)]
+                thin = sign * np.stack([bulge[row], -bulge[row]])
+                corners = np.arange(2 * _ACROSS).reshape(2, _ACROSS)
+                patches.append((*edge, thin, corners, sign * self.axes[0]))
+        sheets = []
+        for *where, corners, normal in patches:
+            points = np.stack([each.ravel() for each in where], -1) * self.half @ self.axes
+            triangles = grid_triangles(corners)
+            if normal is None:
+                sheets.append(smooth_surface(points, triangles))
+                continue
+            # An end is flat.
+            end = pv.PolyData.from_regular_faces(points, triangles)
+            end.point_data.active_normals = np.tile(normal, (len(points), 1)).astype(np.float32)
+            sheets.append(end)
+        return cast(pv.PolyData, pv.merge(sheets, merge_points=False))
 
 
 def fins(creature: Creature) -> dict[int, Fin]:
@@ -188,12 +187,3 @@ def _plate(creature: Creature, shape: Shape, joint: Joint) -> _Plate | None:
     axes[2] = np.cross(axes[0], axes[1])
     place = np.asarray(joint.parent_anchor, float)
     return _Plate(axes, half[order], creature.body_index(joint.parent), place)
-
-
-def _sheet(points: np.ndarray, grid: np.ndarray, normal: np.ndarray | None = None) -> pv.PolyData:
-    """Return a smooth surface over a grid of points, or a flat one with a normal."""
-    if normal is None:
-        return smooth_surface(points, grid_triangles(grid))
-    sheet = pv.PolyData.from_regular_faces(points, grid_triangles(grid))
-    sheet.point_data.active_normals = np.tile(normal, (len(points), 1)).astype(np.float32)
-    return sheet

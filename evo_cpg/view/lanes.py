@@ -92,6 +92,7 @@ class Tank(NamedTuple):
         title: view of the first animal, and of its goal if it is near.
         wide: view of all lanes.
         near: whether this view shows the goal.
+        goal: place of the last line that the champion passes, m, and its name, or None.
     """
 
     course: Course
@@ -102,14 +103,7 @@ class Tank(NamedTuple):
     title: Overview
     wide: Overview
     near: bool
-
-    @property
-    def goal(self) -> tuple[Float[np.ndarray, "3"], str] | None:
-        """Place of the last line that the champion passes, m, and its name, or None."""
-        course = self.course
-        if course.target is None or course.finish is None:
-            return None
-        return course.target, f"{course.finish:g} m"
+    goal: tuple[Float[np.ndarray, "3"], str] | None
 
     def behind(self, first: Recording, others: CrowdMotion, time: float) -> Overview:
         """Return a view of the first animal and those close behind it, at a time (s)."""
@@ -225,7 +219,9 @@ def tank_of(
         track = Track(start, course.bearing, course.spacing, lines, *sides, finish)
     title = _title_view(course, STYLES[panel.world].side_elevation, aspect)
     floor = None if land else _floor(panel, course, crowds)
-    return Tank(course, lane, _LANES - 1 if lane else _PILED, track, floor, title, wide, near)
+    goal = None if target is None or finish is None else (target, f"{finish:g} m")
+    others = _LANES - 1 if lane else _PILED
+    return Tank(course, lane, others, track, floor, title, wide, near, goal)
 
 
 def _title_view(course: Course, elevation: float, aspect: float) -> Overview:

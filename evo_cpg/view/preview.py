@@ -119,17 +119,20 @@ def preview(
     middle = (shown.min(0) + shown.max(0)) / 2
     scene = scene._replace(radius=float(np.linalg.norm(shown - middle, axis=1).max()))
     camera, half_height = _camera(shown, size)
-    scale = oversampling(size, _OVERSAMPLING)
-    rendered = round(size[0] * scale), round(size[1] * scale)
+    finer = oversampling(size, _OVERSAMPLING)
+    rendered = round(size[0] * finer), round(size[1] * finer)
     with canvas(rendered) as plotter:
         bodies = add_bodies(plotter, creature, scene.look.ambient)
-        show = set_scene(Stage(plotter, scene, camera, scale), bodies, skins=False)
+        show = set_scene(Stage(plotter, scene, camera, finer), bodies, skins=False)
         plotter.camera.parallel_projection = True
         plotter.camera.parallel_scale = half_height
         draped = drape(plotter, creature, scene.look.ambient)
         for skin, _ in draped:
             skin.move(*rest)
-        legend = _add_joints(plotter, scene) | _add_sensors(plotter, scene)
+        thin = scene.half_extents.min(1)
+        # Half the thickness of a typical body, m.
+        scale = float(np.median(thin[thin > 0]))
+        legend = _add_joints(plotter, scene, scale) | _add_sensors(plotter, scene, scale)
         opaque = show(0)
         for actor in [body for body, *_ in bodies] + [actor for _, actor in draped]:
             actor.visibility = False
@@ -138,7 +141,7 @@ def preview(
     if surface is not None:
         notes.append(water_note(surface, hull))
     if size[0] >= _ROOM[0] and size[1] >= _ROOM[1]:
-        unit = scale * max(min(size[0] / _SCREEN[0], size[1] / _SCREEN[1]), 0.5)
+        unit = finer * max(min(size[0] / _SCREEN[0], size[1] / _SCREEN[1]), 0.5)
         pixels_per_metre = rendered[1] / 2 / half_height
         offset = (rest[0] - camera.focus[0]) @ np.column_stack([_RIGHT, -_UP])
         places = np.array(rendered) / 2 + pixels_per_metre * offset
@@ -197,7 +200,7 @@ def water_note(surface: float, hull: np.ndarray) -> str:
     return "partly under water" if surface > low else f"{low - surface:.2g} m above the water"
 
 
-def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
+def _add_joints(plotter: pv.Plotter, scene: Scene, scale: float) -> dict[str, str]:
     """Draw arrows along the joint axes, and return their colours by meaning."""
     meaning = {}
     for body, centre, turn in _posed(scene):
@@ -211,13 +214,13 @@ def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
             color = _AXES.get(name, _OTHER_AXIS)
             meaning[f"{name} axis" if names else "other axis, such as -z"] = color
             # Long enough to stick out of the bodies on either side.
-            _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * _thickness(scene), color)
+            _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * scale, color)
     return dict(sorted(meaning.items()))
 
 
-def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
+def _add_sensors(plotter: pv.Plotter, scene: Scene, scale: float) -> dict[str, str]:
     """Draw lines of sight, depth gauges and pressure sensors, and return their colours."""
-    creature, scale, balls, meaning = scene.creature, _thickness(scene), [], {}
+    creature, balls, meaning = scene.creature, [], {}
     posed = {body.name: (body, centre, turn) for body, centre, turn in _posed(scene)}
     for sensor in creature.light_sensors:
         _, centre, turn = posed[sensor.body]
@@ -243,12 +246,6 @@ def _posed(scene: Scene) -> Iterator[tuple[Body, np.ndarray, np.ndarray]]:
     """Yield every body with its centre and rotation."""
     clip = scene.clip
     return zip(scene.creature.bodies, clip.position[0], clip.rotation[0], strict=True)
-
-
-def _thickness(scene: Scene) -> float:
-    """Return half the thickness of a typical body, m."""
-    thin = scene.half_extents.min(1)
-    return float(np.median(thin[thin > 0]))
 
 
 def _add_arrow(

@@ -176,6 +176,7 @@ _GRAIN, _ROUGHNESS = 0.07, 0.25
 # of 1280 x 720 with five boulders and two blocks took 58 ms. Twice the facets took 82 ms. Without
 # the sides that face away it took 43 ms.
 _SEEN, _SHADE = (24, 72), (8, 36)
+_NO_STONE = "cannot draw a {} as an obstacle. Allowed: Boulder, Block"
 # Parts deeper in the ground than this fraction of an obstacle's size are not drawn.
 _SUNK = 0.02
 
@@ -203,7 +204,7 @@ def obstacle_mesh(
         mesh = pv.PolyData.from_regular_faces(np.asarray(mesh.points) * half, faces)
         mesh = cast(pv.PolyData, mesh.compute_normals(split_vertices=True, feature_angle=30.0))
         return mesh, np.array(obstacle.centre, float), _heading(obstacle)
-    raise _unknown(obstacle)
+    raise TypeError(_NO_STONE.format(type(obstacle).__name__))
 
 
 def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
@@ -220,7 +221,7 @@ def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
         own = (place - np.array(obstacle.centre[:2])) @ _heading(obstacle)[:2, :2]
         over = (np.abs(own) < obstacle.half_extents[:2]).all(-1)
         return np.where(over, obstacle.centre[2] + obstacle.half_extents[2], -np.inf)
-    raise _unknown(obstacle)
+    raise TypeError(_NO_STONE.format(type(obstacle).__name__))
 
 
 def add_obstacles(
@@ -279,9 +280,3 @@ def _heading(block: Block) -> np.ndarray:
     """Return the rotation ``(3, 3)`` from a block's axes to the world's."""
     c, s = np.cos(block.heading), np.sin(block.heading)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _unknown(obstacle: Part) -> TypeError:
-    return TypeError(
-        f"cannot draw a {type(obstacle).__name__} as an obstacle. Allowed: Boulder, Block"
-    )
