@@ -166,24 +166,6 @@ def test_the_animal_crosses_the_picture_from_side_and_top(creature, recording, w
     assert (up[:, 1] > 0.02).all() and np.abs(up[:, 0]).max() < 1e-6
 
 
-def test_the_side_camera_looks_over_a_stone(creature, recording):
-    """The low camera rises if a stone would hide the animal. The top camera does not."""
-    middle = recording.position.reshape(-1, 3).mean(0)
-    towards = recording.goal - recording.position[0].mean(0)
-    aside = np.array([towards[1], -towards[0], 0.0]) / np.linalg.norm(towards)
-    stone = Boulder(tuple(middle + 2.5 * aside - [0, 0, 1.0]), 1.6)
-    ground = Ground(floor=Plane(height=-1.0), obstacles=(stone,))
-    elevations = {}
-    for view in ("side", "top"):
-        for name, there in (("bare", None), ("stone", ground)):
-            _, camera = seen(creature, recording, "land", view, there)
-            offset = camera.position[0] - camera.focus[0]
-            elevations[view, name] = np.degrees(np.arcsin(offset[2] / np.linalg.norm(offset)))
-    assert elevations["side", "bare"] == pytest.approx(4)
-    assert elevations["side", "stone"] > 15
-    assert elevations["top", "bare"] == elevations["top", "stone"] == pytest.approx(88)
-
-
 @pytest.mark.parametrize("world", ["water", "land"])
 def test_the_camera_goes_around_once(creature, recording, world):
     """It turns evenly, at one height and distance, with the animal in the middle."""
@@ -292,11 +274,10 @@ def test_animals_stand_side_by_side(creature, recording, tmp_path):
         for row in (0, height + gap)
         for column in (0, width + gap)
     ]
-    alone = film(creature, recording, tmp_path / "i.png", size=SMALL, fps=10, seconds=3, title="")
-    assert np.abs(cells[0] - synthetic.read(alone)).mean() < 1.0
+    for cell, motion in zip(cells, (recording, short), strict=False):
+        alone = film(creature, motion, tmp_path / "i.png", size=SMALL, fps=10, seconds=3, title="")
+        assert np.abs(cell - synthetic.read(alone)).mean() < 1.0
     assert np.array_equal(cells[1], cells[3])
-    alone = film(creature, short, tmp_path / "i.png", size=SMALL, fps=10, seconds=3, title="")
-    assert np.abs(cells[1] - synthetic.read(alone)).mean() < 1.0
     # Land: bright, and blue above.
     assert cells[2].mean() > cells[0].mean() + 60
     movie = side_by_side(panels[:3], tmp_path / "all.mp4", Film(SMALL, 10, 0.2))
@@ -399,9 +380,7 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
     assert image.shape == (tall, 2 * width + apart, 3)
     assert said == ["0.0 s", "32.0 s"]
     assert (image[:, width : width + apart] == 255).all()
-    assert (image[head + height : head + height + gap] == 255).all()
     # Headings are white and black. Below them is the water.
-    assert np.ptp(image[:head].astype(int), axis=2).max() < 12
     assert image[:head, :width].min() < 100 and image[head:, :width].mean() < 120
     alone = film(creature, recording, tmp_path / "a.png", title="", **settings)
     first = synthetic.read(alone)[:, :width].astype(int)
