@@ -21,8 +21,7 @@ import numpy as np
 from benchmarks.plan import Plan, experiment_of
 from benchmarks.rows import Row
 from benchmarks.timing import Contender, count_lasting, race, ratio_quartiles
-from evo_cpg.evolution.bits import BitGenetics
-from evo_cpg.evolution.generation import Genetics
+from evo_cpg.evolution.genetics import BitGenetics, Genetics
 
 SIZE, GENES = 200, 3000
 _QUICK_GENES = 300

@@ -14,7 +14,7 @@ from benchmarks.rows import Row
 from benchmarks.timing import Contender, race, ratio_quartiles, seconds
 from evo_cpg.native.engine import Engine
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import compile_trials
+from evo_cpg.training.evaluate import compile_trials
 
 _SIZE = 64
 _STEPS = 60

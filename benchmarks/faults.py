@@ -113,7 +113,7 @@ def contents(run: Path) -> dict[str, str]:
 
     folder = RunFolder(run)
     checkpoint = folder.load()
-    champion, recording, _ = folder.load_champion()
+    champion, recording, _ = folder.with_champion()
     assert checkpoint is not None and recording is not None
     rows = [{k: v for k, v in row.items() if k not in _TIMES} for row in checkpoint.history]
     parts = {
@@ -343,10 +343,9 @@ def open_damaged(folder: Path, number: int) -> str:
         RuntimeError: a command failed without a message for the user, or resuming changed the
             population.
     """
-    from evo_cpg.cli import champions
-    from evo_cpg.cli.plot import plot
-    from evo_cpg.cli.resume import resume
-    from evo_cpg.cli.verify import verify
+    import evo_cpg as evo
+    from evo_cpg.api.runs import open_champion
+    from evo_cpg.cli.draw import plot
     from evo_cpg.training import devices
     from evo_cpg.training.run_folder import RunFolder
 
@@ -358,13 +357,13 @@ def open_damaged(folder: Path, number: int) -> str:
     outcomes = []
     commands: dict[str, Callable[[], object]] = {
         "plot": lambda: plot(run),
-        "verify": lambda: verify(run, 1),
-        "resume": lambda: resume(run, cores=1),
+        "verify": lambda: evo.verify(run, 1),
+        "resume": lambda: evo.resume(run, cores=1),
     }
     if number % _VERIFIED:
-        commands = {"plot": commands["plot"], "open": lambda: champions.open_champion(run)}
+        commands = {"plot": commands["plot"], "open": lambda: open_champion(run)}
     # JAX already has its devices in this process. A damaged file must not change their number.
-    devices.use_cores = champions.use_cores = lambda cores: 1
+    devices.use_cores = lambda cores: 1
     for name, call in commands.items():
         try:
             with (

@@ -28,7 +28,7 @@ from evo_cpg.native import machine_constants
 from evo_cpg.simulation.backward import Backward
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.devices import population_mesh, use_cores
-from evo_cpg.training.experiment import compile_trials
+from evo_cpg.training.evaluate import compile_trials
 
 # Steps in a call of a physics program, and individuals in seven vectors.
 _STEPS, _INDIVIDUALS = 400, 112

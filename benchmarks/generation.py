@@ -11,7 +11,8 @@ from benchmarks.plan import Plan, experiment_of, swimmer_settings
 from benchmarks.rows import SECONDS, Row
 from benchmarks.timing import Contender, race, seconds
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import begin, breed, compile_trials
+from evo_cpg.training.evaluate import compile_trials
+from evo_cpg.training.experiment import begin, breed
 
 
 def measure(plan: Plan) -> list[Row]:

@@ -128,8 +128,7 @@ def imported_reading(imported: Imported) -> Reading:
         for dof in joint.dofs if joint else ():
             limits = (float(dof.lower), float(dof.upper))
             free = limits == (-NO_LIMIT, NO_LIMIT)
-            motor = dof.torque_motor
-            torque = motor.gear if isinstance(motor, TorqueMotor) else 0.0
+            torque = dof.actuator.gear if isinstance(dof.actuator, TorqueMotor) else 0.0
             reading.joints[body.name] = *((-np.inf, np.inf) if free else limits), float(torque)
     return reading
 

@@ -29,7 +29,7 @@ from evo_cpg.io.load import check_config
 from evo_cpg.io.models.compiled import Compiled, compile_model
 from evo_cpg.io.models.mjcf_import import Imported, read_model
 from evo_cpg.io.models.refusals import ExchangeError
-from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.generalized import generalized_force, mass_matrix

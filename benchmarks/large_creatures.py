@@ -108,7 +108,7 @@ def _prepare(
     from evo_cpg.native.backend import machine
     from evo_cpg.native.stopwatch import measuring
     from evo_cpg.training.devices import population_mesh, use_cores
-    from evo_cpg.training.experiment import compile_trials
+    from evo_cpg.training.evaluate import compile_trials
 
     use_cores()
     # The engine tests itself first, because this is not part of a creature's compile time.

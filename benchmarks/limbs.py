@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from rich.console import Console
 
-from evo_cpg.cli.champions import open_champion
+from evo_cpg.api.runs import open_champion
 from evo_cpg.control.postures import PostureController
 from evo_cpg.physics.contact.pairs import separations
 from evo_cpg.physics.step.step import first_warmstart, step

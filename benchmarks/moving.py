@@ -25,7 +25,7 @@ from benchmarks.rows import Row, finite
 from benchmarks.timing import Contender, count_lasting, race, ratio_quartiles, seconds
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import compile_trials
+from evo_cpg.training.evaluate import compile_trials
 
 UNIT = "steps/s"
 PHYSICS, WHOLE = "physics", "whole stack"

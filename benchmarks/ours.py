@@ -48,7 +48,7 @@ def compile_for_all(
 
     start = time.perf_counter()
     first = arguments(0, np.arange(spread.block))
-    compiled = sharded(function, spread.mesh, (0, 2), 2).lower(*first).compile()
+    compiled = sharded(function, spread.mesh, (0, 2)).lower(*first).compile()
     seconds = time.perf_counter() - start
     usage = compiled.memory_analysis()
     temporary = spread.mesh.size * int(usage.temp_size_in_bytes) if usage is not None else 0

@@ -23,7 +23,7 @@ from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.simulation.judge import is_sane
 from evo_cpg.simulation.snapshot import Snapshot
-from evo_cpg.training.variations import limp
+from evo_cpg.training.conditions import limp
 
 RESTITUTIONS, SPEEDS = (0.0, 0.3, 0.9), (1.0, 10.0)
 

@@ -19,9 +19,9 @@ from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import dump_config, load_config
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import ExperimentParts, Learning
-from evo_cpg.training.loop import train
 from evo_cpg.training.refine import Refinement, Round, compile_refinement
 from evo_cpg.training.run_folder import Checkpoint, RunFolder
+from evo_cpg.training.train import train
 
 SWIMMER = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
 RUNS = 5

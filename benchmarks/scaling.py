@@ -24,7 +24,7 @@ from benchmarks.timing import Contender, race, ratio_quartiles
 from benchmarks.worker import Worker, serve, started
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import compile_trials
+from evo_cpg.training.evaluate import compile_trials
 
 # Control steps of a trial, by config. One core computes a population's trials in about a second.
 _CASES = {

@@ -34,7 +34,7 @@ from benchmarks.animals import ANIMALS
 from benchmarks.compare import Verdict, compare
 from benchmarks.plan import Plan
 from benchmarks.rows import Row
-from evo_cpg.api.display import Work, working
+from evo_cpg.api.progress import Work, working
 from evo_cpg.training.devices import use_cores
 
 # Length of a call, s, and number of rounds, in a full run and in a quick run.

@@ -4,6 +4,8 @@ The names in `__all__` are stable (see docs/api.md). Each is imported at its fir
 the package takes little time and starts nothing.
 """
 
+# ruff: noqa: F401 - the imports for type checkers
+
 import contextlib
 import importlib
 import os
@@ -12,79 +14,60 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from evo_cpg.analysis.laboratory.ask import Answer
-    from evo_cpg.api.analyse import analyse, gait_numbers
+    from evo_cpg.api.analyse import Analysis, analyse, gait_numbers
+    from evo_cpg.api.audit import Audit, audit
     from evo_cpg.api.environment import Environment, EnvironmentState
-    from evo_cpg.api.experiment import Experiment, Trials
+    from evo_cpg.api.experiment import Experiment, Trials, load
+    from evo_cpg.api.fit import fit
     from evo_cpg.api.lab import lab
-    from evo_cpg.api.load import load
+    from evo_cpg.api.probe import Probed, probe
     from evo_cpg.api.progress import show_progress
     from evo_cpg.api.record import Record
-    from evo_cpg.api.training import Trained, train
+    from evo_cpg.api.refine import Refined, refine
+    from evo_cpg.api.rhythm import find_rhythm, rhythm
+    from evo_cpg.api.runs import Verification, verify
+    from evo_cpg.api.sensitivity import Sensitivities, sensitivity
+    from evo_cpg.api.story import story
+    from evo_cpg.api.sweep import Summary, sweep
+    from evo_cpg.api.training import Trained, resume, train
     from evo_cpg.control.controller import Command, Controller, Observation
     from evo_cpg.evolution.strategy import Evaluation, Strategy
     from evo_cpg.io.errors import ConfigError
     from evo_cpg.physics.water.force_law import Bodies, ForceLaw
-    from evo_cpg.simulation.sensor import Sensor
+    from evo_cpg.simulation.sensors import Sensor
     from evo_cpg.simulation.snapshot import Forces, Snapshot
     from evo_cpg.simulation.task import Task, Transition
 
-_HOMES = {
-    "Answer": "analysis.laboratory.ask",
-    "Bodies": "physics.water.force_law",
-    "Command": "control.controller",
-    "ConfigError": "io.errors",
-    "Controller": "control.controller",
-    "Environment": "api.environment",
-    "EnvironmentState": "api.environment",
-    "Evaluation": "evolution.strategy",
-    "Experiment": "api.experiment",
-    "ForceLaw": "physics.water.force_law",
-    "Forces": "simulation.snapshot",
-    "Observation": "control.controller",
-    "Record": "api.record",
-    "Sensor": "simulation.sensor",
-    "Snapshot": "simulation.snapshot",
-    "Strategy": "evolution.strategy",
-    "Task": "simulation.task",
-    "Trained": "api.training",
-    "Transition": "simulation.task",
-    "Trials": "api.experiment",
-    "analyse": "api.analyse",
-    "lab": "api.lab",
-    "gait_numbers": "api.analyse",
-    "load": "api.load",
-    "show_progress": "api.progress",
-    "train": "api.training",
+# Public names by module, in the order of the reference in docs/api.md.
+_NAMES = {
+    "api.experiment": ("load", "Experiment", "Trials"),
+    "evolution.strategy": ("Evaluation", "Strategy"),
+    "api.record": ("Record",),
+    "api.environment": ("Environment", "EnvironmentState"),
+    "api.training": ("train", "resume", "Trained"),
+    "api.refine": ("refine", "Refined"),
+    "api.sweep": ("sweep", "Summary"),
+    "api.runs": ("verify", "Verification"),
+    "api.audit": ("audit", "Audit"),
+    "api.analyse": ("analyse", "Analysis", "gait_numbers"),
+    "api.probe": ("probe", "Probed"),
+    "api.sensitivity": ("sensitivity", "Sensitivities"),
+    "api.story": ("story",),
+    "api.rhythm": ("rhythm", "find_rhythm"),
+    "api.fit": ("fit",),
+    "api.lab": ("lab",),
+    "analysis.laboratory.ask": ("Answer",),
+    "api.progress": ("show_progress",),
+    "simulation.task": ("Task", "Transition"),
+    "simulation.snapshot": ("Snapshot", "Forces"),
+    "simulation.sensor": ("Sensor",),
+    "physics.water.force_law": ("ForceLaw", "Bodies"),
+    "control.controller": ("Controller", "Observation", "Command"),
+    "io.errors": ("ConfigError",),
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 
-__all__ = [  # noqa: RUF022 - in the order of the reference in docs/api.md
-    "load",
-    "Experiment",
-    "Evaluation",
-    "Trials",
-    "Record",
-    "Environment",
-    "EnvironmentState",
-    "train",
-    "Trained",
-    "analyse",
-    "lab",
-    "Answer",
-    "gait_numbers",
-    "show_progress",
-    "Task",
-    "Transition",
-    "Snapshot",
-    "Forces",
-    "Sensor",
-    "ForceLaw",
-    "Bodies",
-    "Controller",
-    "Observation",
-    "Command",
-    "Strategy",
-    "ConfigError",
-]
+__all__ = list(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 # On CPUs, jaxlib 0.10.2 computes some sums of products wrongly and without an error, for instance

@@ -1,7 +1,8 @@
-"""Base class of all errors about the user's input."""
+"""Base classes of errors and warnings about the user's input, and hints in their messages."""
 
 import difflib
 import re
+import warnings
 from collections.abc import Iterable, Sequence
 
 # Least likeness of a suggested word, and least length of a part that is compared by itself.
@@ -15,6 +16,19 @@ class UserError(Exception):
     """
 
 
+class UsageError(UserError, ValueError):
+    """Wrong argument of an operation, in Python or on the command line."""
+
+
+class Advice(UserWarning):
+    """Warning about the user's input or results. The command line prints it as a line."""
+
+
+def advise(words: str) -> None:
+    """Warn the caller of an operation."""
+    warnings.warn(words, Advice, stacklevel=3)
+
+
 def nearest(word: str, valid: Iterable[str]) -> str:
     """Return a hint for an invalid word: the nearest valid word, if any, and all valid words."""
     choices = sorted(valid)
@@ -24,14 +38,9 @@ def nearest(word: str, valid: Iterable[str]) -> str:
 
 
 def similar(word: str, valid: Iterable[str], most: int = 4) -> list[str]:
-    """Return the valid words that resemble a word, the most similar first.
+    """Return at most `most` valid words that resemble a word, the most similar first.
 
     A valid word also counts if it contains the word, or if one of its parts resembles the word.
-
-    Args:
-        word: invalid word.
-        valid: valid words, perhaps many.
-        most: largest number of returned words.
     """
     given = word.lower()
 

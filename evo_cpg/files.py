@@ -58,10 +58,6 @@ def beside(path: Path, folder: bool = False) -> Iterator[Path]:
 
     A killed process leaves its temporary file behind, but loses its lock on the file. The next
     block in the same folder therefore deletes all temporary files that nobody has locked.
-
-    Args:
-        path: path of the final file or folder.
-        folder: whether to make a folder.
     """
     _delete_abandoned(path.parent)
     # A unique name, because several programs may write the same file.
@@ -103,12 +99,7 @@ def _delete(name: str) -> None:
 
 
 def _locked(name: str, wait: bool) -> int | None:
-    """Lock a file or folder, and return its descriptor, or None if it cannot be locked.
-
-    Args:
-        name: path of the file or folder.
-        wait: whether to wait while another process holds the lock.
-    """
+    """Lock a file or folder, and return its descriptor, or None if it cannot be locked."""
     if sys.platform == "win32":
         return None
     import fcntl
@@ -129,12 +120,8 @@ def _locked(name: str, wait: bool) -> int | None:
 def in_one_piece(path: Path) -> Iterator[Path]:
     """Yield a temporary file in the same folder, which replaces the file after the ``with`` block.
 
-    Args:
-        path: path of the file. An existing file is replaced, and its permissions stay. If the path
-            is a link, the file that it leads to is replaced.
-
-    Yields:
-        Path of the temporary file, which is empty and has the same suffix.
+    An existing file is replaced, and its permissions stay. If the path is a link, the file that it
+    leads to is replaced. The temporary file is empty and has the same suffix.
 
     Raises:
         OutputError: the file cannot be written, for instance because the disk is full.
@@ -144,7 +131,10 @@ def in_one_piece(path: Path) -> Iterator[Path]:
     try:
         with beside(path) as partial:
             yield partial
-            os.chmod(partial, _permissions(path))
+            mode = 0o644
+            with contextlib.suppress(OSError):
+                mode = stat.S_IMODE(os.stat(path).st_mode)
+            os.chmod(partial, mode)
             os.replace(partial, path)
     except OutputError:
         raise
@@ -152,20 +142,8 @@ def in_one_piece(path: Path) -> Iterator[Path]:
         raise cannot_write(path, error) from None
 
 
-def _permissions(path: Path) -> int:
-    """Return the permissions of a file, or those of a new file."""
-    try:
-        return stat.S_IMODE(os.stat(path).st_mode)
-    except OSError:
-        return 0o644
-
-
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write a temporary file, flush it to the disk, and move it to its place.
-
-    Args:
-        path: path of the file. An existing file is replaced.
-        write: function that writes the contents to an open file.
 
     Raises:
         OutputError: the file cannot be written.
@@ -195,7 +173,7 @@ def read_json(path: Path, kind: Any) -> Any:
     from pydantic import TypeAdapter, ValidationError
 
     try:
-        # Pydantic's own reader refuses file names that are not UTF-8 (`evo_cpg.system.name_of`).
+        # Pydantic's own reader refuses file names that are not UTF-8.
         content = json.loads(path.read_bytes())
         return TypeAdapter(kind).validate_python(content, strict=True)
     except RecursionError:

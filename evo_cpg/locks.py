@@ -92,8 +92,9 @@ def _taken(folder: Path) -> Iterator[int]:
                 f"{folder} is in use by {holder}. Wait until that process ends, or end it"
             )
         # The previous holder may have deleted the file meanwhile.
-        if _is_file(descriptor, path):
-            break
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), os.stat(path)):
+                break
         os.close(descriptor)
     try:
         yield descriptor
@@ -109,13 +110,6 @@ def _open(path: Path) -> int:
         with contextlib.suppress(OSError):
             return os.open(path, os.O_RDONLY)
         raise cannot_write(path.parent, error) from None
-
-
-def _is_file(descriptor: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), os.stat(path))
-    except FileNotFoundError:
-        return False
 
 
 def _name_holder(descriptor: int) -> None:

@@ -1,4 +1,4 @@
-"""Access to folders and files of the system that may be missing, with replacements.
+"""Access to folders, files and packages of the system that may be missing, with replacements.
 
 A process in a container or a job may have no home folder, no folder for temporary files, and no
 working folder. The program continues without the folders that it does not need.
@@ -6,14 +6,22 @@ working folder. The program continues without the folders that it does not need.
 
 import atexit
 import contextlib
+import json
 import os
 import re
+import shlex
 import shutil
+import sys
 import tempfile
 import textwrap
 from collections.abc import Iterable
+from importlib import metadata
 from pathlib import Path
 from typing import IO
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+_NAME = "evo-cpg"
 
 
 def home_folder() -> Path | None:
@@ -45,25 +53,6 @@ def resolved(path: Path) -> Path:
     except (OSError, RuntimeError):
         # The working folder was deleted, or links go round in circles.
         return path
-
-
-def named(text: str) -> Path:
-    """Return the path for a name stored in a file, which is UTF-8 in every locale."""
-    try:
-        return Path(os.fsdecode(text.encode("utf-8", "surrogateescape")))
-    except UnicodeError:
-        # No file can have this name, so opening the path will fail.
-        return Path(text)
-
-
-def name_of(path: Path) -> str:
-    """Return the text that stores a path in a file, the inverse of `named`."""
-    return os.fsencode(path).decode("utf-8", "surrogateescape")
-
-
-def as_utf8(argument: str) -> str:
-    """Return an argument of the command line, decoded as UTF-8 in every locale."""
-    return argument.encode("utf-8", "surrogateescape").decode("utf-8", "surrogateescape")
 
 
 def is_writable(folder: Path) -> bool:
@@ -118,3 +107,52 @@ def folded(words: str, stream: IO[str]) -> str:
         for line in glued.split("\n")
     )
     return "\n".join(part for line in lines for part in line).replace("\0", " ")
+
+
+def version_of(package: str) -> str:
+    """Return the version of a package, or "unknown" if it has no metadata."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def command_for(extra: str) -> str:
+    """Return the command that installs an extra, in a checkout as an editable installation.
+
+    Args:
+        extra: name of the extra in ``pyproject.toml``, such as ``mujoco``.
+    """
+    pip = f"{_quoted(_shown(sys.executable or 'python'))} -m pip install"
+    checkout = _editable()
+    if checkout is None:
+        return f"{pip} {_quoted(f'{_NAME}[{extra}]')}"
+    constraints = os.path.join(checkout, "constraints.txt")
+    if os.path.isfile(constraints):
+        pip += f" -c {_quoted(_shown(constraints))}"
+    return f"{pip} -e {_quoted(f'{_shown(checkout)}[{extra}]')}"
+
+
+def _editable() -> str | None:
+    """Return the source folder of an editable installation, or None for another installation."""
+    try:
+        text = metadata.distribution(_NAME).read_text("direct_url.json") or ""
+        origin = json.loads(text)
+        if origin["dir_info"]["editable"]:
+            return url2pathname(urlsplit(origin["url"]).path)
+    except (KeyError, OSError, TypeError, ValueError, metadata.PackageNotFoundError):
+        pass
+    return None
+
+
+def _quoted(word: str) -> str:
+    """Return a word quoted for the shell of this system."""
+    return f'"{word}"' if os.name == "nt" else shlex.quote(word)
+
+
+def _shown(path: str) -> str:
+    """Return a path, relative if it lies in the working folder."""
+    here = working_folder()
+    if here is None or not Path(path).is_relative_to(here):
+        return path
+    return str(Path(path).relative_to(here))

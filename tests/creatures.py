@@ -13,15 +13,13 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.native.jax_internals import quick_jit
-from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
-from evo_cpg.physics.tree.generalized import generalized_force, mass_matrix
+from evo_cpg.physics.tree.generalized import generalized_equations
 from evo_cpg.physics.tree.joint_torque import passive_torque
 from evo_cpg.physics.tree.kinematics import kinematics
-from evo_cpg.physics.tree.root import plus_joint_diagonal, plus_torque
-from evo_cpg.physics.tree.spatial_algebra import Wrench
 from evo_cpg.physics.tree.state import State
 from evo_cpg.physics.water.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.water.buoyancy import make_cells
@@ -160,12 +158,7 @@ def in_water(
 ) -> World:
     """Return the world of a creature in water, with equal quadratures for form and skin drag."""
     tree = build_tree(creature)
-    surfaces = {
-        body.name: surface
-        for body, surface in zip(
-            creature.bodies, outer_surfaces(creature, resolution, sheltered), strict=True
-        )
-    }
+    (surfaces,) = surfaces_of(creature, resolution, sheltered=sheltered)
     patches = make_patches(tree, surfaces, surfaces, law, surface is not None)
     forces = (Drag(form_drag, skin_drag, patches, law),)
     moved = (
@@ -186,6 +179,50 @@ def in_water(
     )
 
 
+def surfaces_of(creature: Creature, *resolutions: int, **options):
+    """Return the surface points of all bodies by name, for each resolution."""
+    names = [body.name for body in creature.bodies]
+    return [
+        dict(zip(names, outer_surfaces(creature, resolution, **options), strict=True))
+        for resolution in resolutions
+    ]
+
+
+def clapper(shape: Shape, axes: str, motor: Motor | None = None) -> Creature:
+    """Return a trunk with two limbs of two bodies that can clap together in front of it."""
+    flesh = Material(500.0, static_friction=0.8, dynamic_friction=0.8)
+    bodies = [Body("trunk", Box((0.2, 0.3, 0.1)), flesh)]
+    for side, name in ((1, "left"), (-1, "right")):
+        for part, parent, place in (
+            ("arm", "trunk", (0.1, side * 0.12, 0.0)),
+            ("hand", f"{name}_arm", (0.16, 0.0, 0.0)),
+        ):
+            turns, most = tuple(AXES[axis] for axis in axes), (1.2,) * len(axes)
+            least = tuple(-x for x in most)
+            joint = Joint(parent, place, (-0.16, 0.0, 0.0), turns, least, most, actuator=motor)
+            bodies.append(Body(f"{name}_{part}", shape, flesh, joint))
+    return Creature("clapper", tuple(bodies))
+
+
+def single(shape: Shape, density: float = 1000.0) -> Creature:
+    """Return a creature of one body."""
+    return Creature("single", (Body("b", shape, Material(density)),))
+
+
+def rolled(world: World, state: State, commands, h: float):
+    """Return states and efforts at every step, for commands or target rates with steps first."""
+
+    @quick_jit
+    def motion(state, commands):
+        def advance(s, command):
+            s, effort = step(world, s, command, h)
+            return s, (s, effort)
+
+        return jax.lax.scan(advance, state, commands)[1]
+
+    return jax.tree.map(np.asarray, motion(state, commands))
+
+
 def coast(world: World, state: State, seconds: float, h: float) -> State:
     """Return the motion with zero target rates of the motors, steps first."""
     rest = jnp.zeros_like(state.qd)
@@ -201,6 +238,11 @@ def coast(world: World, state: State, seconds: float, h: float) -> State:
     return jax.tree.map(np.asarray, motion(state))
 
 
+def last(states: State) -> State:
+    """Return the last of several states, as JAX arrays."""
+    return jax.tree.map(lambda x: jnp.asarray(x[-1]), states)
+
+
 @quick_jit
 def accelerations(tree: Tree, state: State, tau):
     """Return the accelerations on dry land in two ways: by bodies, and by the mass matrix."""
@@ -209,7 +251,6 @@ def accelerations(tree: Tree, state: State, tau):
     inertia, bias = body_equations(world, kin, 0.0)
     passive, derivative = passive_torque(tree, state, 0.0)
     rotor = derivative + expand_dims_like(tree.armature, tau)
-    by_bodies = jnp.concatenate(solve(tree, kin, inertia, bias, tau + passive, rotor))
-    matrix = plus_joint_diagonal(mass_matrix(tree, kin, inertia), rotor)
-    force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
-    return by_bodies, jnp.linalg.solve(matrix, plus_torque(force, tau + passive))
+    given = tree, kin, inertia, bias, tau + passive, rotor
+    by_bodies = jnp.concatenate(solve(*given))
+    return by_bodies, jnp.linalg.solve(*generalized_equations(*given))

@@ -13,7 +13,7 @@ from evo_cpg.physics.step.step import Effort, step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.state import State, resting_state
-from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.observers import PhysicsSteps
 
 
 def moved(

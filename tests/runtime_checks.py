@@ -16,7 +16,7 @@ import jaxtyping
 import numpy as np
 from typing_extensions import is_protocol
 
-from evo_cpg.creature.algebra.mixed_array import MixedArray
+from evo_cpg.creature.algebra.numerics import MixedArray
 
 _check = beartype.beartype(
     conf=beartype.BeartypeConf(

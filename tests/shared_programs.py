@@ -1,7 +1,7 @@
 """Programs of training that tests share: programs of equal parts are compiled once.
 
 Training, resuming, replaying and refining each compile an experiment's programs. Tests do that
-dozens of times with equal arguments. Here the four functions that make these programs cache their
+dozens of times with equal arguments. Here the five functions that make these programs cache their
 results by the content of their arguments.
 
 A test with `monkeypatch` gets its own programs, because its replacements may be part of them. So
@@ -19,7 +19,8 @@ import jax
 import pytest
 
 from evo_cpg.native import engine
-from evo_cpg.training import ascent, experiment, replay, running
+from evo_cpg.simulation.judge import JUDGE
+from evo_cpg.training import ascent, evaluate, train
 
 # Fixtures of tests that get their own programs.
 _OWN = {"monkeypatch", "lowered"}
@@ -28,17 +29,21 @@ _OWN = {"monkeypatch", "lowered"}
 _KEPT = 16
 
 
-def _trials(simulation, mesh, width=None, inputs=None):
+def _trials(simulation, mesh, width=None, inputs=None, observers=JUDGE, ahead=None):
     # Inputs are arrays of several bodies, which a program of its own serves.
-    return None if inputs is not None else (simulation, mesh, width)
+    return None if inputs is not None or ahead else (simulation, mesh, width, observers)
 
 
 def _evolution(made):
     return (made._replace(generations=0, learning=None),)
 
 
-def _replay(made, devices, recorded=0):
-    return made._replace(generations=0, learning=None), devices, recorded
+def _evaluation(made, mesh, devices, recorder=None, ahead=False):
+    return made._replace(generations=0, learning=None), mesh, devices, recorder, ahead
+
+
+def _replay(made, devices, recorded=0, full=False):
+    return made._replace(generations=0, learning=None), devices, recorded, full
 
 
 def _ascent(made, mesh, steps, free=None):
@@ -47,9 +52,10 @@ def _ascent(made, mesh, steps, free=None):
 
 
 _MAKERS: dict[Callable, Callable[..., tuple | None]] = {
-    experiment.compile_trials: _trials,
-    running.compile_evolution: _evolution,
-    replay.compile_replay: _replay,
+    evaluate.compile_trials: _trials,
+    evaluate.compile_evaluation: _evaluation,
+    train.compile_evolution: _evolution,
+    evaluate.compile_replay: _replay,
     ascent.compile_ascent: _ascent,
 }
 

@@ -10,11 +10,11 @@ from evo_cpg.control.controller import Command, Controller
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.evolution.generation import RealGenetics
-from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.evolution.genetics import RealGenetics
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
+from evo_cpg.simulation.tasks import ReachLight
 from evo_cpg.training.experiment import ExperimentParts
 
 

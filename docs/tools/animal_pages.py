@@ -52,14 +52,14 @@ _SHOWN = (
 
 def collect(run: Path) -> str:
     """Write the files of a run's champion, and return the name of the animal."""
-    from evo_cpg.io.opened import open_run
+    from evo_cpg.io.run import open_run
     from evo_cpg.io.shipped import shipped_names
     from evo_cpg.training.checkpoint import genes_digest
     from evo_cpg.view.film import Film, picture
     from evo_cpg.view.run_page.viewer_data import viewer_data
     from evo_cpg.view.scene import panel_of
 
-    opened = open_run(run).load_champion()
+    opened = open_run(run).with_champion()
     experiment, champion, meta = opened.experiment, opened.champion, opened.folder.read_meta()
     digest = _digest(opened.config)
     name = next((each for each in shipped_names() if config_digest(each) == digest), None)
@@ -128,7 +128,7 @@ def config_digest(name: str) -> str:
 
 def _digest(config: Any) -> str:
     """Return the digest of all values of a configuration but its name and its number of runs."""
-    from evo_cpg.io.fingerprint import fingerprint
+    from evo_cpg.io.run import fingerprint
 
     parts = fingerprint(config)["config"]
     values = json.dumps(

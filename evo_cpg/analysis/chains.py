@@ -8,23 +8,21 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.analysis.limit_cycle import parts
 from evo_cpg.control.couplings import explicit_weights
-from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix
+from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix, parts
 from evo_cpg.creature.tree import Tree
 
 # Axes count as perpendicular if the cosine of their angle is less.
 _SQUARE = 1e-6
 
 
-class Chain(NamedTuple):
+class OscillatorChain(NamedTuple):
     """Oscillators of one axis. Each is the child of the oscillator before it, which inhibits it.
 
     Attributes:
         name: name of the first degree of freedom, and number of followers.
         oscillators: oscillators from head to tail.
         part: all oscillators connected to the chain, directly or not, if neighbours are coupled.
-        places: indices of the chain's oscillators in ``part``.
         sides: sign for each pair of neighbours. 1: they inhibit opposite sides, and swing together
             except for the lag. -1: they inhibit the same side, and swing in opposition.
     """
@@ -32,11 +30,10 @@ class Chain(NamedTuple):
     name: str
     oscillators: tuple[int, ...]
     part: tuple[int, ...]
-    places: tuple[int, ...]
     sides: Float[np.ndarray, " gaps"]
 
 
-def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
+def chains(tree: Tree, settings: CpgSettings) -> list[OscillatorChain]:
     """Return all maximal chains, the longest first, then in the order of the bodies."""
     down = CpgSettings(pair_weight=1.0, child_weight=0.0, opposite=settings.opposite)
     links = inhibition_matrix(tree, down) - np.eye(tree.dof_count)
@@ -53,11 +50,10 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
             path.insert(0, int(links[path[0]].nonzero()[0][0]))
         part = next(part for part in joined if path[0] in part)
         found.append(
-            Chain(
+            OscillatorChain(
                 name=tree.dof_names[path[0]] + (f" + {len(path) - 1}" if path[1:] else ""),
                 oscillators=tuple(path),
                 part=part,
-                places=tuple(map(part.index, path)),
                 sides=np.array([links[b, a] for a, b in itertools.pairwise(path)]),
             )
         )

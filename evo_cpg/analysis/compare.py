@@ -75,11 +75,15 @@ def compare(settings: Mapping[str, Sequence[float]]) -> list[Comparison]:
     known = {name: _finite(fitness) for name, fitness in settings.items()}
     names = [name for name, fitness in known.items() if fitness.size > 1]
     pairs = list(itertools.combinations(names, 2))
-    tested = [_test(known[first], known[second]) for first, second in pairs]
-    adjusted = holm(np.array([p for _, p in tested]))
+    tested = [mannwhitneyu(known[a], known[b], alternative="two-sided") for a, b in pairs]
+    adjusted = holm(np.array([found.pvalue for found in tested]))
+    chances = [
+        x.statistic / (known[a].size * known[b].size)
+        for x, (a, b) in zip(tested, pairs, strict=True)
+    ]
     return [
-        Comparison(*pair, wins, p, float(q))
-        for pair, (wins, p), q in zip(pairs, tested, adjusted, strict=True)
+        Comparison(*pair, float(wins), float(found.pvalue), float(q))
+        for pair, wins, found, q in zip(pairs, chances, tested, adjusted, strict=True)
     ]
 
 
@@ -90,12 +94,6 @@ def holm(p_values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     adjusted = np.empty_like(p_values)
     adjusted[order] = np.minimum(np.maximum.accumulate(scaled), 1.0) if len(scaled) else scaled
     return adjusted
-
-
-def _test(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """Return the chance that the first wins, and the p value."""
-    found = mannwhitneyu(first, second, alternative="two-sided")
-    return float(found.statistic / (first.size * second.size)), float(found.pvalue)
 
 
 def _finite(values: Sequence[float]) -> np.ndarray:

@@ -16,21 +16,26 @@ The energy left over is an error of the simulator and vanishes with the step. A 
 on it. Momentum that no force explains is also an error of the simulator.
 
 All computations are in float64, from the states.
+
+`water_power` measures what a swimmer puts into the water. The net force on a free swimmer is zero
+on average, so a force law that pushes has to be told from laws that resist. **Thrust** is the force
+of reactive thrust alone, of the water that leaves the tail. **Power** is the energy that all laws
+of the water take from the body per time. Without reactive thrust, drag both pushes and resists, and
+thrust cannot be told apart. Such an animal needs a tow.
 """
 
 import dataclasses
 import functools
 import operator
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.analysis.along_time import along_time
-from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec
-from evo_cpg.creature.tendons import Tendons
+from evo_cpg.creature.algebra.linear import as_matrix_of, cross, dot, expand_dims_like, matvec
 from evo_cpg.physics.contact.contact import find_contacts
 from evo_cpg.physics.contact.pair_contacts import find_pair_contacts
 from evo_cpg.physics.step.step import needs_iteration
@@ -43,13 +48,14 @@ from evo_cpg.physics.tree.joint_torque import (
     friction_torque,
     limit_torque,
 )
+from evo_cpg.physics.tree.joints import Subspace
 from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
 from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.state import State
 from evo_cpg.physics.tree.tendon import length_of, lengths_of, tendon_energy, torque_of
-from evo_cpg.physics.water.force_law import Bodies, body_velocity
-from evo_cpg.physics.water.weight import buoyancy_alone
-from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.physics.water.force_law import Bodies, buoyancy_alone, in_body_axes
+from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
+from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.simulation.snapshot import Snapshot
 
 
@@ -112,7 +118,12 @@ def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
         steps: physics steps of the trial.
         h: duration of a physics step, s.
     """
-    previous = jax.tree.map(_delayed, steps.after, steps.before)
+    # The final state of the step before. The first step gets its own initial state.
+    previous = jax.tree.map(
+        lambda after, before: np.concatenate([before[..., :1], after[..., :-1]], -1),
+        steps.after,
+        steps.before,
+    )
 
     def entries(steps: PhysicsSteps, previous: State) -> tuple[Array, ...]:
         return _entries(world, steps, previous, h)
@@ -135,7 +146,15 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
     if tree.dry_friction is not None:
         braking = braking + friction_torque(tree, after.qd, h)[0]
     if tree.tendons is not None:
-        braking = braking + _tendon_braking(tree.tendons, after, h)
+        pulling = length_of(tree.tendons, after.qd)
+        force = -expand_dims_like(tree.tendons.damping, pulling) * pulling
+        if tree.tendons.dry_friction is not None:
+            force = force + friction_torque(tree.tendons, pulling, h)[0]
+        braking = braking + torque_of(tree.tendons, force, len(after.q))
+    limbs = jnp.zeros_like(kin.origin[0, 0])
+    if world.pairs is not None:
+        pairs = find_pair_contacts(tree, world.pairs, kin, rate, h)
+        limbs = h * (steps.pair_force * pairs.parting(rate)).sum(0)
     contact = _ground_work(world, steps.contact_force, kinematics(tree, before), kin, h)
     lift, friction, push_out, ground = contact
     at = [world.bodies(each, h) for each in (first.kinematics, kin, last.kinematics)]
@@ -150,7 +169,7 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
         h * (_limit_torques(world, before, after, h) * rate).sum(0),
         lift,
         friction,
-        _limb_work(world, steps, kin, rate, h),
+        limbs,
         water,
         own,
         mechanical_energy(first) - mechanical_energy(earlier),
@@ -163,8 +182,8 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
 def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
     """Return E, J: kinetic (bodies and rotors), gravitational, of passive springs and tendons."""
     tree, state, kin = snapshot.world.tree, snapshot.state, snapshot.kinematics
-    velocity = body_velocity(kin)
-    momentum = matvec(expand_dims_like(tree.inertia, velocity, velocity.ndim + 1), velocity)
+    velocity = in_body_axes(kin.rotation, kin.angular, kin.linear)
+    momentum = matvec(as_matrix_of(tree.inertia, velocity), velocity)
     armature, stiffness = (expand_dims_like(x, state.q) for x in (tree.armature, tree.stiffness))
     stretch = state.q if tree.rest is None else state.q - expand_dims_like(tree.rest, state.q)
     energy = (
@@ -173,15 +192,6 @@ def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
         + 0.5 * (armature * state.qd**2 + stiffness * stretch**2).sum(0)
     )
     return energy if tree.tendons is None else energy + tendon_energy(tree.tendons, state)
-
-
-def _tendon_braking(tendons: Tendons, after: State, h: float) -> Float[Array, "d t"]:
-    """Return the torques of the tendons' dampers and dry friction, N m."""
-    rate = length_of(tendons, after.qd)
-    force = -expand_dims_like(tendons.damping, rate) * rate
-    if tendons.dry_friction is not None:
-        force = force + friction_torque(tendons, rate, h)[0]
-    return torque_of(tendons, force, len(after.q))
 
 
 def _limit_torques(world: World, before: State, after: State, h: float) -> Float[Array, "d t"]:
@@ -226,15 +236,6 @@ def _ground_work(
     return h * lift.sum(0), h * friction.sum(0), push_out, force
 
 
-def _limb_work(
-    world: World, steps: PhysicsSteps, kin: Kinematics, rate: Array, h: float
-) -> Float[Array, " t"]:
-    if world.pairs is None:
-        return jnp.zeros_like(kin.origin[0, 0])
-    contacts = find_pair_contacts(world.tree, world.pairs, kin, rate, h)
-    return h * (steps.pair_force * contacts.parting(rate)).sum(0)
-
-
 def _law_work(
     world: World, first: Bodies, middle: Bodies, last: Bodies
 ) -> tuple[Float[Array, " t"], Float[Array, " t"], Float[Array, "3 b t"], Float[Array, "3 t"]]:
@@ -255,6 +256,83 @@ def _law_work(
     return water, others, driven, buoyed.sum(1)
 
 
-def _delayed(after: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the final state of the step before. The first step gets its own initial state."""
-    return np.concatenate([before[..., :1], after[..., :-1]], -1)
+# Number of steps in a block. Arrays of surface points at all steps would need too much memory.
+_BLOCK = 1024
+
+
+def along_time(function: Callable, *steps: Any) -> Any:
+    """Return ``function(*steps)``, block by block: one program serves trials of any length.
+
+    Args:
+        function: function of each step alone. Time is the last axis of arguments and results.
+        steps: pytrees of arrays.
+    """
+    with jax.enable_x64(True):
+        exact = jax.tree.map(lambda x: np.asarray(x, np.float64), steps)
+        count = jax.tree.leaves(exact)[0].shape[-1]
+        program = jax.jit(function)
+        parts = []
+        for start in range(0, count, _BLOCK):
+            # The last block repeats the last step.
+            block = np.minimum(np.arange(start, start + _BLOCK), count - 1)
+            own = jax.tree.map(functools.partial(_part, block), exact)
+            parts.append(jax.device_get(program(*own)))
+    return jax.tree.map(lambda *x: np.concatenate(x, -1)[..., :count], *parts)
+
+
+def _part(block: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return values[..., block]
+
+
+class WaterPower(NamedTuple):
+    """Force and power at every control step.
+
+    Attributes:
+        thrust: force of reactive thrust on the whole body, world axes, N.
+        power: energy that the water takes from the body per time, W.
+    """
+
+    thrust: Float[np.ndarray, "t 3"]
+    power: Float[np.ndarray, " t"]
+
+
+def water_power(
+    world: World, frames: Mapping[str, Array | np.ndarray], h: float
+) -> WaterPower | None:
+    """Return thrust and power of a recorded trial, or None without reactive thrust.
+
+    Args:
+        world: world of the trial.
+        frames: ``full`` frames of one individual (`evo_cpg.simulation.recording.Recorder`).
+        h: duration of a physics step, s.
+    """
+    if world.law(ReactiveThrust) is None or "angular_velocity" not in frames:
+        return None
+    laws = [law for law in world.forces if law.of_water]
+
+    def of_step(position: Array, rotation: Array, velocity: Array, turning: Array) -> tuple:
+        lever = matvec(rotation, expand_dims_like(world.tree.centre, position))
+        still = jnp.zeros_like(position)
+        kin = Kinematics(
+            rotation=rotation,
+            origin=position - lever,
+            offset=still,
+            axes=Subspace(still[:, :0]),
+            angular=turning,
+            linear=velocity - cross(turning, lever),
+            bias_angular=still,
+            bias_linear=still,
+        )
+        bodies = world.bodies(kin, h)
+        thrust, power = jnp.zeros_like(position[:, 0]), jnp.zeros_like(position[0, 0])
+        for law in laws:
+            wrench = law.wrench(bodies)
+            power = power - (wrench * bodies.relative).sum((0, 1))
+            if isinstance(law, ReactiveThrust):
+                thrust = thrust + matvec(rotation, wrench[3:]).sum(1)
+        return thrust, power
+
+    names = ("position", "rotation", "velocity", "angular_velocity")
+    steps = [np.moveaxis(np.asarray(frames[name])[..., 0], 0, -1) for name in names]
+    thrust, power = along_time(of_step, *steps)
+    return WaterPower(thrust.T, power)

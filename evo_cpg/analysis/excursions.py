@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from evo_cpg.analysis.along_time import along_time
-from evo_cpg.analysis.overlap import gaps
+from evo_cpg.analysis.energy import along_time
 from evo_cpg.creature.algebra.linear import expand_dims_like, matvec
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
@@ -18,10 +17,10 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.contact.contact_points import contact_points
 from evo_cpg.physics.contact.pairs import Pairs, make_pairs, separations
 from evo_cpg.physics.step.world import World
-from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
+from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.tendon import torque_of
-from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.simulation.simulation import Simulation
 
 # Residuals above which a step's equations count as unsolved, and its friction as off its cone
@@ -93,7 +92,12 @@ def excursions(
 
     def depths(steps: PhysicsSteps) -> tuple[Array, Array, Array]:
         kin = kinematics(world.tree, steps.after)
-        return _clearance(world, kin), _gaps(every, kin), _swims(world, steps)
+        clearance = apart = kin.origin[0, :0]
+        if world.contact_model is not None:
+            clearance = contact_points(world.contact_model, kin).gap
+        if every is not None:
+            apart = separations(every, kin).gap
+        return clearance, apart, _swims(world, steps)
 
     clearance, apart, swims = along_time(depths, steps)
     overlap, overlapping = _deepest_overlap(every, world, creature, steps, apart)
@@ -154,17 +158,6 @@ def displacement(
     if light is None:
         return float(np.linalg.norm((last - first)[:2]))
     return float(np.linalg.norm(light - first) - np.linalg.norm(light - last))
-
-
-def _clearance(world: World, kin: Kinematics) -> Float[Array, "p t"]:
-    """Return the height of the contact points above the ground, m."""
-    if world.contact_model is None:
-        return kin.origin[0, :0]
-    return contact_points(world.contact_model, kin).gap
-
-
-def _gaps(pairs: Pairs | None, kin: Kinematics) -> Float[Array, "k t"]:
-    return kin.origin[0, :0] if pairs is None else separations(pairs, kin).gap
 
 
 def in_water(world: World, steps: PhysicsSteps) -> Bool[np.ndarray, " t"]:
@@ -301,3 +294,74 @@ def _seen_through_ground(
     seen = np.asarray(sampled.light, float)
     total = seen.sum()
     return float((seen * hidden).sum() / total) if total > 0 else 0.0
+
+
+# Number of initial directions, and number of rounds that try directions near the best one.
+_DIRECTIONS, _ROUNDS = 400, 48
+# Initial angle between the best direction and the directions near it, rad, and their number.
+_FIRST, _AROUND = 0.2, 8
+
+
+def gaps(
+    shapes: tuple[Shape, Shape],
+    places: tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, "t 3"]],
+    turns: tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "t 3 3"]],
+) -> Float[np.ndarray, " t"]:
+    """Return the distance of two shapes, m. An overlap is the negative depth.
+
+    The depth is the shortest displacement that separates the shapes. The distance is the largest
+    distance of two parallel planes between the shapes that touch them. The search finds at most
+    this distance, so it never underestimates an overlap.
+
+    Args:
+        shapes: the two shapes.
+        places: positions of their centres, m.
+        turns: rotations from their frames to the world.
+    """
+    offset = places[1] - places[0]
+
+    def apart(normals: Float[np.ndarray, "t n 3"]) -> Float[np.ndarray, "t n"]:
+        reach = (normals @ offset[..., None])[..., 0]
+        for shape, turn, sign in zip(shapes, turns, (1.0, -1.0), strict=True):
+            reach = reach - shape.height(sign * normals @ turn)
+        return reach
+
+    # Unit vectors spread evenly along a spiral.
+    height = 1.0 - (2.0 * np.arange(_DIRECTIONS) + 1.0) / _DIRECTIONS
+    turn, radius = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(_DIRECTIONS), np.sqrt(1.0 - height**2)
+    sphere = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), height])
+    count = len(offset)
+    spread = np.broadcast_to(sphere, (count, _DIRECTIONS, 3))
+    best, most = _best(spread, apart(spread))
+    angle = np.full(count, _FIRST)
+    around = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    for _ in range(_ROUNDS):
+        across = _across(best)
+        circle = (
+            np.cos(around)[:, None, None] * across[0] + np.sin(around)[:, None, None] * across[1]
+        )
+        tried = np.cos(angle)[:, None] * best + np.sin(angle)[:, None] * circle
+        tried = np.moveaxis(tried, 0, 1)
+        other, more = _best(tried, apart(tried))
+        better = more > most
+        best, most = np.where(better[:, None], other, best), np.maximum(more, most)
+        angle = np.where(better, angle, angle / 2)
+    return most
+
+
+def _best(
+    normals: Float[np.ndarray, "t n 3"], values: Float[np.ndarray, "t n"]
+) -> tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, " t"]]:
+    place = values.argmax(1)[:, None]
+    return (
+        np.take_along_axis(normals, place[..., None], 1)[:, 0],
+        np.take_along_axis(values, place, 1)[:, 0],
+    )
+
+
+def _across(normals: Float[np.ndarray, "t 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return two unit vectors perpendicular to each normal and to each other."""
+    least = np.eye(3)[np.abs(normals).argmin(1)]
+    first = np.cross(normals, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(normals, first)

@@ -4,6 +4,15 @@ Iwadate 2010, section 6, reports "a smooth phase lag from the front to the back 
 The functions take the joint angles about one axis, from front to back, in the last part of the
 trial. Angles of joints whose axes point the opposite way need a sign of -1. Each joint's frequency
 is the peak of its spectrum. Amplitudes and phases belong to the component at the common frequency.
+
+`phase_lags` compares all pairs of signals at one frequency:
+
+    S_ij = mean over segments of X_i conj(X_j)          cross-spectrum (Welch 1967)
+    lag_ij = arg S_ij                                   lag of j behind i
+    C_ij = |S_ij|^2 / (S_ii S_jj)                       coherence (Bendat and Piersol 2010)
+
+with the component X of each signal at the frequency, in a Hann window. Segments span a few periods
+and overlap by half.
 """
 
 from collections.abc import Sequence
@@ -12,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.creature.tree import body_and_axis
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.simulation.recording import Recording
 
 # The spectrum is interpolated to this fraction of its natural resolution before the peak is
@@ -20,7 +29,7 @@ from evo_cpg.simulation.recording import Recording
 _PADDING = 8
 
 
-class Gait(NamedTuple):
+class JointGait(NamedTuple):
     """The rhythm of the joints about one axis, in the order of the degrees of freedom.
 
     Attributes:
@@ -67,7 +76,7 @@ def gait(
     axis: str | None = None,
     last: float = 0.5,
     signs: Float[np.ndarray, " d"] | None = None,
-) -> Gait:
+) -> JointGait:
     """Return frequency, amplitude and lag of the joints about one axis.
 
     Args:
@@ -87,7 +96,7 @@ def gait(
     frequency = dominant_frequency(angles, step)
     component = fourier_component(angles, step, float(np.median(frequency)))
     lag = np.rad2deg(np.angle(component[:-1] / component[1:]))
-    return Gait(axis, frequency, np.abs(component), lag)
+    return JointGait(axis, frequency, np.abs(component), lag)
 
 
 def ring_lags(
@@ -148,3 +157,53 @@ def level(signals: Float[np.ndarray, "t j"]) -> Float[np.ndarray, "t j"]:
     time = np.linspace(-1.0, 1.0, len(signals))[:, None]
     centred = signals - signals.mean(0)
     return centred - time * (time * centred).sum(0) / (time * time).sum(0)
+
+
+# Periods in a segment. Short segments are numerous, and give a more accurate coherence.
+_PERIODS = 4.0
+
+
+class PhaseLags(NamedTuple):
+    """Phase lags and coherence of signals.
+
+    Attributes:
+        lag: lag of signal j behind signal i, degrees from -180 to 180. NaN if one of them does not
+            oscillate at this frequency.
+        coherence: coherence, from 0 (unrelated) to 1. NaN with a single segment, whose coherence is
+            always 1.
+    """
+
+    lag: Float[np.ndarray, "j j"]
+    coherence: Float[np.ndarray, "j j"]
+
+
+def phase_lags(signals: Float[np.ndarray, "t j"], step: float, frequency: float) -> PhaseLags:
+    """Measure phase lags and coherence.
+
+    Args:
+        signals: signals of any unit.
+        step: time between samples, s.
+        frequency: stride frequency, Hz.
+
+    Returns:
+        Lags and coherence, NaN if the record is shorter than a period.
+    """
+    count, number = signals.shape
+    unknown = np.full((number, number), np.nan)
+    if not frequency > 0 or count * step < 1.0 / frequency or not number:
+        return PhaseLags(unknown, unknown.copy())
+    length = min(count, max(8, round(_PERIODS / (frequency * step))))
+    starts = range(0, count - length + 1, max(1, length // 2))
+    # Phases refer to the start of each segment. Only their differences count.
+    parts = np.stack(
+        [fourier_component(signals[first : first + length], step, frequency) for first in starts]
+    )
+    cross = np.einsum("si,sj->ij", parts, parts.conj()) / len(parts)
+    power = np.real(np.diag(cross))
+    scale = np.outer(power, power)
+    # A signal that is silent relative to the loudest has no phase.
+    silent = scale <= 1e-18 * power.max(initial=0.0) ** 2
+    lag = np.where(silent, np.nan, np.degrees(np.angle(cross)))
+    coherence = np.square(np.abs(cross)) / np.where(silent, 1.0, scale)
+    several = len(parts) > 1
+    return PhaseLags(lag, np.where(silent | (not several), np.nan, coherence))

@@ -12,22 +12,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.analysis import stride
-from evo_cpg.analysis.allometry import running_cost, swimming_cost
-from evo_cpg.analysis.animals import Animals, animals_of
 from evo_cpg.analysis.body_wave import BodyWave, body_wave
 from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.feet import Feet, contacts
-from evo_cpg.analysis.midline import MidlineMotion, midline_motion
-from evo_cpg.analysis.midline_points import midline_chain, midline_points
-from evo_cpg.analysis.muscle_quantities import muscle_quantities
-from evo_cpg.analysis.phase_lags import PhaseLags, phase_lags
-from evo_cpg.analysis.quantity import Quantity
-from evo_cpg.analysis.swim_quantities import is_dry, water_quantities, wave_quantities
-from evo_cpg.analysis.walk_quantities import ground_quantities
+from evo_cpg.analysis.gait import PhaseLags, phase_lags
+from evo_cpg.analysis.gait_quantities import Measurement, Quantity, quantities
+from evo_cpg.analysis.midline import (
+    MidlineMotion,
+    midline_chain,
+    midline_motion,
+    midline_points,
+)
+from evo_cpg.analysis.stride import stride_frequency
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
-from evo_cpg.creature.slender import SlenderChain
-from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
@@ -36,9 +34,6 @@ LAST = 0.5
 
 # Amplitude of the joints below which a body has no wave, rad.
 _FAINT = math.radians(1.0)
-
-_STAYS = "its path in the second half of the trial is shorter than 1 % of its length"
-_NO_STRIDE = "the joint angles do not repeat twice in the second half of the trial"
 
 
 class GaitNumbers(NamedTuple):
@@ -79,7 +74,7 @@ class GaitNumbers(NamedTuple):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the contents of ``analysis.json``. Values that do not exist are None."""
-        quantities = {
+        numbers = {
             each.key: {
                 "name": each.name,
                 "value": each.value if each.exists else None,
@@ -99,7 +94,7 @@ class GaitNumbers(NamedTuple):
                 "quadratic": self.midline.envelope.quadratic.tolist(),
                 "bending_lag": [float(lag) if math.isfinite(lag) else None for lag in lags],
             }
-        return {"quantities": quantities, "along_the_body": along}
+        return {"quantities": numbers, "along_the_body": along}
 
     def value(self, key: str) -> float:
         """Return the value of a quantity, or NaN if it does not exist."""
@@ -126,7 +121,7 @@ def gait_numbers(
     # Slides have another unit than angles, and those of a root drift.
     if not recording.slides.all():
         angle[:, recording.slides] = 0.0
-    frequency = stride.stride_frequency(angle, step)
+    frequency = stride_frequency(angle, step)
     power = np.asarray(frames["energy"], float)[:, 0] / step
     tree = simulation.world.tree
     rows = joint_rows(simulation.world.tree)
@@ -160,122 +155,21 @@ def gait_numbers(
         peak_torque=np.abs(recording.torque).max(0, initial=0.0),
         rms_torque=np.sqrt(np.square(recording.torque).mean(0)),
     )
-    found = _quantities(simulation, creature, frames, recording, numbers, row)
-    present = [each._replace(missing="") if each.exists else each for each in found]
-    return numbers._replace(quantities=tuple(map(_beside_animals, present)))
-
-
-def _beside_animals(each: Quantity) -> Quantity:
-    """Return a quantity with the ranges of animals, if it does not have any yet."""
-    return each if each.animals else each._replace(animals=animals_of(each.key))
-
-
-def _quantities(
-    simulation: Simulation,
-    creature: Creature,
-    frames: Mapping[str, Array | np.ndarray],
-    recording: Recording,
-    numbers: GaitNumbers,
-    row: SlenderChain | None,
-) -> list[Quantity]:
-    step, frequency = numbers.step, numbers.frequency
-    duration = len(recording.time) * step
-    root = next(i for i, body in enumerate(creature.bodies) if body.joint is None)
-    place = np.asarray(recording.position, float)
-    on_ground = simulation.world.contact_model is not None
-    straight = (place[-1, root] - place[0, root])[: 2 if on_ground else 3]
-    distance = float(np.linalg.norm(straight))
-    speed = distance / (duration - step) if duration > step else math.nan
-    length, mass = float(length_of(creature)), float(creature.mass)
-    tree = simulation.world.tree
-    order = [tree.names.index(body.name) for body in creature.bodies]
-    weights = np.asarray(tree.mass, float)[order]
-    masses = place
-    if tree.centre_of_volume is not None:
-        # The place of a body is the centre of its shape.
-        off = np.asarray(tree.com - tree.centre, float)[:, order]
-        masses = place + np.einsum("tbij,jb->tbi", np.asarray(recording.rotation, float), off)
-    middle = np.average(masses, axis=1, weights=weights)[numbers.first :]
-    along = stride.path_speed(middle, step, frequency)
-    gravity = float(simulation.world.gravity)
-    energy = float(numbers.power.sum() * step)
-    # The energy of the last control step moves the animal beyond the last recorded position.
-    spent = float(numbers.power[:-1].sum() * step)
-    no_stride, muscular = "" if frequency > 0 else _NO_STRIDE, tree.muscles is not None
-    moving = stride.if_anywhere(along, step * (len(middle) - 1), length)
-    stride_length = stride.stride_length(moving, frequency)
-    found = [
-        Quantity("duration", "duration", duration, "s", "duration of the trial"),
-        Quantity("length", "body length", length, "m", "largest extent with all joints at zero"),
-        Quantity("mass", "mass", mass, "kg", "mass of all bodies"),
-        Quantity(
-            "speed", "speed", speed, "m/s",
-            "displacement of the root's centre from start to end / duration"
-            + (", without height" if on_ground else ""),
-        ),
-        Quantity("speed_in_lengths", "relative speed", speed / length, "lengths/s",
-                 "speed / body length"),
-        Quantity("path_speed", "path speed", along, "m/s",
-                 "speed of the centre of mass along its path in the second half, smoothed over a "
-                 "stride"),
-        Quantity("stride_frequency", "stride frequency", frequency, "Hz",
-                 "inverse of the shortest time after which all joint angles repeat, from their "
-                 "autocorrelation (Moe-Nilssen and Helbostad 2004)", no_stride),
-        Quantity("stride_length", "stride length", stride_length, "m",
-                 "path speed / stride frequency (Alexander 2003)", no_stride or _STAYS),
-        Quantity("relative_stride", "relative stride length", stride_length / length, "lengths",
-                 "stride length / body length", no_stride or _STAYS),
-    ]  # fmt: skip
-    if numbers.feet is not None:
-        found += ground_quantities(
-            simulation, creature, recording, numbers.feet, middle, frequency, moving, _STAYS
-        )
-    swims = False
-    if numbers.wave is not None:
-        found.append(
-            Quantity("lag", "lag per joint", numbers.wave.lag, "deg",
-                     "mean phase lag of the bending of neighbours along the body",
-                     no_stride or "its bending is a standing wave")
-        )  # fmt: skip
-    if row is not None:
-        found += wave_quantities(numbers.midline, no_stride)
-        swims = not is_dry(simulation, creature, recording, row, numbers.first)
-        if simulation.world.water is not None:
-            found += water_quantities(
-                simulation, frames, numbers.midline, middle, frequency, length, not swims,
-                no_stride, _STAYS,
-            )  # fmt: skip
-    swims |= simulation.world.water_level == math.inf
-    found += [
-        Quantity("power", "mean power", energy / duration, "W",
-                 "power of all motors, |torque x rate| summed over the joints"
-                 + (", and metabolic power of muscles (Minetti and Alexander 1997)" * muscular)),
-        Quantity("peak_power", "peak power", float(numbers.power.max(initial=0.0)), "W",
-                 "largest power, as a mean of a control step"),
-        Quantity("energy", "energy", energy, "J", "mean power x duration"),
-        Quantity("cost_of_transport", "cost of transport",
-                 stride.cost_of_transport(spent, mass, gravity, distance), "",
-                 "energy / (weight x displacement) (Tucker 1975)",
-                 "it has no displacement or no weight", _cost_of_animals(mass, speed, swims)),
-        Quantity("peak_torque", "peak torque", float(
-            numbers.peak_torque[~recording.slides].max(initial=0.0)), "N m",
-                 "largest torque of any motor, as a mean of a control step"),
-    ]  # fmt: skip
-    return found + muscle_quantities(tree, recording)
-
-
-def _cost_of_animals(mass: float, speed: float, swims: bool) -> tuple[Animals, ...]:
-    """Return the cost of transport of animals of a mass (kg) at a speed (m/s)."""
-    if swims:
-        low, high = swimming_cost(mass)
-        animal, source = "fish of this mass, metabolic", "formulas for fish and for salmon"
-    elif speed > 0:
-        low, high = running_cost(mass), running_cost(mass, speed)
-        animal = "runners of this mass, metabolic, fast and at this speed"
-        source = "Taylor et al. 1982"
-    else:
-        return ()
-    return (Animals("cost_of_transport", float(low), float(high), animal, source),)
+    motion = Measurement(
+        simulation=simulation,
+        creature=creature,
+        frames=frames,
+        recording=recording,
+        first=first,
+        frequency=frequency,
+        wave=wave,
+        row=row,
+        midline=midline,
+        feet=feet,
+        power=power,
+        peak_torque=numbers.peak_torque,
+    )
+    return numbers._replace(quantities=quantities(motion))
 
 
 def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, ...]:

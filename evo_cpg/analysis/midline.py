@@ -13,6 +13,9 @@ compares with the swimming speed. It is shorter than the distance along a bent b
 | bending | -y'', with the second derivative of the sway y along the body | |
 | lag | fraction of a cycle by which the sway follows the bending | Gillis 1998 |
 
+The midline is the slender chain of the root (`evo_cpg.creature.slender`): bodies joined end to end.
+Its points are the nose, all joints of the chain, and the tip of the tail.
+
 A wave ``exp(a x) sin(k x - w t)`` has the lag ``atan(a / k) / pi``. A growing envelope is enough
 for a lag. A wave of constant amplitude has none.
 """
@@ -22,8 +25,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.analysis import stride
 from evo_cpg.analysis.body_wave import BodyWave, body_wave
 from evo_cpg.analysis.cycles import Cycles, finer, moving_mean, whole_cycles
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.slender import LEAST_BODIES, SlenderChain, slender_chains
+from evo_cpg.simulation.recording import Recording
 
 # Relative amplitude of a point below which its bending has no phase.
 _FAINT = 1e-3
@@ -204,3 +211,74 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 def _of_largest(values: np.ndarray) -> np.ndarray:
     size = np.abs(values)
     return size / max(size.max(initial=0.0), 1e-300)
+
+
+def midline_chain(creature: Creature) -> SlenderChain | None:
+    """Return the slender chain of the root, or None if it has fewer than three bodies."""
+    root = next(i for i, body in enumerate(creature.bodies) if body.joint is None)
+    chain = next(chain for chain in slender_chains(creature) if root in chain.bodies)
+    return chain if len(chain.bodies) >= LEAST_BODIES else None
+
+
+def midline_points(chain: SlenderChain, recording: Recording) -> Float[np.ndarray, "t p 3"]:
+    """Return the paths of the points, m.
+
+    Args:
+        chain: chain of `midline_chain`.
+        recording: motion of the creature, with the bodies in its order.
+    """
+    bodies = list(chain.bodies)
+    position = np.asarray(recording.position, float)[:, bodies]
+    rotation = np.asarray(recording.rotation, float)[:, bodies]
+    front = position + np.einsum("tbij,bj->tbi", rotation, np.asarray(chain.front, float))
+    rear = position[:, -1] + rotation[:, -1] @ np.asarray(chain.rear[-1], float)
+    return np.concatenate([front, rear[:, None]], axis=1)
+
+
+def swimming(
+    points: Float[np.ndarray, "t p 3"],
+    step: float,
+    frequency: float | None = None,
+    *,
+    speed: float | None = None,
+    length: float | None = None,
+    viscosity: float | None = None,
+) -> dict[str, float]:
+    """Return the numbers of a swimmer from the paths of points on its midline.
+
+    Pass only samples of the steady part, because the initial motion is no stride.
+
+    Args:
+        points: paths from the head's tip to the tail's tip in the world, m.
+        step: time between samples, s.
+        frequency: frequency of the beat, Hz, or None to measure it from the bending.
+        speed: speed through the water, m/s, or None for the speed of the midline's mean along its
+            path. Pass it if the water flows, or if the animal is towed.
+        length: body length, m, or None for the mean length of the midline.
+        viscosity: kinematic viscosity of the water, m^2/s, or None without viscosity.
+
+    Returns:
+        Numbers by name (docs/analysis.md), in SI units. NaN for a number that does not exist.
+    """
+    if frequency is None:
+        segments = np.diff(points, axis=1)
+        turns = np.cross(segments[:, :-1], segments[:, 1:]).reshape(len(points), -1)
+        frequency = stride.stride_frequency(turns, step)
+    if speed is None:
+        speed = stride.path_speed(points.mean(1), step, frequency)
+    names = ("tail_amplitude", "wave_speed", "wave_count", "travelling", "lag")
+    found = {"frequency": frequency, "speed": speed} | dict.fromkeys(names, np.nan)
+    motion = midline_motion(points, step, frequency, length)
+    if motion is not None:
+        wave, length = motion.wave, motion.length
+        numbers = (motion.tail_amplitude, wave.speed, wave.count, wave.travelling, motion.lag.mean)
+        found |= dict(zip(names, numbers, strict=True))
+    tail, size = found["tail_amplitude"], np.nan if length is None else length
+    nu = np.nan if viscosity is None else viscosity
+    found |= {
+        "strouhal": float(stride.strouhal_number(frequency, tail, speed)),
+        "slip": float(stride.slip(speed, found["wave_speed"])),
+        "reynolds": float(stride.reynolds_number(speed, size, nu)),
+        "swimming_number": float(stride.swimming_number(frequency, tail, size, nu)),
+    }
+    return found

@@ -10,57 +10,40 @@ unknowns,
 
 the adaptation gain b, the stronger coupling s between neighbours, and the ratio r of the weaker
 coupling to the stronger one. The stronger coupling is ``parent_weight`` for a positive lag (head to
-tail) and ``child_weight`` for a negative lag. One equation for three unknowns has many solutions.
-Least squares select the solution nearest to the present settings x0,
-
-    min  (L(x) - L*)^2 / l^2 + |x - x0|^2 + w^2 |distance of x outside its bounds|^2
-
-with the reference lag L*, by Levenberg and Marquardt's method (`scipy.optimize.least_squares`).
-With l = 0.1 degrees, the second term shifts L by about 1e-3 degrees. L is computed from the
-periodic orbit (`evo_cpg.analysis.limit_cycle`), which is exact, so finite differences give its
-derivatives. A step to a point without an orbit is rejected.
-
-A simulation of networks within the bounds (`survey`) gives the starting point and the range of
-reachable lags.
+tail) and ``child_weight`` for a negative lag. The bounds of x are a box. L is computed from the
+periodic orbit (`evo_cpg.analysis.limit_cycle`) at the present settings and at the corners of the
+box. L is continuous, so a straight line from the present settings to a corner contains every lag
+between those of its ends. Bisection (Brent) finds the lag on the line that promises the smallest
+change.
 """
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+import itertools
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.analysis.chains import Chain
-from evo_cpg.analysis.couplings import Problem, network_at, problem_of
-from evo_cpg.analysis.lag_survey import UnreachableRhythmError, starting_place, survey
+from evo_cpg.analysis.chains import OscillatorChain
 from evo_cpg.analysis.limit_cycle import (
     LimitCycle,
     NoRhythmError,
-    Orbit,
     RhythmSearchError,
-    close,
-    flow_of,
     limit_cycle,
-    outputs,
-    settle,
-    start_of,
 )
 from evo_cpg.control.matsuoka import CpgSettings, build_network
-from evo_cpg.control.piecewise import Flow
 from evo_cpg.creature.tree import Tree
 
-# l in degrees, w, and the largest number of searches, each from the result of the one before.
-_LAG_UNIT, _WALL, _ROUNDS = 0.1, 1e3, 4
-
-# Step of the finite differences (the orbit is exact to 1e-11). Residual ``(L - L*) / l`` of a point
-# without an orbit: larger than for any lag, as lags differ by at most 360 degrees.
-_CHANGE, _NO_ORBIT = 1e-5, 1e4
+# Bounds of b, s and r. Beyond them waves are irregular (r near 1: equal couplings make no wave),
+# recover slowly (r near 0) or are faint (large b). Strong, even couplings with b near 1 make rest.
+GAINS, STRONGER, RATIOS = (2.0, 20.0), (0.5, 2.0), (0.05, 0.5)
 
 # Digits of the rounded result, and largest error of its lag, degrees.
 _DIGITS, _TOLERANCE = 5, 0.02
+
+
+class UnreachableRhythmError(ValueError):
+    """No settings within the bounds give the reference rhythm."""
 
 
 class Rhythm(NamedTuple):
@@ -70,7 +53,7 @@ class Rhythm(NamedTuple):
         settings: settings of the oscillators.
         adaptation_gain: b, equal for all oscillators.
         cycle: orbit of the chain's part of the network.
-        lags: lags along the chain, degrees.
+        lags: lags along the chain, degrees, without the half turn of opposite neighbours.
     """
 
     settings: CpgSettings
@@ -85,7 +68,12 @@ class Rhythm(NamedTuple):
 
 
 def rhythm(
-    tree: Tree, settings: CpgSettings, chain: Chain, gain: float, tonic_input: float | None = None
+    tree: Tree,
+    settings: CpgSettings,
+    chain: OscillatorChain,
+    gain: float,
+    tonic_input: float | None = None,
+    near: LimitCycle | None = None,
 ) -> Rhythm:
     """Return the rhythm of a chain with given settings.
 
@@ -95,6 +83,7 @@ def rhythm(
         chain: one of `evo_cpg.analysis.chains.chains`.
         gain: b.
         tonic_input: u, or None for the largest one.
+        near: orbit of similar settings, from which the search starts.
 
     Raises:
         NoRhythmError: the network comes to rest.
@@ -104,29 +93,31 @@ def rhythm(
     tonic = settings.max_tonic_input if tonic_input is None else tonic_input
     drive = np.full((2, network.oscillator_count), tonic)
     gains = np.full(network.oscillator_count, gain)
-    cycle = limit_cycle(network, drive, gains, chain.part)
-    return Rhythm(settings, gain, cycle, _lags(cycle.outputs, chain.places, chain.sides))
+    cycle = limit_cycle(network, drive, gains, chain.part, near)
+    turns = chain.sides * np.exp(1j * np.deg2rad(cycle.lags(chain.oscillators)[1:]))
+    return Rhythm(settings, gain, cycle, np.rad2deg(np.angle(turns)))
 
 
 def reference_rhythm(
     tree: Tree,
     settings: CpgSettings,
-    chain: Chain,
+    chain: OscillatorChain,
     gain: float,
     frequency: float | None = None,
     lag: float | None = None,
     hold_gain: bool = False,
     tonic_input: float | None = None,
 ) -> Rhythm:
-    """Return the nearest settings that give a frequency, a lag or both.
+    """Return settings that give a frequency, a lag or both, near to the present ones.
 
     Args:
         tree: the creature.
         settings: present settings.
         chain: chain with the lag and the frequency.
         gain: present b.
-        frequency: reference frequency, Hz, or None to leave ``time_scale`` unchanged.
-        lag: reference mean lag of the chain, degrees, or None to leave b and couplings unchanged.
+        frequency: reference frequency, Hz, positive, or None to leave ``time_scale`` unchanged.
+        lag: reference mean lag of the chain, -180 to 180 degrees, or None to leave b and couplings
+            unchanged.
         hold_gain: whether to solve for the couplings only.
         tonic_input: u, or None for the largest one. Only the amplitude depends on it.
 
@@ -134,23 +125,18 @@ def reference_rhythm(
         NoRhythmError: the network rests with the present settings, or with the settings found.
         RhythmSearchError: the search found neither a rhythm nor rest.
         UnreachableRhythmError: the lag is out of reach. The message states the reachable range.
-        ValueError: a frequency, lag or b is outside its range.
     """
-    if not 0 < gain < np.inf:
-        raise ValueError(f"an adaptation gain must be a positive number, got {gain:g}")
-    if frequency is not None and not 0 < frequency < np.inf:
-        raise ValueError(f"a frequency must be a positive number of Hz, got {frequency:g}")
-    if lag is not None:
-        if not -180 < lag < 180:
-            raise ValueError(f"a lag must lie between -180 and 180 degrees, got {lag:g}")
-        if len(chain.places) < 2:
-            raise UnreachableRhythmError(
-                f"the longest chain through {chain.name} has a single oscillator, so it has no "
-                "lag. Set lags between limbs with controller.cpg.couplings or rings"
-            )
-        found = _with_lag(tree, settings, chain, gain, lag, hold_gain, tonic_input)
-    else:
+    if lag is None:
         found = rhythm(tree, settings, chain, gain, tonic_input)
+    elif len(chain.oscillators) < 2:
+        raise UnreachableRhythmError(
+            f"the longest chain through {chain.name} has a single oscillator, so it has no lag. "
+            "Set lags between limbs with controller.cpg.couplings or rings"
+        )
+    else:
+        found = _with_lag(tree, settings, chain, gain, lag, hold_gain)
+        if tonic_input is not None:
+            found = rhythm(tree, found.settings, chain, found.adaptation_gain, tonic_input)
     if frequency is None:
         return found
     scale = found.settings.time_scale
@@ -165,83 +151,89 @@ def reference_rhythm(
 def _with_lag(
     tree: Tree,
     settings: CpgSettings,
-    chain: Chain,
+    chain: OscillatorChain,
     gain: float,
     lag: float,
     hold_gain: bool,
-    tonic_input: float | None,
 ) -> Rhythm:
-    head_to_tail = bool(lag >= 0)
-    with jax.enable_x64(True):
-        problem = problem_of(tree, settings, chain, gain, head_to_tail, hold_gain)
-        x = starting_place(problem, *survey(problem), lag)
-    for _ in range(_ROUNDS):
-        with jax.enable_x64(True):
-            x = np.clip(_improve(problem, x, lag), *problem.bounds)
-        now, stronger, ratio = np.exp(x)
-        weights = _rounded(stronger), _rounded(stronger * ratio)
-        parent, child = weights if head_to_tail else weights[::-1]
-        there = dataclasses.replace(settings, parent_weight=parent, child_weight=child)
-        # Start as the animal does, because the search may have followed another orbit.
-        found = rhythm(tree, there, chain, gain if hold_gain else _rounded(now), tonic_input)
-        if abs(found.lag - lag) < _TOLERANCE and found.cycle.stable:
+    """Return the rhythm with the given mean lag, by bisection along lines in the box."""
+    names = ("parent_weight", "child_weight") if lag >= 0 else ("child_weight", "parent_weight")
+
+    def at(x: np.ndarray, near: Rhythm | None = None) -> Rhythm | None:
+        b, stronger, ratio = np.exp(x)
+        weights = (float(f"{weight:.{_DIGITS}g}") for weight in (stronger, stronger * ratio))
+        there = dataclasses.replace(settings, **dict(zip(names, weights, strict=True)))
+        b = gain if hold_gain else float(f"{b:.{_DIGITS}g}")
+        try:
+            found = rhythm(tree, there, chain, b, near=near and near.cycle)
+        except (NoRhythmError, RhythmSearchError):
+            return None
+        return found if np.isfinite(found.lag) else None
+
+    low, high = np.log([GAINS, STRONGER, RATIOS]).T
+    pair = [settings.parent_weight, settings.child_weight]
+    stronger = max(*pair, STRONGER[0])
+    present = np.clip(np.log([gain, stronger, max(min(pair) / stronger, RATIOS[0])]), low, high)
+    if hold_gain:
+        present[0] = low[0] = high[0] = np.log(gain)
+    corners = {tuple(x) for x in itertools.product(*zip(low, high, strict=True))}
+    places = [present, *map(np.array, sorted(corners))]
+    known = [(x, found) for x in places if (found := at(x)) is not None]
+    if not known:
+        raise UnreachableRhythmError(
+            "there is no steady rhythm at any of the gains and couplings tried. pair_weight or "
+            "the constants prevent oscillation"
+        )
+    lags = [found.lag for _, found in known]
+    if not min(lags) <= lag <= max(lags):
+        raise UnreachableRhythmError(_refusal(lag, min(lags), max(lags), np.exp([low[0], high[0]])))
+    # From the present settings if they oscillate, or else between any two corners.
+    lines = itertools.product(known[:1], known[1:])
+    if known[0][0] is not present:
+        lines = itertools.combinations(known, 2)
+    crossing = []
+    for (a, first), (b, last) in lines:
+        if (first.lag - lag) * (last.lag - lag) <= 0:
+            place = a + (b - a) * (lag - first.lag) / ((last.lag - first.lag) or 1.0)
+            crossing.append((float(np.linalg.norm(place - present)), a, b, first))
+    for _, a, b, first in sorted(crossing, key=lambda line: line[0]):
+        found = _on_line(at, a, b, first, lag)
+        if found is not None:
             return found
-    raise UnreachableRhythmError(
-        f"the search for a lag of {lag:g} degrees ended at {found.lag:.2f} degrees"
-        + ("" if found.cycle.stable else ", in an unstable rhythm")
+    raise UnreachableRhythmError(f"the search for a lag of {lag:g} degrees found no steady rhythm")
+
+
+def _on_line(at, a: np.ndarray, b: np.ndarray, first: Rhythm, lag: float) -> Rhythm | None:
+    """Return the rhythm with the lag between two places, or None if the orbit is lost between."""
+    from scipy.optimize import brentq
+
+    seen = [first]
+
+    def off(fraction: float) -> float:
+        found = at(a + fraction * (b - a), seen[-1])
+        if found is None:
+            raise RhythmSearchError
+        seen.append(found)
+        return found.lag - lag
+
+    try:
+        fraction = brentq(off, 0.0, 1.0, xtol=1e-5)
+    except (RhythmSearchError, ValueError):
+        return None
+    # Start as the animal does, because the search may have followed another orbit.
+    found = at(a + fraction * (b - a))
+    reached = found is not None and found.cycle.stable and abs(found.lag - lag) < _TOLERANCE
+    return found if reached else None
+
+
+def _refusal(lag: float, low: float, high: float, gains: np.ndarray) -> str:
+    strong, weak = ("parent_weight", "child_weight")[:: 1 if lag >= 0 else -1]
+    direction = "from head to tail" if lag >= 0 else "from tail to head (negative lags)"
+    # Round the range inwards, so that its ends are reachable.
+    low, high = np.ceil(low * 10) / 10, np.floor(high * 10) / 10
+    return (
+        f"a lag of {lag:g} degrees is out of reach. Allowed {direction}: {low:.1f} to {high:.1f} "
+        f"(with b = {'--'.join(f'{gain:g}' for gain in np.unique(gains.round(9)))}, "
+        f"{strong} = {STRONGER[0]:g}--{STRONGER[1]:g} and {weak} = "
+        f"{RATIOS[0]:g}--{RATIOS[1]:g} times that)"
     )
-
-
-def _rounded(number: float) -> float:
-    return float(f"{number:.{_DIGITS}g}")
-
-
-def _improve(problem: Problem, x: np.ndarray, lag: float) -> np.ndarray:
-    """Solve the least squares, starting from the orbit at x."""
-    nearby: list[Orbit] = []
-
-    def mean_lag(x: np.ndarray) -> float:
-        flow = _flow_at(problem, x)
-        orbit = close(flow, nearby[-1].state, nearby[-1].period) if nearby else None
-        if orbit is None:
-            try:
-                orbit = settle(flow, start_of(flow, problem.template))
-            except (NoRhythmError, RhythmSearchError):
-                return np.nan
-        nearby[:] = [orbit]
-        return float(_lags(outputs(flow, orbit), problem.chain, problem.sides).mean())
-
-    def residuals(change: np.ndarray) -> np.ndarray:
-        there = problem.present + problem.free * change
-        low, high = problem.bounds
-        outside = np.maximum(there - high, 0) - np.maximum(low - there, 0)
-        off = (mean_lag(there) - lag) / _LAG_UNIT
-        off = off if np.isfinite(off) else _NO_ORBIT
-        return np.concatenate([[off], change, problem.free * _WALL * outside])
-
-    def derivative(change: np.ndarray) -> np.ndarray:
-        here = residuals(change)
-        moved = [residuals(change + _CHANGE * unit) for unit in np.eye(len(change))]
-        return (np.transpose(moved) - here[:, None]) / _CHANGE
-
-    from scipy.optimize import least_squares
-
-    begin = x - problem.present
-    options: dict[str, Any] = {"jac": derivative, "method": "lm", "max_nfev": 50}
-    found = least_squares(residuals, begin, xtol=1e-4, ftol=1e-4, **options)
-    return problem.present + problem.free * found.x
-
-
-def _flow_at(problem: Problem, x: np.ndarray) -> Flow:
-    with jax.enable_x64(True):
-        network, gain = network_at(problem, jnp.asarray(x))
-    every = range(network.oscillator_count)
-    # `Problem.drive` already includes the sensory feedback.
-    bare = dataclasses.replace(network, constant_input=0.0)
-    return flow_of(bare, problem.drive, np.asarray(gain), every)
-
-
-def _lags(signals: np.ndarray, places: Sequence[int], sides: np.ndarray) -> np.ndarray:
-    """Return the lag of each oscillator of a chain behind the one before it, degrees."""
-    component = np.fft.rfft(signals[list(places)], axis=1)[:, 1]
-    return np.rad2deg(np.angle(sides * component[:-1] * component[1:].conj()))

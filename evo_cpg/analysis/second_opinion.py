@@ -4,8 +4,8 @@ The exported model (`evo_cpg.io.models.mjcf_export`) starts in the champion's in
 are two modes of driving it:
 
 - The recorded commands of the champion's controller, step by step.
-- The controller in the loop, with the sensor readings of MuJoCo's animal (`Brain`). A controller
-  that corrects itself needs this mode if contacts differ. Tables name it "own senses".
+- The controller in the loop, with the sensor readings of MuJoCo's animal (`ControllerInLoop`). A
+  controller that corrects itself needs this mode if contacts differ. Tables name it "own senses".
 
 Both programs solve the same equations of motion. They differ in these points:
 
@@ -14,7 +14,7 @@ Both programs solve the same equations of motion. They differ in these points:
   steps of MuJoCo, because its stiff motors are inaccurate at ours.
 - Buoyancy and force laws (`evo_cpg.physics.water.force_law`) are ours, applied to MuJoCo's bodies
   at every MuJoCo step. Laws with an inertia, such as added mass, act by a force on MuJoCo's degrees
-  of freedom (`evo_cpg.io.models.carried_inertia`). The impact of water that a body enters is left
+  of freedom (`evo_cpg.io.models.mujoco_state`). The impact of water that a body enters is left
   out.
 - Muscles are a torque motor, a spring and a damper, which follow our law in every step of MuJoCo.
 - If friction differs from trial to trial, MuJoCo uses the friction of the configuration.
@@ -37,17 +37,16 @@ from evo_cpg.control.controller import Command
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.muscles import Muscles
-from evo_cpg.installation import command_for
-from evo_cpg.io.models.carried_inertia import CarriedInertia, step_with_inertia
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.io.models.mujoco_state import (
+    CarriedInertia,
     dof_order,
     joint_state,
     load_state,
     motor_order,
     root_dofs,
     root_rotation,
+    step_with_inertia,
 )
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.native.engine import using
@@ -58,12 +57,12 @@ from evo_cpg.physics.tree.joint_torque import Laws, MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.muscle import Pull, pull_of
 from evo_cpg.physics.tree.state import State, resting_state
-from evo_cpg.physics.water.force_law import in_body_axes
-from evo_cpg.physics.water.weight import buoyancy_alone
+from evo_cpg.physics.water.force_law import buoyancy_alone, in_body_axes
 from evo_cpg.simulation.control_step import act, begin_episode, motor_command, sense
-from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.system import command_for
 
 # Least upward component of the root's z axis in an upright animal: the cosine of 60 degrees.
 _UPRIGHT = 0.5
@@ -122,7 +121,7 @@ class Opinion(NamedTuple):
         return float(np.arctan2(y, x))
 
 
-class Brain:
+class ControllerInLoop:
     """A champion's controller, with the senses of an animal in another simulator.
 
     Args:
@@ -197,7 +196,7 @@ def second_opinion(
     creature: Creature,
     steps: PhysicsSteps,
     hard: bool = False,
-    brain: Brain | None = None,
+    brain: ControllerInLoop | None = None,
 ) -> Opinion:
     """Simulate the trial in MuJoCo, and return its outcome.
 
@@ -218,7 +217,10 @@ def second_opinion(
     world, substeps = simulation.world, simulation.substeps
     player = _Player(mujoco, model, world, simulation.step_length)
     player.begin(before)
-    pushes = _pushes(steps)
+    # Random change of the velocities before each step, as for `State.rates`.
+    rates = np.asarray(steps.before.rates, float)
+    came = np.concatenate([rates[:, :1], np.asarray(steps.after.rates[:, :-1], float)], 1)
+    pushes = rates - came
     recorded = steps.target_rate, steps.target_angle, steps.activation, steps.commanded_torque
     commands, active = player.commands(MotorCommand(*recorded))
     states, held, borne = [before], [], [np.zeros(len(world.tree.names))]
@@ -303,7 +305,9 @@ class _Player:
         if world.tree.centre_of_volume is not None:
             centres = np.asarray(model.body_ipos)[self._bodies].T
         self._laws = _law_forces(world, h, centres) if _applied(world) else None
-        self._pull = None if world.tree.muscles is None else _pull_forces(world.tree.muscles)
+        self._pull = None
+        if world.tree.muscles is not None:
+            self._pull = jax.jit(functools.partial(pull_of, world.tree.muscles))
         self._surface = world.water_level
         self._start = resting_state(world.tree)
         self._placed = jax.jit(lambda state: state.placed(world.tree))
@@ -343,7 +347,10 @@ class _Player:
         for _ in range(count):
             carried = None
             if self._pull is not None:
-                self._set_muscles(self._pull(activation, self.state()))
+                state = self.state()
+                with jax.enable_x64(True):
+                    pull = jax.device_get(self._pull(activation, state.q, state.qd))
+                self._set_muscles(pull)
             if self._laws is not None:
                 applied, carried = self._laws(self.state())
                 self.data.xfrc_applied[self._bodies] = applied.T
@@ -430,17 +437,6 @@ def _controls(laws: Laws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
     return np.asarray(driven, float)
 
 
-def _pull_forces(muscles: Muscles) -> Callable[[np.ndarray, State], Pull]:
-    """Return a function of activations and state for the torque of the muscles."""
-    program = jax.jit(lambda activation, q, rate: pull_of(muscles, activation, q, rate))
-
-    def compute(activation: np.ndarray, state: State) -> Pull:
-        with jax.enable_x64(True):
-            return jax.device_get(program(activation, state.q, state.qd))
-
-    return compute
-
-
 def _law_forces(
     world: World, h: float, centres: Float[Numbers, "3 b"]
 ) -> Callable[[State], tuple[np.ndarray, CarriedInertia | None]]:
@@ -482,13 +478,6 @@ def _law_forces(
             return jax.device_get(program(state))
 
     return compute
-
-
-def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "v t"]:
-    """Return the random change of the velocities before each step, as for `State.rates`."""
-    rates = np.asarray(steps.before.rates, float)
-    came = np.concatenate([rates[:, :1], np.asarray(steps.after.rates[:, :-1], float)], 1)
-    return rates - came
 
 
 def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:

@@ -1,20 +1,39 @@
-"""The stride: the shortest time after which a motion repeats, and its length.
+"""The stride, and the dimensionless numbers of walkers and swimmers.
 
 | word | meaning | source |
 |---|---|---|
+| stride | the shortest time after which a motion repeats | |
 | stride frequency | strides per second | Moe-Nilssen and Helbostad 2004 (autocorrelation) |
 | path speed | speed along the path, smoothed over a stride | |
 | stride length | path speed / stride frequency | Alexander 2003 |
 | cost of transport | energy / (weight x distance) | Tucker 1975 |
+| Froude number | v^2 / (g h), with the hip height h | Alexander and Jayes 1983 |
+| recovery | energy saved by exchange in the centre of mass / energy | Cavagna et al. 1977 |
+| tripod strength | time of joint swing / time of any swing in a tripod | Wosnitza et al. 2013 |
+| relative slip | slip of the feet / speed of the animal | |
+| U | speed through the water along the path | |
+| A | tail amplitude: sway of the tail's tip from side to side (peak to peak) | |
+| Strouhal number | f A / U | Triantafyllou et al. 1993 |
+| V | speed of the wave of displacement along the body | Gray 1933 |
+| slip | U / V | Lighthill 1960 |
+| Froude efficiency | T U / P | Lighthill 1960 |
+| Reynolds number | U L / nu | |
+| swimming number | w A L / nu, with w = 2 pi f. So Sw / Re = 2 pi St | Gazzola et al. 2014 |
+
+A is from side to side everywhere, also in the swimming number. Papers say "amplitude" for this
+length or for half of it. The formulas take numbers or arrays.
 """
 
 import math
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.interpolate import CubicSpline
 
 from evo_cpg.analysis.cycles import finer, moving_mean
+
+# A number, or an array of numbers.
+Values = float | Float[np.ndarray, " *n"]
 
 # Autocorrelation below which a motion does not repeat. White noise of 600 samples reaches 0.2.
 _ALIKE = 0.3
@@ -138,3 +157,153 @@ def _autocorrelation(level: Float[np.ndarray, "t j"], most: int) -> Float[np.nda
     before, after = power[count - lags], power[count] - power[lags]
     scale = np.sqrt(before * after)
     return product / np.where(scale > 0, scale, 1.0)
+
+
+# Legs of a tripod, of which an insect has two.
+TRIPOD = 3
+
+
+def froude_number(speed: Values, gravity: Values, hip_height: Values) -> Values:
+    """Return Fr = v^2 / (g h), no unit (Alexander and Jayes 1983).
+
+    Animals walk below about 0.5 and run above. Some papers write v / sqrt(g h), which is the root.
+
+    Args:
+        speed: v, m/s.
+        gravity: g, m/s^2.
+        hip_height: h, mean height of the hips above the ground, m.
+
+    Returns:
+        Froude number, NaN without gravity or with hips on the ground.
+    """
+    return ratio(np.square(speed), np.multiply(gravity, hip_height))
+
+
+def recovery(
+    forward: Float[np.ndarray, "t *n"], vertical: Float[np.ndarray, "t *n"]
+) -> Float[np.ndarray, " *n"]:
+    """Return the recovery R = 1 - W / (W_f + W_v) (Cavagna, Heglund and Taylor 1977).
+
+    Each W is the sum of the positive steps of an energy of the centre of mass: W_f of ``forward``,
+    W_v of ``vertical``, W of their sum. Two equal sinusoids that are shifted by d have
+    R = 1 - |cos(d / 2)|: 1 for 180 degrees (a pendulum), 0 for 0 (a bounce).
+
+    Args:
+        forward: kinetic energy of the forward motion, J, in whole strides.
+        vertical: potential energy plus kinetic energy of the vertical motion, J.
+
+    Returns:
+        Recovery from 0 to 1, NaN if neither energy changes.
+    """
+    total, *apart = (
+        np.maximum(np.diff(energy, axis=0), 0.0).sum(0)
+        for energy in (forward + vertical, forward, vertical)
+    )
+    spent = apart[0] + apart[1]
+    return np.where(spent > 0, 1.0 - total / np.where(spent > 0, spent, 1.0), np.nan)
+
+
+def tripod_strength(touched: Bool[np.ndarray, "t 6 *n"]) -> Float[np.ndarray, " *n"]:
+    """Return the tripod strength, mean of both tripods: 1 if their legs swing together.
+
+    A tripod is L1, R2, L3 or R1, L2, R3. Its strength is the time in which all three legs swing,
+    over the time in which any of them swings. Swings of the length s that follow each other by d
+    have (s - 2 d) / (s + 2 d).
+
+    Args:
+        touched: whether each leg touches the ground in each sample. The order is L1, L2, L3, R1,
+            R2, R3, from front to back.
+
+    Returns:
+        Strength from 0 to 1, NaN if a tripod never swings.
+    """
+    swings = ~touched
+    each = []
+    for legs in ([0, 4, 2], [3, 1, 5]):
+        together = swings[:, legs].all(1).sum(0)
+        any_of_them = swings[:, legs].any(1).sum(0)
+        each.append(np.where(any_of_them > 0, together / np.maximum(any_of_them, 1), np.nan))
+    return np.mean(each, axis=0)
+
+
+def relative_slip(slip_speed: Values, speed: Values) -> Values:
+    """Return the slip of the feet over the animal's speed, no unit.
+
+    Args:
+        slip_speed: slip speed of the feet, m/s (`evo_cpg.simulation.measures`).
+        speed: speed of the animal, m/s. The result is NaN for 0.
+    """
+    return ratio(slip_speed, speed)
+
+
+def strouhal_number(frequency: Values, amplitude: Values, speed: Values) -> Values:
+    """Return St = f A / U, no unit (Triantafyllou, Triantafyllou and Grosenbaugh 1993).
+
+    Args:
+        frequency: f, frequency of the tail's beat, Hz.
+        amplitude: A, sway of the tail's tip from side to side, m.
+        speed: U, m/s. The result is NaN for 0.
+    """
+    return ratio(np.multiply(frequency, amplitude), speed)
+
+
+def slip(speed: Values, wave_speed: Values) -> Values:
+    """Return U / V, no unit (Lighthill 1960). NaN without a wave speed.
+
+    Args:
+        speed: U, m/s.
+        wave_speed: V, m/s. Only its magnitude counts.
+    """
+    return ratio(speed, np.abs(wave_speed))
+
+
+def reynolds_number(speed: Values, length: Values, viscosity: Values) -> Values:
+    """Return Re = U L / nu, no unit. NaN without viscosity.
+
+    Args:
+        speed: U, m/s.
+        length: L, m.
+        viscosity: kinematic viscosity nu, m^2/s.
+    """
+    return ratio(np.multiply(speed, length), viscosity)
+
+
+def swimming_number(
+    frequency: Values, amplitude: Values, length: Values, viscosity: Values
+) -> Values:
+    """Return Sw = 2 pi f A L / nu, no unit (Gazzola, Argentina and Mahadevan 2014).
+
+    Args:
+        frequency: f, frequency of the tail's beat, Hz.
+        amplitude: A, sway of the tail's tip from side to side, m.
+        length: L, m.
+        viscosity: kinematic viscosity nu, m^2/s. The result is NaN for 0.
+    """
+    return ratio(2 * np.pi * np.multiply(frequency, amplitude) * length, viscosity)
+
+
+def froude_efficiency(thrust: Values, speed: Values, power: Values) -> Values:
+    """Return the Froude efficiency T U / P, no unit (Lighthill 1960).
+
+    The net force on a free swimmer is zero, so T is not the net force. Take T from the law that
+    pushes (reactive thrust), or hold the animal in a tow and take the net force.
+
+    Args:
+        thrust: T, mean thrust, N.
+        speed: U, speed through the water, m/s.
+        power: P, mean power of the body into the water, W. The result is NaN unless P is positive.
+    """
+    return ratio(np.multiply(thrust, speed), power)
+
+
+def ratio(above: Values, below: Values) -> Values:
+    """Return the ratio of two quantities, NaN unless the lower one is positive.
+
+    Args:
+        above: a number or an array.
+        below: a number or an array.
+    """
+    below = np.asarray(below, float)
+    exists = below > 0
+    found = np.where(exists, above, np.nan) / np.where(exists, below, 1.0)
+    return found if found.ndim else float(found)

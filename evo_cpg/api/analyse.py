@@ -2,31 +2,29 @@
 
 import io
 import json
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from evo_cpg.analysis.chains import joint_rows
 from evo_cpg.analysis.gait_numbers import GaitNumbers
+from evo_cpg.api.machine import version
 from evo_cpg.api.paper_differences import paper_differences
 from evo_cpg.api.progress import working
-from evo_cpg.api.training import now
-from evo_cpg.api.version import version
+from evo_cpg.api.run_start import now
+from evo_cpg.api.runs import open_champion, suffix, writing
+from evo_cpg.errors import advise
 from evo_cpg.files import read_json, write_text
-from evo_cpg.io.opened import OpenedChampion, open_run
+from evo_cpg.io.run import Run
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
-from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
-    from PIL import Image
-
     from evo_cpg.view.run_page.subject import Crowd
     from evo_cpg.view.scene import Panel
 
@@ -34,39 +32,72 @@ if TYPE_CHECKING:
 _STILL, _QUALITY = (1280, 720), 88
 
 
-def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
-    """Make the page of a run's champion, as `evo-cpg analyse` does.
+class Analysis(NamedTuple):
+    """Files of a page, and the numbers in it.
+
+    Attributes:
+        page: path of the HTML file.
+        table: path of the JSON file with the numbers.
+        numbers: numbers of the champion's motion.
+    """
+
+    page: Path
+    table: Path
+    numbers: GaitNumbers
+
+
+def analyse(
+    run: Path | str,
+    trial: int = 0,
+    trust: bool = False,
+    *,
+    number: int | None = None,
+    out: Path | str | None = None,
+    crowd: int | None = None,
+) -> Analysis:
+    """Make the page of a run's champion, with the numbers of its gait.
+
+    Earlier files are replaced. If ``config.yaml`` has changed since the champion evolved, the page
+    and a warning report the change.
 
     Args:
         run: a run folder.
         trial: number of the champion's trial, from 0.
         trust: whether to trust the configuration, see `load`.
-
-    Returns:
-        The page in the run folder, ``analysis.html``. Its numbers are beside it in
-        ``analysis.json``. Earlier files are replaced. If
-        ``config.yaml`` has changed since the champion evolved, the page and a warning report
-        the change.
+        number: number of one of several runs side by side, or None for the best.
+        out: path of the page, or None for ``analysis.html`` in the run folder. The numbers are
+            beside it in a JSON file.
+        crowd: a generation that the page also shows, or None.
 
     Raises:
         ConfigError: the configuration of the run is wrong.
         LockedError: another process writes into the folder.
         RunFolderError: there is no run, the run has no champion, or the champion's number of genes
             does not fit its ``config.yaml``.
-        ValueError: there is no such trial.
+        UsageError: there is no such trial, run or generation.
     """
-    folder = RunFolder(run)
-    with trusting(trust), folder.locked():
-        use_cores(None)
-        with working(f"building {folder.path}"):
-            opened = open_run(run).load_champion()
-        _require_trial(opened, trial)
+    output = None if out is None else Path(out)
+    with trusting(trust), writing(Path(run), output):
+        opened = open_champion(run, number, trial)
+        opened.require_configured()
+        if opened.changed:
+            advise(f"{opened.folder.path}: {opened.changed}")
+        together = None
+        if crowd is not None:
+            from evo_cpg.api.film import crowd_panel
+            from evo_cpg.view.film import Film
 
-        def warn(words: str) -> None:
-            warnings.warn(words, stacklevel=4)
-
-        with working(f"making the page of {folder.path}"):
-            return write_page(opened, trial, warn=warn).page
+            together = crowd_panel(opened, crowd, trial, Film())
+        path = output or opened.folder.path / f"analysis{suffix(number, trial)}.html"
+        with working("replaying the champion") as work:
+            measured = measure(opened, trial)
+            work.doing("drawing")
+            write_text(path, page(opened, trial, measured, together))
+        table, champion = numbers_path(path), opened.champion
+        about = {"run": champion.run, "generation": champion.generation, "trial": trial}
+        contents = about | {"made": now()} | measured.numbers.as_dict()
+        write_text(table, json.dumps(contents, indent=2, allow_nan=False) + "\n")
+    return Analysis(path, table, measured.numbers)
 
 
 class Measured(NamedTuple):
@@ -97,92 +128,27 @@ def gait_numbers(run: Path | str, trial: int = 0, trust: bool = False) -> GaitNu
         ConfigError: the configuration of the run is wrong.
         RunFolderError: there is no run, the run has no champion, or the champion's number of genes
             does not fit its ``config.yaml``.
-        ValueError: there is no such trial.
+        UsageError: there is no such trial.
     """
     with trusting(trust):
-        use_cores(None)
+        opened = open_champion(run, trial=trial)
+        opened.require_configured()
         with working(f"measuring {run}"):
-            opened = open_run(run).load_champion()
-            _require_trial(opened, trial)
-            opened.require_configured()
             return measure(opened, trial).numbers
 
 
-def measure(opened: OpenedChampion, trial: int) -> Measured:
-    """Replay a champion's trial and return its motion with the numbers.
-
-    Args:
-        opened: the run and the champion.
-        trial: number of the champion's trial, from 0.
-    """
+def measure(opened: Run, trial: int) -> Measured:
+    """Replay a champion's trial and return its motion with the numbers."""
     from evo_cpg.analysis import gait_numbers as measuring
 
     experiment = opened.experiment
     # Velocities are needed for the power into the water only.
     full = experiment.simulation.world.water is not None
-    ((_, frames, recording),) = opened.replay([opened.champion], trial, full)
-    numbers = measuring.gait_numbers(experiment.simulation, experiment.creature, frames, recording)
-    return Measured(recording, numbers)
-
-
-def _require_trial(opened: OpenedChampion, trial: int) -> None:
-    trials = opened.experiment.trials
-    if not 0 <= trial < trials:
-        raise ValueError(f"trial must be 0 to {trials - 1}, got {trial}")
-
-
-class Written(NamedTuple):
-    """Files of a page.
-
-    Attributes:
-        page: path of the HTML file.
-        numbers: path of the JSON file with the numbers.
-        measured: the numbers.
-    """
-
-    page: Path
-    numbers: Path
-    measured: GaitNumbers
-
-
-def write_page(
-    opened: OpenedChampion,
-    trial: int = 0,
-    number: int | None = None,
-    output: Path | None = None,
-    doing: Callable[[str], object] = lambda what: None,
-    warn: Callable[[str], object] = lambda words: None,
-    crowd: "Panel | None" = None,
-) -> Written:
-    """Write the page of a champion and the JSON file of its numbers.
-
-    Args:
-        opened: the run and the champion.
-        trial: number of the champion's trial, from 0.
-        number: number of the chosen run, or None for the run of the best champion.
-        output: path of the page, or None for one in the run folder.
-        doing: called with the name of each step after the replay.
-        warn: called with a sentence if ``config.yaml`` has changed since the run.
-        crowd: a generation that the page also shows, or None.
-
-    Raises:
-        RunFolderError: the run began in Python with a part that only that program has.
-    """
-    opened.require_configured()
-    changed = opened.changed
-    if changed:
-        warn(f"{opened.folder.path}: {changed}")
-    which = "" if number is None else f"_run{number}"
-    name = f"analysis{which}{f'_trial{trial}' if trial else ''}.html"
-    path = output or opened.folder.path / name
-    measured = measure(opened, trial)
-    write_text(path, page(opened, trial, measured, doing, crowd))
-    beside = numbers_path(path)
-    champion = opened.champion
-    about = {"run": champion.run, "generation": champion.generation, "trial": trial, "made": now()}
-    contents = about | measured.numbers.as_dict()
-    write_text(beside, json.dumps(contents, indent=2, allow_nan=False) + "\n")
-    return Written(path, beside, measured.numbers)
+    (replay,) = opened.replay([opened.champion], trial, full)
+    numbers = measuring.gait_numbers(
+        experiment.simulation, experiment.creature, replay.frames, replay.recording
+    )
+    return Measured(replay.recording, numbers)
 
 
 def numbers_path(page: Path) -> Path:
@@ -191,25 +157,16 @@ def numbers_path(page: Path) -> Path:
 
 
 def page(
-    opened: OpenedChampion,
+    opened: Run,
     trial: int,
     measured: Measured,
-    doing: Callable[[str], object],
     crowd: "Panel | None" = None,
 ) -> str:
-    """Return the HTML text of a champion's page.
-
-    Args:
-        opened: the run and the champion.
-        trial: number of the champion's trial, from 0.
-        measured: its recorded trial.
-        doing: called with the name of each step.
-        crowd: a generation that the page also shows, or None.
-    """
+    """Return the HTML text of a champion's page."""
     from evo_cpg.analysis.gait_numbers import chain_places
     from evo_cpg.view.film import Film, picture
     from evo_cpg.view.run_page.document import document
-    from evo_cpg.view.run_page.subject import RecordedMotion, Subject
+    from evo_cpg.view.run_page.subject import PageSubject, RecordedMotion
     from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
     from evo_cpg.view.scene import panel_of, sample
 
@@ -217,26 +174,29 @@ def page(
     experiment, meta = opened.experiment, folder.read_meta()
     simulation = experiment.simulation
     recording, numbers = measured
-    doing("drawing")
-    panel = panel_of(experiment, recording, experiment.name)
+    panel, still = panel_of(experiment, recording, experiment.name), io.BytesIO()
+    picture([panel], Film(_STILL)).save(still, "JPEG", quality=_QUALITY)
     motion = RecordedMotion(
         recording=recording,
         clip=sample(recording, RATE),
         numbers=numbers,
         scene=viewer_data(panel),
-        still=_jpeg(picture([panel], Film(_STILL))),
+        still=still.getvalue(),
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
         root_index=experiment.creature.root_index,
         crowd=None if crowd is None else _together(crowd),
     )
     audit = _audit(folder, champion)
-    subject = Subject(
+    expected = {}
+    if champion.expected is not None:
+        expected[f"mean fitness in {champion.lives} new draws of the noise"] = champion.expected
+    subject = PageSubject(
         name=experiment.name,
         changed=opened.changed,
         folder=resolved(folder.path).name,
         sentence=_sentence(experiment, config),
-        champion={"fitness": champion.fitness, **_expected(champion), **champion.terms},
+        champion={"fitness": champion.fitness, **expected, **champion.terms},
         generation=champion.generation,
         generations=int(motion.history["generation"].max()) + 1,
         run=champion.run if experiment.runs > 1 else None,
@@ -277,19 +237,6 @@ def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float
         return None
     kept = first.get("measured")
     return float(kept) if isinstance(kept, (int, float)) else None
-
-
-def _expected(champion: Champion) -> dict[str, float]:
-    """Return the mean fitness in new draws of the noise, or {} without new draws."""
-    if champion.expected is None:
-        return {}
-    return {f"mean fitness in {champion.lives} new draws of the noise": champion.expected}
-
-
-def _jpeg(picture: "Image.Image") -> bytes:
-    written = io.BytesIO()
-    picture.save(written, "JPEG", quality=_QUALITY)
-    return written.getvalue()
 
 
 def _sentence(experiment: ExperimentParts, config: ExperimentConfig) -> str:

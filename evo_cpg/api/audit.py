@@ -1,84 +1,67 @@
 """Audit of a champion: real gait or artefact of the simulation?"""
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.analysis.energy import Ledger, ledger
-from evo_cpg.analysis.excursions import Excursions, displacement, excursions
+from evo_cpg.analysis.energy import ledger
+from evo_cpg.analysis.excursions import excursions
 from evo_cpg.analysis.second_opinion import (
-    Brain,
+    ControllerInLoop,
     DivergedError,
     Opinion,
     own_opinion,
     second_opinion,
 )
-from evo_cpg.analysis.verdict import KEPT, Check, Verdict, shown
-from evo_cpg.creature.creature import Creature, length_of
-from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
+from evo_cpg.analysis.verdict import Check, Verdict, limits_from
+from evo_cpg.api.audit_checks import (
+    CHANCE,
+    LEAST_DISPLACEMENT,
+    AuditedTrial,
+    books,
+    carried_by_flow,
+    displacement_checks,
+    opinion_checks,
+    replay_check,
+)
+from evo_cpg.api.progress import working
+from evo_cpg.api.run_start import now
+from evo_cpg.api.runs import open_champion
+from evo_cpg.creature.creature import length_of
+from evo_cpg.errors import UsageError, advise
+from evo_cpg.files import make_folder
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.models.refusals import ExchangeError
+from evo_cpg.io.run import Run, class_folders
+from evo_cpg.io.schema.audit import Limits
 from evo_cpg.io.schema.experiment import ExperimentConfig
-from evo_cpg.io.schema.limits import Limits
+from evo_cpg.io.trust import trusting
 from evo_cpg.native.engine import Engine, described
-from evo_cpg.physics.contact.pairs import make_pairs
-from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps
-from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.observers import EachPhysicsStep, PhysicsSteps
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training import variations
+from evo_cpg.training import conditions
 from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.conditions import Variation, Varied, blinded
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import ExperimentParts, champion_keys, situation_numbers
-from evo_cpg.training.probe import blinded
-from evo_cpg.training.variations import Variation, Varied
+from evo_cpg.training.run_folder import RunFolder
 
-# Largest number of unchecked body pairs that are listed by name.
-_NAMED = 5
-
-# Relative change of friction and drag in the variations.
+# Relative change of friction and drag in the conditions.
 _CHANGE = 0.1
 
 # Variation of the initial pose: standard deviation of joint angles, roll and pitch, rad, and number
 # of draws.
 _SHAKE, _DRAWS = 0.01, 8
 
-# With noise: number of fresh trials that a displacement is averaged over, and key of the check that
-# compares these trials with the champion's own trials in training.
-_TRIALS, _CHANCE = 16, "pose"
-
-# Unaccounted energy is summed over stretches of this length, s. In single steps much of the energy
-# only fluctuates.
-_STRETCH = 0.25
-
-# Shortest displacement, in lengths of the animal, for which variations are evaluated.
-_LEAST_DISPLACEMENT = 0.1
-
-# The time upright in a second opinion is named if it is shorter than ours by more than this
-# fraction of the trial.
-_LESS_UPRIGHT = 0.1
-
-# Largest allowed relative error of the replayed fitness.
-_REPLAY = 1e-3
-
-
-class Trial(NamedTuple):
-    """Step-by-step results of one trial of the champion.
-
-    Attributes:
-        steps: all physics steps of the trial.
-        ledger: balance of energy and momentum.
-        excursions: extremes that are compared with the limits.
-    """
-
-    steps: PhysicsSteps
-    ledger: Ledger
-    excursions: Excursions
+# With noise: number of fresh trials that a displacement is averaged over.
+_TRIALS = 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +69,7 @@ class Audit:
     """Result of an audit.
 
     Attributes:
+        champion: audited individual.
         verdict: all checks, with their results.
         trials: trials of the champion in the unchanged simulation.
         step_length: duration of a physics step, s.
@@ -93,33 +77,50 @@ class Audit:
         missing: reason why second opinions are missing, or empty if none is missing.
     """
 
+    champion: Champion
     verdict: Verdict
-    trials: tuple[Trial, ...]
+    trials: tuple[AuditedTrial, ...]
     step_length: float
     opinions: tuple[Opinion, ...] = ()
     missing: str = ""
+
+    def __repr__(self) -> str:
+        return f"Audit(passed={self.verdict.passed}, {len(self.verdict.checks)} checks)"
+
+    @property
+    def passed(self) -> bool:
+        """Whether no check fails."""
+        return self.verdict.passed
 
     @property
     def measured(self) -> dict[str, float]:
         """Results of the checks by key."""
         return {check.key: float(check.measured) for check in self.verdict.checks}
 
-    def as_dict(self, champion: Champion) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """Return the contents of ``audit.json``."""
+        champion, verdict = self.champion, self.verdict
+        ledgers = [trial.ledger for trial in self.trials]
         return {
-            "passed": self.verdict.passed,
-            "confirmed": self.verdict.confirmed,
-            "confirmation": self.verdict.confirmation,
-            "reasons": self.verdict.reasons,
+            "passed": verdict.passed,
+            "confirmed": verdict.confirmed,
+            "confirmation": verdict.confirmation,
+            "reasons": verdict.reasons,
             "run": champion.run,
             "generation": champion.generation,
             "fitness": champion.fitness,
             "expected": champion.expected,
             "checks": [
                 check._asdict() | {"measured": float(check.measured), "passed": check.passed}
-                for check in self.verdict.checks
+                for check in verdict.checks
             ],
-            "energy": [_energy(trial.ledger) for trial in self.trials],
+            # Energies of each trial by name, J.
+            "energy": [
+                {"stored": float(one.stored.sum())}
+                | {name: float(value.sum()) for name, value in one.work.items()}
+                | {"left_over": float(one.left_over.sum())}
+                for one in ledgers
+            ],
             "second_opinion": [
                 {
                     "program": one.program,
@@ -133,6 +134,92 @@ class Audit:
             or self.missing,
         }
 
+    def save(self, folder: Path | str, name: str = "audit", title: str = "") -> list[Path]:
+        """Write the results as JSON and draw energy and paths, and return the paths of both files.
+
+        Raises:
+            OutputError: the files cannot be written.
+        """
+        from evo_cpg.view.answer_plots import audit_figure
+        from evo_cpg.view.figure import save_figure
+
+        table = make_folder(Path(folder)) / f"{name}.json"
+        RunFolder(folder).write_json(table.name, self.as_dict() | {"made": now()})
+        figure = audit_figure(
+            self.trials[0].ledger,
+            self.step_length,
+            [
+                check
+                for check in self.verdict.checks
+                if check.unit == "%" and (check.least or check.key.endswith("_way"))
+            ],
+            {one.program: one.path for one in self.opinions},
+            title + (", not confirmed" if self.verdict.confirmed is False else ""),
+        )
+        return [table, save_figure(figure, Path(folder) / "plots" / f"{name}.png")]
+
+
+def audit(
+    run: Path | str,
+    limits: Sequence[str] = (),
+    number: int | None = None,
+    cell: str | None = None,
+    trust: bool = False,
+) -> Audit:
+    """Check whether a run's champion exploits the simulation.
+
+    Args:
+        run: run folder.
+        limits: limits to change, such as ``["half_step=0.8"]``.
+        number: number of one of several runs side by side, or None for the best.
+        cell: audit the elite of this cell of the run's map, such as ``3,0,7``.
+        trust: whether to trust the configuration, see `load`.
+
+    Raises:
+        LimitError: there is no such limit, or its value is wrong.
+        RunFolderError: there is no run, or it has no champion.
+        UsageError: the run has no such champion or cell.
+    """
+    limits_from(limits)
+    with trusting(trust):
+        opened = open_champion(run, number, cell=cell)
+        (made,) = _audited(opened, [opened.champion], limits)
+    return made
+
+
+def audit_runs(run: Path | str, limits: Sequence[str] = (), trust: bool = False) -> list[Audit]:
+    """Audit the champions of all runs side by side, with one program for each variation.
+
+    Raises:
+        LimitError: there is no such limit, or its value is wrong.
+        RunFolderError: there is no run.
+        UsageError: no run has a champion.
+    """
+    limits_from(limits)
+    with trusting(trust):
+        opened = open_champion(run)
+        checkpoint = opened.folder.load()
+        champions = checkpoint.champions if checkpoint else ()
+        found = [champion for champion in champions if champion is not None]
+        if not found:
+            raise UsageError(f"{run} has no champion in its checkpoints")
+        for number, champion in enumerate(champions):
+            if champion is None:
+                advise(f"{run}: run {number} has no champion to audit: every individual diverged")
+        return _audited(opened, found, limits)
+
+
+def _audited(opened: Run, champions: Sequence[Champion], limits: Sequence[str]) -> list[Audit]:
+    opened.require_configured()
+    allowed = limits_from(limits, opened.config.audit.limits())
+    source, folders = opened.folder.config, class_folders(opened.folder)
+    with working("auditing: compiling for each of several simulations") as work:
+
+        def tell(what: str, done: int, total: int) -> None:
+            work.doing(f"auditing, {done + 1} of {total}: {what}")
+
+        return audits(opened.experiment, champions, allowed, opened.config, source, folders, tell)
+
 
 def audits(
     experiment: ExperimentParts,
@@ -143,32 +230,22 @@ def audits(
     folders: Iterable[Path] = (),
     tell: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> list[Audit]:
-    """Audit champions. Each program is compiled once for all champions.
-
-    Args:
-        experiment: experiment that the champions evolved in.
-        champions: individuals to audit.
-        limits: limits of the checks.
-        config: configuration that the experiment was built from.
-        source: file of the configuration.
-        folders: folders of a user's classes, see `evo_cpg.io.build.build_experiment`.
-        tell: called with the name and number of the next step, and the number of steps.
-    """
+    """Audit champions. Each program is compiled once for all champions."""
     simulation = experiment.simulation
     own = Variation("as it evolved", (simulation,))
     others = _variations(experiment, config, source, tuple(folders))
     total = len(others) + 3
     tell("replaying the champions", 0, total)
-    live = variations.compile_variation(experiment, own)
+    live = conditions.compile_variation(experiment, own)
     replayed = [live(champion) for champion in champions]
-    champions = [_complete(*both) for both in zip(champions, replayed, strict=True)]
+    champions = [with_all_terms(*both) for both in zip(champions, replayed, strict=True)]
     tell("step by step", 1, total)
     step_by_step = compile_steps(experiment)
     trials = [step_by_step(champion) for champion in champions]
     kept: list[dict[str, tuple[Variation, Varied]]] = [{} for _ in champions]
     for done, (key, other) in enumerate(others.items(), 2):
         tell(other.name, done, total)
-        live = variations.compile_variation(experiment, other)
+        live = conditions.compile_variation(experiment, other)
         for champion, found in zip(champions, kept, strict=True):
             found[key] = other, live(champion)
     tell("in MuJoCo", total - 1, total)
@@ -176,23 +253,23 @@ def audits(
     for champion, alive, steps, found in zip(champions, replayed, trials, kept, strict=True):
         opinions, diverged, missing = _opinions(experiment, champion, steps[0].steps)
         checks = [
-            _replay(champion, alive),
-            *_kept(
+            replay_check(champion, alive),
+            *displacement_checks(
                 float(np.nanmean(alive.displacement)),
                 found,
                 limits,
                 experiment.creature,
-                _carried(experiment, steps),
+                carried_by_flow(experiment, steps),
             ),
-            *_seconds(experiment, opinions, diverged),
+            *opinion_checks(experiment, opinions, diverged),
             *books(experiment, champion, steps, limits),
         ]
         verdict = Verdict(tuple(checks))
-        made.append(Audit(verdict, steps, simulation.step_length, opinions, missing))
+        made.append(Audit(champion, verdict, steps, simulation.step_length, opinions, missing))
     return made
 
 
-def _complete(champion: Champion, replayed: Varied) -> Champion:
+def with_all_terms(champion: Champion, replayed: Varied) -> Champion:
     """Return a champion with all its terms. A map keeps only the terms of its axes."""
     terms = {name: float(values[0]) for name, values in replayed.terms.items()}
     return champion._replace(terms=terms | champion.terms)
@@ -207,11 +284,16 @@ def _opinions(
         Our opinion and MuJoCo's, the names of those in which the animal diverged, and the reasons.
     """
     simulation, creature = experiment.simulation, experiment.creature
-    modes: list[tuple[bool, Brain | None]] = [(False, None)]
+    keys, numbers = champion_keys(experiment, champion), situation_numbers(experiment)
+    own = None if keys is None else keys[:, :1]
+    first = None if numbers is None else jnp.asarray(numbers[:1])
+    # Drives the champion in its first trial.
+    brain = ControllerInLoop(simulation, champion.genes, own, first)
+    modes: list[tuple[bool, ControllerInLoop | None]] = [(False, None)]
     if simulation.world.contact_model is not None:
         modes.append((True, None))
         if simulation.controller.uses_senses:
-            modes.append((True, _brain(experiment, champion)))
+            modes.append((True, brain))
     opinions, diverged, missing = [own_opinion(simulation, steps)], list[str](), list[str]()
     for hard, brain in modes:
         try:
@@ -222,49 +304,6 @@ def _opinions(
                 diverged.append(error.program)
     found = tuple(opinions) if len(opinions) > 1 else ()
     return found, diverged, "; ".join(dict.fromkeys(missing))
-
-
-def _seconds(
-    experiment: ExperimentParts, opinions: Sequence[Opinion], diverged: Sequence[str]
-) -> list[Check]:
-    """Return the displacements in the first trial that second opinions keep.
-
-    If the task rewards only displacement along x, only this displacement counts. A displacement
-    backwards counts as 0. There are no checks if our animal hardly moves, because fractions of its
-    displacement mean nothing then.
-    """
-    checks = [Check(_key(name), KEPT + name, math.nan, None, True, "%") for name in diverged]
-    if not opinions:
-        return checks
-    light, forward = experiment.simulation.lights[0], experiment.simulation.task.heading
-    own, *others = (
-        float(one.path[0, -1] - one.path[0, 0])
-        if light is None and forward == "forward"
-        else displacement(one.path, light)
-        for one in opinions
-    )
-    if not own > _LEAST_DISPLACEMENT * length_of(experiment.creature):
-        return []
-    for one, theirs in zip(opinions[1:], others, strict=True):
-        question, upright = KEPT + one.program, one.upright
-        # Only on the ground, because swimmers may roll.
-        if one.airborne is not None and upright < opinions[0].upright - _LESS_UPRIGHT:
-            question += f" (upright {shown(upright, '%')} of the time)"
-        fraction, detail = float(np.clip(theirs / own, 0.0, 1.0)), f"{theirs:.3g} of {own:.3g} m"
-        checks.append(Check(_key(one.program), question, fraction, None, True, "%", detail))
-    return checks
-
-
-def _key(program: str) -> str:
-    return program.lower().replace(", ", "_").replace(" ", "_")
-
-
-def _brain(experiment: ExperimentParts, champion: Champion) -> Brain:
-    """Return the brain that drives the champion in its first trial."""
-    keys, numbers = champion_keys(experiment, champion), situation_numbers(experiment)
-    own = None if keys is None else keys[:, :1]
-    first = None if numbers is None else jnp.asarray(numbers[:1])
-    return Brain(experiment.simulation, champion.genes, own, first)
 
 
 def compile_first_look(
@@ -281,12 +320,12 @@ def compile_first_look(
         measures the displacement with fresh noise.
     """
     own = experiment.simulation
-    simulations = [variations.finer(own, 2)]
+    simulations = [conditions.finer(own, 2)]
     if not own.noise.silent:
         simulations.insert(0, own)
     places = [Variation("", (simulation,), draws_of(own)) for simulation in simulations]
-    programs = [variations.compile_variation(experiment, place) for place in places]
-    shortest = _LEAST_DISPLACEMENT * length_of(experiment.creature)
+    programs = [conditions.compile_variation(experiment, place) for place in places]
+    shortest = LEAST_DISPLACEMENT * length_of(experiment.creature)
 
     def look(champion: Champion, own_displacement: float | None) -> Check:
         displacements = [
@@ -305,22 +344,22 @@ def compile_first_look(
     return look
 
 
-def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[Trial, ...]]:
+def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[AuditedTrial, ...]]:
     """Return a function that replays all trials of a champion, step by step."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
+    live = compile_trials(simulation, population_mesh(1), observers=EachPhysicsStep())
 
-    def of(champion: Champion) -> tuple[Trial, ...]:
-        keys = champion_keys(experiment, champion)
-        genes = jnp.asarray(champion.genes, jnp.float32)[:, None]
+    def of(champion: Champion) -> tuple[AuditedTrial, ...]:
+        keys = jax.device_get(champion_keys(experiment, champion))
+        genes = np.asarray(champion.genes, np.float32)[:, None]
         trials = []
         for i in range(experiment.trials):
             own = None if keys is None else keys[:, i : i + 1]
             number = None if numbers is None else numbers[i : i + 1]
-            steps = jax.device_get(live(genes, own, number))
+            steps = live(genes, own, number)
             place = 0 if numbers is None else i
             trials.append(
-                Trial(
+                AuditedTrial(
                     steps,
                     ledger(simulation.world, steps, simulation.step_length),
                     excursions(simulation, experiment.creature, steps, place),
@@ -331,113 +370,6 @@ def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[Tri
     return of
 
 
-def books(
-    experiment: ExperimentParts, champion: Champion, trials: tuple[Trial, ...], limits: Limits
-) -> list[Check]:
-    """Return the checks that need no variation, such as energy, each for the worst trial."""
-    simulation, mass = experiment.simulation, float(experiment.creature.mass)
-    length, h = float(length_of(experiment.creature)), simulation.step_length
-    limits = limits.of_length(length)
-    found = [trial.excursions for trial in trials]
-    ledgers = [trial.ledger for trial in trials]
-
-    def worst(name: str) -> float:
-        return max(getattr(each, name) for each in found)
-
-    def check(key: str, question: str, measured: float, unit: str = "%", detail: str = "") -> Check:
-        return Check(key, question, measured, getattr(limits, key), False, unit, detail)
-
-    checks = [
-        check(
-            "simulator_energy",
-            "unaccounted energy / motors' work",
-            max(_energy_gain(one, h) / _effort(one) for one in ledgers),
-            detail=_ledger_words(ledgers[0]),
-        ),
-        *_of_momentum(simulation, ledgers, check),
-        check(
-            "limit_energy",
-            "work of joint limits / motors' work",
-            max(_given(one, one.limits) for one in ledgers),
-        ),
-        check("speed", "highest speed of the root", worst("peak_speed") / length, "lengths/s"),
-        check("power", "peak power of all motors", worst("peak_power") / mass, "W/kg"),
-        Check("peak_torque", "peak torque of a motor", worst("peak_torque"), unit="N m"),
-        Check("mean_power", "mean power of all motors", worst("mean_power") / mass, unit="W/kg"),
-        Check("peak_rate", "highest joint rate", worst("peak_rate"), unit="rad/s"),
-    ]
-    world = simulation.world
-    if np.isfinite(world.tree.torque_limit).any():
-        checks.append(check("overload", "torque above its limit", worst("overload")))
-    checks += _between_limbs(experiment, found, ledgers, check)
-    if world.contact_model is not None:
-        checks += [
-            check("penetration", "penetration of the ground", worst("penetration"), "m"),
-            check(
-                "push_out_energy",
-                "push-out work / motors' work",
-                max(one.push_out.sum() / _effort(one) for one in ledgers),
-            ),
-        ]
-        # Nothing flies with water everywhere.
-        if world.water_level < math.inf:
-            checks.append(
-                check("airborne_way", "displacement while airborne", worst("airborne_way"))
-            )
-    if any(np.any(trial.steps.coulomb_residual) for trial in trials):
-        checks.append(check("unsolved", "unsolved steps", worst("unsolved")))
-        if world.contact_model is not None:
-            checks.append(check("slipping", "steps off the friction cone", worst("slipping")))
-    lit = any(light is not None for light in simulation.lights)
-    if lit and simulation.sensors.eye_bodies and world.contact_model is not None:
-        seen = worst("seen_through_ground")
-        checks.append(check("seen_through_ground", "light seen through the ground", seen))
-    for name, excess in simulation.task.beyond_scales(champion.terms, champion.scales).items():
-        checks.append(check(f"free_{name}", f"{name} without cost to fitness", excess))
-    return checks
-
-
-def _of_momentum(
-    simulation: Simulation, ledgers: Sequence[Ledger], check: Callable[..., Check]
-) -> list[Check]:
-    """Return the check of momentum, or [] if the fixed world holds the root by a joint."""
-    if simulation.world.tree.hanging is not None:
-        return []
-    measured = max(_momentum_fraction(one) for one in ledgers)
-    return [check("simulator_momentum", "unaccounted momentum / impulses", measured)]
-
-
-def _between_limbs(
-    experiment: ExperimentParts,
-    found: Sequence[Excursions],
-    ledgers: Sequence[Ledger],
-    check: Callable[..., Check],
-) -> list[Check]:
-    """Return the checks of limbs that may touch, or [] if no two limbs can meet."""
-    checks, world = [], experiment.simulation.world
-    if world.pairs is not None or any(np.any(one.limbs) for one in ledgers):
-        pushed = max(_given(one, one.limbs) for one in ledgers)
-        checks.append(check("limb_energy", "work between limbs / motors' work", pushed))
-    passing = _pairs_that_pass(experiment)
-    if passing or make_pairs(experiment.creature, world.tree, world.watched) is not None:
-        deepest = max(found, key=lambda each: each.overlap)
-        words = [" in ".join(deepest.overlapping)] if deepest.overlapping else []
-        if passing:
-            words.append(f"not checked, because they touch in the neutral pose: {passing}")
-        words = "; ".join(words)
-        checks.append(check("overlap", "overlap of limbs", deepest.overlap, "m", words))
-    return checks
-
-
-def _pairs_that_pass(experiment: ExperimentParts) -> str:
-    """Name the body pairs that touch in the neutral pose. Their overlap is not checked."""
-    world = experiment.simulation.world
-    found = pairs_that_touch_at_rest(experiment.creature, world.tree, world.watched)
-    names = [f"{world.tree.names[i]} and {world.tree.names[j]}" for i, j in found]
-    more = [f"{len(names) - _NAMED} more"] if len(names) > _NAMED else []
-    return ", ".join(names[:_NAMED] + more)
-
-
 def _variations(
     experiment: ExperimentParts, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
 ) -> dict[str, Variation]:
@@ -445,7 +377,7 @@ def _variations(
 
     Under noise, the champion was selected partly for its luck. So all variations except
     `precision` and `other_engine` use the same fresh noise, and are compared with the variation
-    `_CHANCE`.
+    `CHANCE`.
     """
     simulation = experiment.simulation
     draws = draws_of(simulation)
@@ -454,25 +386,27 @@ def _variations(
         return Variation(name, sims, draws)
 
     found = {
-        _CHANCE: drawn("new draws of the noise", simulation)
+        CHANCE: drawn("new draws of the noise", simulation)
         if draws > 1
-        else Variation("other poses", (variations.shaken(simulation, _SHAKE),), _DRAWS),
-        "half_step": drawn("half the step", variations.finer(simulation, 2)),
-        "quarter_step": drawn("a quarter of the step", variations.finer(simulation, 4)),
-        "limp_way": drawn("limp motors", variations.limp(simulation)),
+        else Variation("other poses", (conditions.shaken(simulation, _SHAKE),), _DRAWS),
+        "half_step": drawn("half the step", conditions.finer(simulation, 2)),
+        "quarter_step": drawn("a quarter of the step", conditions.finer(simulation, 4)),
+        "limp_way": drawn("limp motors", conditions.limp(simulation)),
         "precision": Variation("float64", (simulation,), double=True),
     }
     more_and_less = (1 + _CHANGE, 1 - _CHANGE)
     if simulation.world.contact_model is not None:
-        sims = [variations.with_friction(simulation, x) for x in more_and_less]
+        sims = [conditions.with_friction(simulation, x) for x in more_and_less]
         found["friction"] = drawn("friction 10 % up and down", *sims)
     if simulation.world.water is not None:
-        sims = [variations.with_drag(simulation, x) for x in more_and_less]
+        sims = [conditions.with_drag(simulation, x) for x in more_and_less]
         found["drag"] = drawn("drag 10 % up and down", *sims)
-        other = _other_points(config, source, folders)
-        found["surface_points"] = drawn("other surface points", other)
+        found["surface_points"] = drawn(
+            "other surface points",
+            build_experiment(other_points(config), source, folders).simulation,
+        )
     if described(simulation.engine)["engine"] == "native":
-        plain = variations.on_engine(simulation, Engine("jax"))
+        plain = dataclasses.replace(simulation, engine=Engine("jax"))
         found["other_engine"] = Variation("plain JAX", (plain,))
     if simulation.lights[0] is not None and simulation.sensors.eye_bodies:
         found["blind"] = drawn("blind", blinded(simulation))
@@ -484,8 +418,8 @@ def draws_of(simulation: Simulation) -> int:
     return 1 if simulation.noise.silent else _TRIALS
 
 
-def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, ...]) -> Simulation:
-    """Return the simulation with other surface points for the water."""
+def other_points(config: ExperimentConfig) -> ExperimentConfig:
+    """Return the configuration with other surface points for the water."""
     water = config.world.water
     assert water is not None
     if water.points == "random":
@@ -496,118 +430,4 @@ def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, .
             "skin_resolution": water.skin_resolution + 1,
         }
     world = config.world.model_copy(update={"water": water.model_copy(update=changed)})
-    changed = config.model_copy(update={"world": world})
-    return build_experiment(changed, source, folders).simulation
-
-
-def _replay(champion: Champion, replayed: Varied) -> Check:
-    off = abs(float(replayed.fitness[0]) - champion.fitness) / max(abs(champion.fitness), _REPLAY)
-    return Check("replay", "error of the replayed fitness", off, _REPLAY, unit="%")
-
-
-def _carried(experiment: ExperimentParts, trials: Sequence[Trial]) -> float:
-    """Return the displacement of a point that keeps the flow's velocity at the start, m.
-
-    The result is the mean over trials.
-    """
-    simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    water, displacements = simulation.world.water, []
-    if water is None:
-        return 0.0
-    for i, trial in enumerate(trials):
-        start = np.asarray(trial.steps.before.position[:, :1], float)
-        flow = water.velocity(jnp.asarray(start))
-        flow = np.broadcast_to(np.asarray(flow, float), start.shape)
-        if start[2] > simulation.world.water_level:
-            flow = 0.0 * flow
-        light = simulation.lights[0 if numbers is None else i]
-        displacements.append(
-            displacement(np.hstack([start, start + simulation.duration * flow]), light)
-        )
-    return float(np.mean(displacements))
-
-
-def _kept(
-    own: float,
-    kept: dict[str, tuple[Variation, Varied]],
-    limits: Limits,
-    creature: Creature,
-    carried: float = 0.0,
-) -> list[Check]:
-    """Return checks of the displacement that a champion keeps in variations.
-
-    Args:
-        own: displacement in the unchanged simulation, m.
-        kept: results of the variations, by the key of the limit.
-        limits: smallest allowed fractions.
-        creature: the animal.
-        carried: displacement by the water alone, m.
-    """
-    checks = [Check("way", "displacement in its own trials", own, unit="m")]
-    if not own > _LEAST_DISPLACEMENT * length_of(creature):
-        return checks
-    chance, drawn = kept[_CHANCE]
-    # Mean displacement with fresh noise: the reference of the other variations with several draws.
-    # Without noise, only the variation of poses has several draws.
-    usual = float(drawn.mean_displacements(chance)[0])
-    for key, (variation, one) in kept.items():
-        of_own = variation.draws == 1 or key == _CHANCE
-        reference = own if of_own else usual
-        displacements = one.mean_displacements(variation)
-        detail = ", ".join(f"{x:.3g}" for x in displacements) + f" of {reference:.3g} m"
-        if key == "limp_way":
-            # Subtract the displacement by the flow. From the limp animal's displacement, subtract
-            # it only if it is positive.
-            swum, limp = reference - carried, float(displacements.max()) - max(0.0, carried)
-            if carried > 0 and swum <= _LEAST_DISPLACEMENT * length_of(creature):
-                # The displacement is due to the water alone.
-                fraction = 1.0
-            else:
-                fraction = float(np.clip(limp / swum, 0.0, 1.0)) if swum > 0 else 0.0
-            if carried:
-                detail += f" ({carried:.3g} m by the flow alone)"
-            question = f"displacement with {variation.name}"
-            checks.append(Check(key, question, fraction, limits.limp_way, unit="%", detail=detail))
-            continue
-        fractions = np.zeros_like(displacements)
-        if reference > 0:
-            fractions = np.clip(displacements / reference, 0.0, 1.0)
-        question, limit = f"{KEPT}{variation.name}", getattr(limits, key, None)
-        # The worst of several settings counts.
-        checks.append(Check(key, question, float(fractions.min()), limit, True, "%", detail))
-    return checks
-
-
-def _energy_gain(one: Ledger, h: float) -> float:
-    """Return the unaccounted energy, J, summed over the stretches in which energy is gained."""
-    length = max(1, round(_STRETCH / h))
-    starts = np.arange(0, len(one.stored), length)
-    return float(np.maximum(np.add.reduceat(one.left_over, starts), 0.0).sum())
-
-
-def _given(one: Ledger, work: np.ndarray) -> float:
-    """Return the positive net work of a constraint, relative to the motors' work."""
-    return max(0.0, float(work.sum())) / _effort(one)
-
-
-def _momentum_fraction(one: Ledger) -> float:
-    given = one.given.sum()
-    return float(np.linalg.norm(one.impulse.sum(1)) / given) if given > 0 else 0.0
-
-
-def _effort(one: Ledger) -> float:
-    """Return the motors' work, J. If that is zero, return all work, or infinity."""
-    done = sum(np.abs(each).sum() for each in one.work.values())
-    return one.effort or float(done) or np.inf
-
-
-def _energy(one: Ledger) -> dict[str, float]:
-    """Return the energies of a trial by name, J."""
-    parts = {name: float(value.sum()) for name, value in one.work.items()}
-    left_over = float(one.left_over.sum())
-    return {"stored": float(one.stored.sum()), **parts, "left_over": left_over}
-
-
-def _ledger_words(one: Ledger) -> str:
-    parts = [f"{name} {value.sum():.3g}" for name, value in one.work.items() if np.any(value)]
-    return f"{', '.join(parts)}, left over {one.left_over.sum():.3g} J"
+    return config.model_copy(update={"world": world})

@@ -12,12 +12,13 @@ from evo_cpg.io.numbers import number_at
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import ExperimentParts, compile_trials
+from evo_cpg.training.evaluate import compile_trials
+from evo_cpg.training.experiment import ExperimentParts
 
 Numbers = Mapping[str, ArrayLike | Sequence[float]]
 
 
-class Bodies:
+class VariedBodies:
     """Trials of individuals that differ in numbers of the configuration.
 
     One program computes all trials with the same set of configuration keys. Another builds all

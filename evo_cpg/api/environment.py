@@ -29,10 +29,9 @@ from evo_cpg.simulation.control_step import (
     sense,
     transition,
 )
-from evo_cpg.simulation.genome import Phenotype
 from evo_cpg.simulation.judge import begin_tally, finish_tally, is_sane, update_tally
 from evo_cpg.simulation.noise import friction_scale_of
-from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.simulation import Phenotype, Simulation
 from evo_cpg.simulation.situation import light_places
 
 

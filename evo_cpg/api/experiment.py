@@ -17,29 +17,39 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from evo_cpg.api.bodies import Bodies, Numbers
+from evo_cpg.api.bodies import Numbers, VariedBodies
 from evo_cpg.api.environment import Environment
 from evo_cpg.api.fitness import JudgedBy, fitness_function
 from evo_cpg.api.machine import warn_of_gpu
 from evo_cpg.api.progress import working
 from evo_cpg.api.record import Record, as_record
-from evo_cpg.creature.creature import Creature
+from evo_cpg.api.runs import build
 from evo_cpg.evolution.strategy import Evaluation
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import KeyProblem
+from evo_cpg.io.load import as_overrides, complete_config, load_config
 from evo_cpg.io.numbers import number_at, with_numbers
 from evo_cpg.io.own_checks import described, is_real, require_separate
 from evo_cpg.io.parameters import parametrise
+from evo_cpg.io.run import class_folders
 from evo_cpg.io.schema.experiment import ExperimentConfig
-from evo_cpg.physics.step.world import World
+from evo_cpg.io.shipped import find_config
+from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.judge import Outcome, no_terms
 from evo_cpg.simulation.recording import Recorder, as_recording
-from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.task import Task
+from evo_cpg.training import devices
 from evo_cpg.training import experiment as training
 from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_trials
+from evo_cpg.training.run_folder import RunFolder
 
 Terms = Mapping[str, Float[Array, " *n"]]
+
+Overrides = Sequence[str] | Mapping[str, Any]
+
+# Source of a configuration that was not read from a file.
+_NO_FILE = Path("configuration")
 
 # Number of individuals that a new fitness function is checked with.
 _SEVERAL = 7
@@ -71,6 +81,13 @@ class Experiment:
     Experiments are immutable. Methods that evaluate, record or replace return new objects.
 
     Attributes:
+        name: name in the configuration.
+        creature: simulated animal.
+        world: physical model of the animal and its environment.
+        task: task that defines the fitness.
+        trials: count of trials of every individual.
+        gene_count: count of numbers in a genome.
+        population: count of individuals in a generation.
         config: complete configuration.
         source: file of the configuration.
         replaced: names of parts that were replaced in Python. The configuration does not describe
@@ -86,6 +103,10 @@ class Experiment:
         replaced: tuple[str, ...] = (),
     ):
         self.parts, self.config, self.source, self.replaced = parts, config, source, replaced
+        self.name, self.creature, self.trials = parts.name, parts.creature, parts.trials
+        self.world, self.task = parts.simulation.world, parts.simulation.task
+        self.gene_count = parts.simulation.genome.count
+        self.population = parts.strategy.population
         self._compiled: set[tuple] = set()
 
     def __repr__(self) -> str:
@@ -110,43 +131,9 @@ class Experiment:
         return {name: value for name, value in vars(self).items() if name in kept}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._compiled = set()
-
-    @property
-    def name(self) -> str:
-        """Name of the experiment in the configuration."""
-        return self.parts.name
-
-    @property
-    def creature(self) -> Creature:
-        """Simulated animal."""
-        return self.parts.creature
-
-    @property
-    def world(self) -> World:
-        """Physical model of the animal and its environment."""
-        return self.parts.simulation.world
-
-    @property
-    def task(self) -> Task:
-        """Task that defines the fitness."""
-        return self.parts.simulation.task
-
-    @property
-    def gene_count(self) -> int:
-        """Count of numbers in a genome."""
-        return self.parts.simulation.genome.count
-
-    @property
-    def population(self) -> int:
-        """Count of individuals in a generation, from the configuration."""
-        return self.parts.strategy.population
-
-    @property
-    def trials(self) -> int:
-        """Count of trials of every individual."""
-        return self.parts.trials
+        measured = {name: state.pop(name) for name in ("scales",) if name in state}
+        self.__init__(**state)
+        vars(self).update(measured)
 
     def random_genomes(self, key: ArrayLike, count: int | None = None) -> np.ndarray:
         """Return random genomes of a first generation, ``(count, genes)``.
@@ -353,7 +340,7 @@ class Experiment:
             raise ValueError(error.problem) from None
         return self.with_task(task)
 
-    def _compiling(self, what: str, of: str, program: tuple) -> AbstractContextManager[None]:
+    def _compiling(self, what: str, of: str, program: tuple) -> AbstractContextManager[object]:
         """Show that a program is being compiled, if this call is its first.
 
         Args:
@@ -369,11 +356,11 @@ class Experiment:
 
     @functools.cached_property
     def _run_trials(self) -> Callable[..., Outcome]:
-        return training.compile_trials(self.parts.simulation, population_mesh())
+        return compile_trials(self.parts.simulation, population_mesh())
 
     @functools.cached_property
-    def _bodies(self) -> Bodies:
-        return Bodies(self.parts, self.config, self.source)
+    def _bodies(self) -> VariedBodies:
+        return VariedBodies(self.parts, self.config, self.source)
 
     @functools.cached_property
     def _judge(self) -> Callable:
@@ -385,7 +372,7 @@ class Experiment:
     @functools.cached_property
     def _record(self) -> Callable:
         recorder = Recorder(full=True)
-        return jax.jit(functools.partial(rollout, self.parts.simulation, observers=recorder))
+        return compile_trials(self.parts.simulation, population_mesh(1), observers=recorder)
 
     def _genes(self, genomes: ArrayLike) -> np.ndarray:
         """Check genomes and return them transposed, ``(genes, n)``, in float32."""
@@ -413,6 +400,49 @@ class Experiment:
             )
 
         return jax.vmap(of_trial, out_axes=1)(individual, trial)
+
+
+def load(
+    config: Path | str | Mapping[str, Any],
+    overrides: Overrides = (),
+    cores: int | None = None,
+    trust: bool = False,
+) -> Experiment:
+    """Read a configuration and build its experiment.
+
+    Args:
+        config: path of a YAML file, or of a run folder with a ``config.yaml``. A name such as
+            ``hexapod`` means the shipped configuration, if the working folder has no such file.
+            A dictionary holds the contents of a file. Its file names are relative to the working
+            folder.
+        overrides: settings to change: ``["seed=3", "world.gravity=1.6"]`` as on the command line,
+            or ``{"seed": 3, "world.gravity": 1.6}``.
+        cores: number of cores that share a population, or None for all cores. If JAX has already
+            computed something, its devices are kept.
+        trust: whether you trust the configuration. A trusted configuration may name files outside
+            its folder, and run code of modules in its folder. Without trust, it may run only
+            installed modules and modules in the working folder.
+
+    Raises:
+        ConfigError: the configuration is wrong.
+    """
+    if isinstance(overrides, str):
+        raise TypeError(f"overrides must be a list of settings, such as [{overrides!r}]")
+    mapped = isinstance(overrides, Mapping)
+    changed = as_overrides(overrides) if mapped else list(overrides)
+    folders: list[Path] = []
+    with trusting(trust):
+        if isinstance(config, Mapping):
+            source = _NO_FILE
+            read = complete_config(dict(config), source, changed)
+        else:
+            source = find_config(config, folders=True)
+            if source.is_dir():
+                folders = class_folders(RunFolder(source))
+                source = source / "config.yaml"
+            read = load_config(source, changed)
+        devices.use_cores(cores)
+        return Experiment(build(read, source, folders), read, source)
 
 
 def _key(key: ArrayLike) -> Array:

@@ -62,7 +62,7 @@ def fitness_function(
         genomes = jnp.broadcast_to(genome[:, None], (count, parts.trials))
         # JAX compiles derivatives after this function has returned, so no duration is known here.
         what = f"compiling the fitness of {parts.name!r}, and its derivatives if they are used"
-        with working(f"{what} (up to a minute, once under jax.jit)", timed=False):
+        with working(f"{what} (up to a minute, once under jax.jit)"):
             outcome = rollout(trial, genomes, keys, situations, backward=backward)
             return judge(trial.task, outcome, scales)[0]
 

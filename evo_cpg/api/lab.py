@@ -1,18 +1,29 @@
-"""Questions to an animal without evolution, from Python."""
+"""Questions to an animal without evolution."""
 
+import itertools
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evo_cpg.analysis.laboratory.ask import Answer, Subject, ask
-from evo_cpg.analysis.laboratory.settings import LabError
+import numpy as np
+
+from evo_cpg.analysis.laboratory.ask import Answer, Subject, ask, shown_columns
+from evo_cpg.analysis.laboratory.settings import KNOBS, LabError
 from evo_cpg.api.progress import working
+from evo_cpg.api.runs import open_champion
+from evo_cpg.files import make_folder, write_table
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import class_folders, open_run
+from evo_cpg.io.run import class_folders
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
-from evo_cpg.training.devices import use_cores
-from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training import devices
+
+TABLE = "lab.csv"
+"""Name of the file with the rows of an answer."""
+
+# Most panels of a picture.
+_MOST_PANELS = 6
 
 
 def lab(
@@ -36,35 +47,66 @@ def lab(
     Raises:
         LabError: a knob or a value does not fit the animal.
         ConfigError: the configuration is wrong.
+        UsageError: there is no such run, or it has no champion.
     """
-    with trusting(trust), working("answering"):
-        return ask(subject_of(find_config(animal, folders=True), number), knobs, seconds)
+    count = int(np.prod([len(each) for each in knobs.values()]))
+    with trusting(trust):
+        subject = _subject(find_config(animal, folders=True), number)
+        with working(f"compiling, and simulating {count} setting{'s' if count > 1 else ''}"):
+            return ask(subject, knobs, seconds)
 
 
-def subject_of(animal: Path, number: int | None = None) -> Subject:
-    """Return the animal of a question.
-
-    Args:
-        animal: file of a configuration, or run folder.
-        number: number of one of several runs in the folder, or None for the best.
-
-    Raises:
-        LabError: there is no such run, or its champion diverged.
-    """
-    use_cores()
+def _subject(animal: Path, number: int | None) -> Subject:
+    """Return a configuration's animal, or the champion of a run folder."""
     if not animal.is_dir():
         if number is not None:
             raise LabError(f"run {number}: {animal} is a configuration, not a run folder")
+        devices.use_cores()
         return Subject(load_config(animal), animal)
-    opened = open_run(animal)
+    opened = open_champion(animal, number, cores=devices.available_cores())
     opened.require_configured()
-    genes = opened.load_champion().champion.genes
-    if number is not None:
-        checkpoint = opened.folder.load()
-        champions = checkpoint.champions if checkpoint else ()
-        champion = champions[number] if number < len(champions) else None
-        if champion is None:
-            raise LabError(f"{animal}: run {number} has no champion ({len(champions)} runs)")
-        genes = opened.with_champion(champion).champion.genes
-    folders = class_folders(RunFolder(animal))
-    return Subject(opened.config, opened.folder.config, folders, genes)
+    source, genes = opened.folder.config, opened.champion.genes
+    return Subject(opened.config, source, class_folders(opened.folder), genes)
+
+
+def varied_knobs(answer: Answer) -> list[str]:
+    """Return the knobs that differ between the settings of an answer."""
+    settings = answer.settings
+    return [knob for knob in settings[0] if len({str(each[knob]) for each in settings}) > 1]
+
+
+def free_folder(name: str) -> Path:
+    """Return the first of ``lab/NAME``, ``lab/NAME_2`` and so on that has no answer."""
+    folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
+    places = (Path("lab") / folder for folder in folders)
+    return next(place for place in places if not os.path.exists(place / TABLE))
+
+
+def save_answer(answer: Answer, name: str, folder: Path) -> list[Path]:
+    """Write ``lab.csv``, ``columns.csv`` and ``lab.png``, and return paths of table and picture.
+
+    Raises:
+        OutputError: the files cannot be written.
+    """
+    from evo_cpg.view.answer_plots import MeasurePanel, cell, lab_figure
+    from evo_cpg.view.figure import save_figure
+
+    rows, varied, columns = answer.rows, varied_knobs(answer), shown_columns(answer.rows)
+    table = make_folder(folder) / TABLE
+    write_table(table, rows)
+    meanings = [{"column": name, **each._asdict()} for name, each in answer.meanings.items()]
+    if meanings:
+        write_table(folder / "columns.csv", meanings)
+    drawn = [one for one in columns if len({cell(row[one.key]) for row in rows}) > 1] or columns
+    panels = [
+        MeasurePanel(one.label, [row[one.key] for row in rows], one.decades, one.cycle)
+        for one in drawn[:_MOST_PANELS]
+    ]
+    if not panels:
+        return [table]
+    fixed = ", ".join(f"{k}={cell(v)}" for k, v in answer.settings[0].items() if k not in varied)
+    units = {knob: KNOBS[knob].unit for knob in varied if knob in KNOBS}
+    labels = [f"{knob} ({units[knob]})" if units.get(knob) else knob for knob in varied]
+    settings = [[each[knob] for knob in varied] for each in answer.settings]
+    figure = lab_figure(labels, settings, panels, f"{name}: {fixed}" if fixed else name)
+    return [table, save_figure(figure, table.with_suffix(".png"))]

@@ -38,12 +38,7 @@ def paper_differences(config: ExperimentConfig) -> PaperDifferences | None:
 
 
 def differences(config: ExperimentConfig, shipped: ExperimentConfig) -> list[Difference]:
-    """Return the values that differ, by key, in the order of the shipped configuration.
-
-    Args:
-        config: configuration of interest.
-        shipped: configuration to compare with.
-    """
+    """Return the values that differ, by key, in the order of the shipped configuration."""
     own, other = (_flat(each.model_dump(mode="json")) for each in (config, shipped))
     keys = [*other, *(key for key in own if key not in other)]
     return [
@@ -54,11 +49,7 @@ def differences(config: ExperimentConfig, shipped: ExperimentConfig) -> list[Dif
 
 
 def notes(text: str) -> list[Note]:
-    """Return values whose comments name their origin, and ``creature`` even without one.
-
-    Args:
-        text: text of a YAML file. Comment lines are joined, and lists are left out.
-    """
+    """Return values whose comments name their origin, and ``creature`` even without one."""
     found: list[Note] = []
     above: list[tuple[int, str]] = []
     # Whether the next line may continue the comment.

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.axis_kinds import kind_named
 from evo_cpg.files import write_text, write_whole
 from evo_cpg.simulation.recording import NERVE, SENSE, Recording
 from evo_cpg.simulation.simulation import Simulation
@@ -102,8 +103,8 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
         for first, second in zip(pairs.first, pairs.second, strict=True):
             own = (points[0] == first) & (points[1] == second)
             add(f"{tree.names[first]}-{tree.names[second]}.push", "N", pushes[:, own].sum(1))
-    for j, (dof, slides) in enumerate(zip(recording.dof_names, recording.slides, strict=True)):
-        unit, torque = ("m", "N") if slides else ("rad", "N m")
+    for j, dof in enumerate(recording.dof_names):
+        unit, torque = kind_named(dof).unit, kind_named(dof).force_unit
         add(f"{dof}.angle", unit, recording.joint_angle[:, j])
         add(f"{dof}.rate", f"{unit}/s", arrays["joint_rate"][:, j])
         add(f"{dof}.target_rate", f"{unit}/s", recording.target_rate[:, j])

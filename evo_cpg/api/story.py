@@ -4,23 +4,29 @@ A race is between champions of the run. Each is clearly behind the next one.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.api.display import working
-from evo_cpg.evolution.random_search import RandomSearch
-from evo_cpg.io.opened import OpenedChampion
+from evo_cpg.api.progress import working
+from evo_cpg.api.runs import motion_of, open_champion, suffix
+from evo_cpg.errors import advise
+from evo_cpg.evolution.strategy import RandomSearch
+from evo_cpg.files import make_folder
+from evo_cpg.io.run import Run
+from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at
+from evo_cpg.training.crowd import CrowdMotion, compile_crowd_motion, populations_at
+from evo_cpg.training.devices import available_cores
 from evo_cpg.training.lineage import champion_at, representatives
-from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.view.captions import Words
 from evo_cpg.view.lanes import Course, course_of, in_lanes, tank_of
+from evo_cpg.view.output import check_size, output_path
 from evo_cpg.view.scene import Panel, animal_radius, panel_of, sample
 from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, story_film
 
@@ -46,7 +52,7 @@ _SUBMERGED = 0.9
 _REPLAYED, _RACING = 7, 4
 
 
-class Material(NamedTuple):
+class Cast(NamedTuple):
     """Animals of a story.
 
     Attributes:
@@ -80,43 +86,50 @@ class Material(NamedTuple):
         return float(self.panel.recording.time[-1]) if arrival is None else arrival
 
 
-def film_of_run(
-    opened: OpenedChampion,
-    recording: Recording,
-    path: Path,
-    size: tuple[int, int],
-    *,
-    trial: int = 0,
+def story(
+    run: Path | str,
+    path: Path | str | None = None,
+    size: tuple[int, int] = (1920, 1080),
     title: str | None = None,
-    processes: int = 1,
-    warn: Callable[[str], object] = lambda words: None,
+    number: int | None = None,
+    trial: int = 0,
+    cores: int | None = None,
+    trust: bool = False,
 ) -> Path:
-    """Film the story of a run, and return the path of the film.
+    """Film the story of a run in 15 s, and return the path of the film.
 
     Args:
-        opened: the run with its champion.
-        recording: motion of the champion.
-        path: path of the film, checked by `evo_cpg.view.output.output_path`.
+        run: run folder.
+        path: path of the .mp4 file, or None for one in the run folder's ``videos``.
         size: width and height, pixels.
-        trial: number of the trial, from 0.
         title: title, or None for one that fits the world.
-        processes: number of processes that draw.
-        warn: called with a sentence if the first generations cannot be made anew.
+        number: number of one of several runs side by side, or None for the best.
+        trial: number of the trial, from 0.
+        cores: number of processes that draw, or None for all cores.
+        trust: whether to trust the configuration, see `load`.
 
     Raises:
-        SettingError: the size is out of range.
         OutputError: the film cannot be written.
+        RunFolderError: there is no run, or it has no champion.
+        SettingError: the size is out of range.
+        UsageError: the run has no such champion or trial.
     """
-    material = _material(opened, recording, trial, warn)
-    takes, words = story_of(material, title, size[0] / size[1])
+    folder = RunFolder(run)
+    folder.require()
+    check_size(size)
+    output = Path(path) if path else folder.path / "videos" / f"story{suffix(number, trial)}.mp4"
+    output = output_path(output, (".mp4",))
+    with trusting(trust):
+        opened = open_champion(run, number, trial)
+    cast = _cast_of(opened, motion_of(opened, trial), trial)
+    takes, words = story_of(cast, title, size[0] / size[1])
+    make_folder(output.parent)
+    processes = cores or available_cores()
     with working("rendering", counted=True) as work:
-        progress = work.reached
-        return story_film(takes, words, path, size, processes=processes, progress=progress)
+        return story_film(takes, words, output, size, processes=processes, progress=work.reached)
 
 
-def _material(
-    opened: OpenedChampion, recording: Recording, trial: int, warn: Callable[[str], object]
-) -> Material:
+def _cast_of(opened: Run, recording: Recording, trial: int) -> Cast:
     """Return the champion of a run, and the populations that can be made anew."""
     creature, task = opened.experiment.creature, opened.experiment.simulation.task
     panel = panel_of(opened.experiment, recording, creature.name)._replace(numbers=False)
@@ -124,30 +137,22 @@ def _material(
     course = course_of(panel, length, task.heading == "forward")
     chosen = generations_of(opened.folder.newest, opened.champion.generation)
     speed = _speed(recording, creature.root_index, length)
-    crowds = _crowds(opened, trial, chosen, speed * _FIRST, warn)
+    crowds = _crowds(opened, trial, chosen, speed * _FIRST)
     random = opened.folder.load_start() is None
     selects = not isinstance(opened.experiment.strategy, RandomSearch)
     told = opened.champion.generation, task.heading, _aim(opened, recording, course)
-    found = Material(panel, *told, course, speed, random, selects, crowds, [])
+    found = Cast(panel, *told, course, speed, random, selects, crowds, [])
     racers = _racers(opened, recording, trial, found.end, _APART * length)
     return found._replace(racers=racers)
 
 
-def story_of(
-    material: Material, title: str | None, aspect: float
-) -> tuple[list[Take], list[Words]]:
-    """Return the takes of a story, and its title and captions.
-
-    Args:
-        material: the animals.
-        title: title, or None for one that fits the world.
-        aspect: width of the picture over its height.
-    """
+def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], list[Words]]:
+    """Return the takes of a story, and its title and captions."""
     panel, course, speed, final = (
-        material.panel, material.course, material.speed, material.generation,
+        cast.panel, cast.course, cast.speed, cast.generation,
     )  # fmt: skip
     recording, root = panel.recording, panel.creature.root_index
-    every = [crowd for _, crowd in material.crowds]
+    every = [crowd for _, crowd in cast.crowds]
     tank = tank_of(panel, course, every, speed * _FIRST, aspect)
     takes: list[Take] = []
     captions: list[str] = []
@@ -164,7 +169,7 @@ def story_of(
             appear = round(_TITLE * FPS), round((_TITLE + 0.6 * _LEAVE) * FPS)
         if race:
             begin = hold + (_LEAVE if first else _STAY)
-            last = tank.behind(animal, others, material.end)
+            last = tank.behind(animal, others, cast.end)
             turned = end if tank.near else begin + _FOLLOW
             views = [*views[: 1 if first else 0], (begin, tank.wide), (turned, last)]
         staging = tank.staging(others.count)._replace(names=names, appear=appear)
@@ -173,15 +178,15 @@ def story_of(
         # The first take shares no frames with a take before it.
         seconds = hold + moves - DISSOLVE / 2 if first else moves
         # The winner is at the goal before the next take appears.
-        pace = material.end / (moves - EASE / 2 - DISSOLVE - _WON) if race else speed
-        stop = material.end if race else None
+        pace = cast.end / (moves - EASE / 2 - DISSOLVE - _WON) if race else speed
+        stop = cast.end if race else None
         takes.append(Take(seen, seconds, 0.0, pace, views, hold, tank.goal, stop))
 
-    for generation, animals in material.crowds:
-        leader, others = in_lanes(animals, root, material.heading, tank.others)
+    for generation, animals in cast.crowds:
+        leader, others = in_lanes(animals, root, cast.heading, tank.others)
         add(leader, others, ("best",), race=False)
-        captions.append(_named(generation, material.random))
-    if racers := material.racers:
+        captions.append(_named(generation, cast.random))
+    if racers := cast.racers:
         names = [str(generation) for generation in (final, *(number for number, _ in racers))]
         add(recording, _together([motion for _, motion in racers]), tuple(names), race=True)
         *some, last = *names[1:], names[0]
@@ -190,7 +195,7 @@ def story_of(
     alone = panel._replace(staging=tank.staging(0))
     # Without crowds, this take is longer.
     before = seconds if course.arrival is None else seconds - _AFTER
-    start = max(material.end - _SLOW * before, float(recording.time[0]))
+    start = max(cast.end - _SLOW * before, float(recording.time[0]))
     shown = (recording.time >= start) & (recording.time <= start + _SLOW * seconds)
     below = recording.position[shown, ..., 2] < (panel.surface or 0.0)
     if panel.surface is not None and below.mean() > _SUBMERGED:
@@ -198,7 +203,7 @@ def story_of(
     takes.append(Take(alone, seconds, start, _SLOW, goal=tank.goal, stop=course.arrival))
     captions.append(f"After {_generations(final)}, in slow motion")
     ends = [float(end) for end in np.cumsum([take.seconds for take in takes])]
-    if len(material.crowds) > 1 and material.selects:
+    if len(cast.crowds) > 1 and cast.selects:
         ends.insert(0, _TITLE + _PART * _FIRST)
         captions.insert(1, "Only the best have children")
     if course.arrival is not None:
@@ -206,9 +211,9 @@ def story_of(
         ends.insert(-1, _WHOLE - seconds + max(there, DISSOLVE + 1.0))
         place = "the light" if course.finish is None else f"{course.finish:g} m"
         captions.append(f"It reaches {place}.")
-    words = [Words(title or _title(material), "title", -1.0, _TITLE)]
-    if material.aim:
-        words.append(Words(material.aim, "subtitle", -1.0, _TITLE))
+    words = [Words(title or _title(cast), "title", -1.0, _TITLE)]
+    if cast.aim:
+        words.append(Words(cast.aim, "subtitle", -1.0, _TITLE))
     # One caption has gone when the next one appears. The last one stays.
     begins, ends = [_TITLE + _PAUSE, *ends[:-1]], [*ends[:-1], 2 * _WHOLE]
     words += [
@@ -222,21 +227,13 @@ def generations_of(done: int, champion: int) -> list[int]:
     """Return the generations that a story shows before its champion.
 
     These are 0, 2 and 7 of 50 generations: the fourth root and the square root of their number.
-
-    Args:
-        done: number of finished generations.
-        champion: generation of the champion.
     """
     found = {math.isqrt(math.isqrt(done)), math.isqrt(done)}
     return [0, *sorted(each for each in found if 0 < each < champion)]
 
 
 def _crowds(
-    opened: OpenedChampion,
-    trial: int,
-    chosen: list[int],
-    seconds: float,
-    warn: Callable[[str], object],
+    opened: Run, trial: int, chosen: list[int], seconds: float
 ) -> list[tuple[int, CrowdMotion]]:
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
@@ -245,16 +242,22 @@ def _crowds(
         with working("breeding the first generations again"):
             every = populations_at(experiment, folder, chosen)
     except RunFolderError as error:
-        warn(f"the story leaves out the first generations: {error}")
+        advise(f"the story leaves out the first generations: {error}")
         return []
     motion = compile_crowd_motion(experiment, seconds, 2 * FPS * _FIRST / seconds, run, trial)
     earlier = _earlier_champions(opened)
     crowds = []
     with working("replaying the first generations"):
         for genes, generation in zip(every, chosen, strict=True):
-            own = np.split(genes, experiment.runs, axis=1)[run]
+            own = np.split(genes, experiment.runs, axis=1)[run].copy()
             best = champion_at(earlier, generation)
-            crowd = motion(own if best is None else _led_by(best.genes, own), generation)
+            if best is not None:
+                # The best comes first. A search without elites may have lost the best individual
+                # so far. Then it replaces the first one.
+                same = np.flatnonzero((own == best.genes[:, None]).all(0))
+                own[:, same[:1]] = own[:, :1]
+                own[:, 0] = best.genes
+            crowd = motion(own, generation)
             if best is None:
                 leader = crowd.leader(
                     experiment.creature.root_index, experiment.simulation.task.heading
@@ -264,33 +267,13 @@ def _crowds(
     return [(generation, crowd) for generation, crowd in crowds if crowd.count]
 
 
-def _led_by(best: np.ndarray, genes: np.ndarray) -> np.ndarray:
-    """Return a population ``(genes, n)`` with its best individual first.
-
-    A search without elites may have lost the best individual so far. Then it replaces the first.
-    """
-    same = np.flatnonzero((genes == best[:, None]).all(0))
-    led = genes.copy()
-    if len(same):
-        led[:, same[0]] = led[:, 0]
-    led[:, 0] = best
-    return led
-
-
 def _racers(
-    opened: OpenedChampion, recording: Recording, trial: int, end: float, least: float
+    opened: Run, recording: Recording, trial: int, end: float, least: float
 ) -> list[tuple[int, Recording]]:
-    """Return generations and motion of earlier champions, each clearly behind the next one.
+    """Return generations and motion of at most three earlier champions, for a race.
 
-    Args:
-        opened: the run with its champion.
-        recording: motion of the champion.
-        trial: number of the trial.
-        end: instant at which the race ends, s.
-        least: least distance between two animals at that instant, m.
-
-    Returns:
-        At most three champions, or none if none is known or can be replayed.
+    Each is at least `least` (m) behind the next one at the instant `end` (s). There are none if
+    none is known or can be replayed.
     """
     try:
         opened.require_configured()
@@ -310,7 +293,7 @@ def _racers(
     return [(found[i].generation, motions[i]) for i in chosen]
 
 
-def _earlier_champions(opened: OpenedChampion) -> list[Champion]:
+def _earlier_champions(opened: Run) -> list[Champion]:
     """Return the champions of the run that came before its final one, the first one first."""
     final = opened.champion
     try:
@@ -361,7 +344,7 @@ def _speed(recording: Recording, root: int, length: float) -> float:
     return float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
 
 
-def _aim(opened: OpenedChampion, recording: Recording, course: Course) -> str:
+def _aim(opened: Run, recording: Recording, course: Course) -> str:
     """Return the animal's task in words, or nothing for a task of the user's own."""
     if np.isfinite(recording.goal).all():
         return "Its task: reach the light."
@@ -381,9 +364,9 @@ def _named(generation: int, random: bool) -> str:
     return "The first generation" + (" moves at random" if random else "")
 
 
-def _title(material: Material) -> str:
-    panel = material.panel
+def _title(cast: Cast) -> str:
+    panel = cast.panel
     verb = "walk" if panel.world == "land" else "move" if panel.ground is not None else "swim"
     # A task of the user's own may be another one.
-    verb = verb if material.aim else "move"
+    verb = verb if cast.aim else "move"
     return f"Nobody taught it to {verb}."

@@ -8,7 +8,7 @@
     sweep.png        fitness over generations, and final fitness
 
 Settings with equal trials run together in one program, with any searches
-(`evo_cpg.training.loop`). Others run in turn, each with its own program. The numbers of a body
+(`evo_cpg.training.train`). Others run in turn, each with its own program. The numbers of a body
 are constants of the program, so that evaluations are fast and replays exact to the bit.
 """
 
@@ -19,23 +19,28 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from evo_cpg import locks
 from evo_cpg.analysis.compare import Comparison, Spread, compare, spread
-from evo_cpg.api.display import progress, say
-from evo_cpg.api.training import begin_run, reopen_run
+from evo_cpg.api.progress import progress, working
+from evo_cpg.api.run_start import begin_run, reopen_run
+from evo_cpg.errors import UsageError, advise
 from evo_cpg.files import make_folder, write_table, write_text
 from evo_cpg.io.build import build_experiment, require_genes
 from evo_cpg.io.errors import ConfigError
-from evo_cpg.io.fingerprint import fingerprint
-from evo_cpg.io.keys import parts_of
+from evo_cpg.io.keys import parts_of, replaces
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened
-from evo_cpg.io.settings import Setting, is_folder_name
-from evo_cpg.system import name_of, named, resolved
+from evo_cpg.io.run import Run, fingerprint
+from evo_cpg.io.settings import Setting, combine, is_folder_name
+from evo_cpg.io.shipped import find_config
+from evo_cpg.io.trust import trusting
+from evo_cpg.system import resolved
+from evo_cpg.training import devices
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.reevaluation import is_finished
@@ -48,7 +53,7 @@ _SEARCH = ("name", "seed", "runs", "evolution", "audit")
 
 
 @dataclasses.dataclass(frozen=True)
-class Member(Opened):
+class Member(Run):
     """Setting of a sweep, with its run folder and experiment.
 
     Attributes:
@@ -83,14 +88,95 @@ class Summary(NamedTuple):
     """Result of a sweep.
 
     Attributes:
+        folder: folder of the sweep.
         spreads: spread of the fitness of every setting.
         comparisons: comparison of every two settings.
         figure: path of the figure.
     """
 
+    folder: Path
     spreads: list[Spread]
     comparisons: list[Comparison]
     figure: Path
+
+
+def sweep(
+    config: Path | str,
+    overrides: Sequence[str] = (),
+    grid: Mapping[str, Sequence[Any]] = MappingProxyType({}),
+    settings: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+    out: Path | str | None = None,
+    only: Sequence[str] = (),
+    cores: int | None = None,
+    trust: bool = False,
+) -> Summary:
+    """Evolve an experiment with many settings, and compare the results.
+
+    Args:
+        config: file or name of a configuration, or the folder of a sweep to continue unchanged.
+        overrides: settings that all share, ``key=value``.
+        grid: values of each key. Several keys give all combinations.
+        settings: named settings, values by key. The grid varies each of them.
+        out: folder, or None for ``runs/CONFIG_sweep``.
+        only: names of the settings to evolve now, or empty for all.
+        cores: number of cores, or None for all.
+        trust: whether to trust the configuration, see `load`.
+
+    Raises:
+        ConfigError: the configuration or a value of a setting is wrong.
+        LockedError: another process evolves one of the settings.
+        RunFolderError: the folder holds something else, or the configuration has changed.
+        UsageError: nothing is varied, or there is no such setting.
+    """
+    with trusting(trust):
+        source = find_config(config, folders=True)
+        folder, plan = source, read_plan(source)
+        if plan is None:
+            folder = Path(out or Path("runs") / f"{source.stem}_sweep")
+            plan = new_plan(source, overrides, _varied(overrides, grid, settings))
+        elif overrides or grid or settings or out:
+            raise UsageError(
+                f"sweep: {config} is a sweep, which can only be continued unchanged. Leave out "
+                "other settings"
+            )
+        devices.use_cores(cores)
+        with working("building every setting"):
+            members = members_of(folder, plan)
+    known = {member.setting.name: member for member in members}
+    for name in only:
+        if name not in known:
+            raise UsageError(f"sweep: there is no setting {name!r}. Allowed: {', '.join(known)}")
+    chosen = [known[name] for name in dict.fromkeys(only)] or members
+    # Several processes may evolve different settings of a sweep, because each locks its runs.
+    with contextlib.nullcontext() if only else locks.locked(folder, make=True):
+        claim(folder, plan)
+        evolve(chosen, folder.name)
+        with working("making tables and figure"):
+            return summarise(folder, members)
+
+
+def _varied(
+    overrides: Sequence[str],
+    grid: Mapping[str, Sequence[Any]],
+    settings: Mapping[str, Mapping[str, Any]],
+) -> list[Setting]:
+    """Return the settings of a new sweep.
+
+    Raises:
+        UsageError: nothing is varied, or a key is given twice.
+    """
+    given = [override.partition("=")[0] for override in overrides]
+    for i, key in enumerate(grid):
+        for other in [*given, *list(grid)[:i]]:
+            if replaces(key, other):
+                twice = "is given twice" if key == other else f"would replace {other}"
+                raise UsageError(f"sweep: {key} {twice}. Give all its values at once")
+    if not grid and not settings:
+        raise UsageError("sweep: nothing is varied. Name keys and values, or settings")
+    try:
+        return combine(grid, settings)
+    except ValueError as error:
+        raise UsageError(f"sweep: {error}") from None
 
 
 def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]) -> dict[str, Any]:
@@ -100,7 +186,7 @@ def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]
         ConfigError: the configuration or a value of a setting is wrong.
     """
     plan = {
-        "config": name_of(resolved(source)),
+        "config": str(resolved(source)),
         "config_sha256": _digest(source, overrides),
         "overrides": list(overrides),
         "settings": {setting.name: setting.values for setting in settings},
@@ -148,20 +234,20 @@ def read_plan(folder: Path) -> dict[str, Any] | None:
     Raises:
         RunFolderError: the file of the plan is damaged.
     """
-    return read_checked(folder / _PLAN, _is_plan)
 
+    def is_plan(plan: Any) -> bool:
+        for name in plan["settings"]:
+            # The run folder of the setting, next to sweep.json, gets this name.
+            if not is_folder_name(name):
+                raise ValueError(f"{name[:80]!r} is not allowed as the name of a setting")
+        kinds = {"config": str, "config_sha256": str, "overrides": list, "settings": dict}
+        return (
+            all(isinstance(plan[key], kind) for key, kind in kinds.items())
+            and all(isinstance(override, str) for override in plan["overrides"])
+            and all(isinstance(values, dict) for values in plan["settings"].values())
+        )
 
-def _is_plan(plan: Any) -> bool:
-    for name in plan["settings"]:
-        # The run folder of the setting, next to sweep.json, gets this name.
-        if not is_folder_name(name):
-            raise ValueError(f"{name[:80]!r} is not allowed as the name of a setting")
-    kinds = {"config": str, "config_sha256": str, "overrides": list, "settings": dict}
-    return (
-        all(isinstance(plan[key], kind) for key, kind in kinds.items())
-        and all(isinstance(override, str) for override in plan["overrides"])
-        and all(isinstance(values, dict) for values in plan["settings"].values())
-    )
+    return read_checked(folder / _PLAN, is_plan)
 
 
 def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
@@ -172,7 +258,7 @@ def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
         ConfigError: a setting is wrong.
         TooLargeError: a setting needs more memory than the machine has.
     """
-    source = named(plan["config"])
+    source = Path(plan["config"])
     if _digest(source, plan["overrides"]) != plan["config_sha256"]:
         raise RunFolderError(
             f"{folder}: {source} has changed since the sweep began. Restore it, or begin "
@@ -186,7 +272,7 @@ def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
         experiment = build_experiment(config, source)
         require_genes(experiment, source)
         require_memory(experiment)
-        members.append(Member(RunFolder(folder / named(name)), config, experiment, setting, source))
+        members.append(Member(RunFolder(folder / name), config, experiment, setting, source))
     return members
 
 
@@ -211,29 +297,28 @@ def groups(members: Sequence[Member]) -> list[list[Member]]:
 
 
 def run_group(
-    group: Sequence[Member],
-    devices: int,
-    on_generation: Callable[[Member, list[dict[str, float]]], object],
-    warn: Callable[[str], object] = lambda words: None,
+    group: Sequence[Member], on_generation: Callable[[Member, list[dict[str, float]]], object]
 ) -> None:
-    """Evolve the settings of a group together, from their newest checkpoints.
-
-    Args:
-        group: a group from `groups`.
-        devices: number of devices that share the population.
-        on_generation: called with a setting and its new rows after each of its generations.
-        warn: called with a sentence for each difference from the earlier machine.
+    """Evolve the settings of one of the `groups` together, from their newest checkpoints.
 
     Raises:
         LockedError: another process evolves one of the settings.
         OutputError: a folder cannot be written.
     """
-    from evo_cpg.training.loop import train_together
+    from evo_cpg.training.train import train_together
 
+    count = jax.local_device_count()
     with contextlib.ExitStack() as stack:
         for member in group:
             stack.enter_context(member.folder.locked(new=True))
-        _reopen(group, devices, warn)
+        for member in group:
+            if not member.folder.config.is_file():
+                begin_run(member, count, member.source)
+                continue
+            member.folder.require()
+            if not member.finished:
+                for words in reopen_run(member, count, source=member.source):
+                    advise(words)
         train_together(
             [member.experiment for member in group],
             [member.folder for member in group],
@@ -243,20 +328,10 @@ def run_group(
 
 def evolve(
     members: Sequence[Member],
-    devices: int,
     title: str,
     on_generation: Callable[[Member], object] = lambda member: None,
-    warn: Callable[[str], object] = lambda words: None,
 ) -> None:
-    """Evolve settings to the last generation, group by group, and show the progress.
-
-    Args:
-        members: the settings.
-        devices: number of devices that share the population.
-        title: text before the names of the settings of each group.
-        on_generation: called with a setting after each of its generations.
-        warn: called with a sentence for each difference from the earlier machine.
-    """
+    """Evolve settings to the last generation, group by group, and show the progress."""
     found = groups(members)
     for number, group in enumerate(found, 1):
         if all(member.finished for member in group):
@@ -264,39 +339,24 @@ def evolve(
         total = sum(member.experiment.generations for member in group)
         done = sum(member.generation for member in group)
         which = f"{number} of {len(found)}: " if len(found) > 1 else ""
-        say(f"{title}: {which}{', '.join(member.setting.name for member in group)}")
+        names = ", ".join(member.setting.name for member in group)
         latest: dict[str, float] = {}
-        with progress("generations", total, done) as show:
+        with progress("generations", total, done, f"{title}: {which}{names}: compiling") as show:
 
             def tell(
                 member: Member, rows: list[dict[str, float]], latest: dict = latest, show=show
             ) -> None:
                 latest[member.setting.name] = float(np.median([row["champion"] for row in rows]))
-                show(_standing(latest))
+                known = {name: value for name, value in latest.items() if math.isfinite(value)}
+                best = max(known, key=lambda name: known[name], default=None)
+                show(
+                    "no finite fitness yet"
+                    if best is None
+                    else f"best so far: {best}, median champion {known[best]:.4f}"
+                )
                 on_generation(member)
 
-            run_group(group, devices, tell, warn)
-
-
-def _standing(latest: Mapping[str, float]) -> str:
-    """Return text that names the setting with the best median champion so far."""
-    known = {name: value for name, value in latest.items() if math.isfinite(value)}
-    if not known:
-        return "no finite fitness yet"
-    best = max(known, key=lambda name: known[name])
-    return f"best so far: {best}, median champion {known[best]:.4f}"
-
-
-def _reopen(group: Sequence[Member], devices: int, warn: Callable[[str], object]) -> None:
-    """Make the run folders, or reopen existing ones."""
-    for member in group:
-        if not member.folder.config.is_file():
-            begin_run(member, devices, member.source)
-            continue
-        member.folder.require()
-        if not member.finished:
-            for words in reopen_run(member, devices, source=member.source):
-                warn(words)
+            run_group(group, tell)
 
 
 def summarise(folder: Path, members: Sequence[Member]) -> Summary:
@@ -328,7 +388,11 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
         for run, champion in enumerate(checkpoint.champions):
             found = {} if champion is None else champion.terms
             row = {"setting": name, "run": run, "seed": experiment.seed + run}
-            row |= {key: _cell(member.setting.values.get(key)) for key in keys}
+            values = {key: member.setting.values.get(key, "") for key in keys}
+            row |= {
+                key: json.dumps(value) if isinstance(value, dict | list) else value
+                for key, value in values.items()
+            }
             row |= {
                 "generations": checkpoint.generation,
                 "evaluations": int(evaluated[-1]),
@@ -351,9 +415,4 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
     many = f"{runs[0]}" if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
     title = f"{folder.name}: {len(spreads)} settings, {many} runs of each"
     picture = save_figure(sweep_figure(curves, title), folder / "sweep.png")
-    return Summary(spreads, comparisons, picture)
-
-
-def _cell(value: Any) -> Any:
-    """Return a value as a cell of a table."""
-    return json.dumps(value) if isinstance(value, dict | list) else "" if value is None else value
+    return Summary(folder, spreads, comparisons, picture)

@@ -1,10 +1,16 @@
 """`evo-cpg cpg`: show or find the rhythm of a configuration's oscillators."""
 
-from typing import Annotated
+import shlex
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from evo_cpg.cli.options import Config, Overrides
+
+if TYPE_CHECKING:
+    from evo_cpg.analysis.limit_cycle import LimitCycle
+    from evo_cpg.analysis.reference_rhythm import Rhythm
+    from evo_cpg.api.rhythm import FoundRhythm, Rhythms
 
 
 def cpg(
@@ -33,10 +39,126 @@ def cpg(
     ] = None,
 ) -> None:
     """Show the rhythm of the oscillators, or find settings for one."""
-    from evo_cpg.cli.rhythm import find_rhythm, show_rhythm
+    from evo_cpg.analysis.limit_cycle import RhythmSearchError
+    from evo_cpg.api.advice import about_oscillators
+    from evo_cpg.api.experiment import load
+    from evo_cpg.api.rhythm import find_rhythm, rhythm
+    from evo_cpg.cli.errors import ExitCode
+    from evo_cpg.cli.terminal import tell, warn
 
-    given = config, overrides or [], gain, tonic_input
+    experiment = load(config, overrides or [])
     if frequency is None and lag is None and chain is None:
-        show_rhythm(*given)
-    else:
-        find_rhythm(*given, frequency, lag, chain)
+        shown = rhythm(experiment, gain, tonic_input)
+        _show(shown)
+        for line in about_oscillators(experiment.parts.simulation):
+            warn(f"{config}: {line}")
+        failed = [part for part in shown.groups if part.cycle is None and not part.rests]
+        for part in failed:
+            tell(f"evo-cpg: {config}: {_name(part.oscillators)}: {part.reason}")
+        if failed:
+            raise SystemExit(ExitCode.FAULT)
+        return
+    try:
+        found = find_rhythm(
+            experiment, frequency, lag, gain=gain, tonic_input=tonic_input, joint=chain
+        )
+    except RhythmSearchError as error:
+        tell(f"evo-cpg: {error}")
+        raise SystemExit(ExitCode.FAULT) from None
+    _show_found(found)
+    if not found.changes:
+        print("The present settings already have this rhythm.")
+        return
+    print("controller:\n  cpg:")
+    for key, value in found.changes.items():
+        print(f"    {key}: {value:.8g}")
+    words = [f"controller.cpg.{key}={value:.8g}" for key, value in found.changes.items()]
+    held = f"{found.found.adaptation_gain:.8g}"
+    again = ["evo-cpg", "cpg", str(config), *(overrides or []), *words, "--gain", held]
+    again += [] if tonic_input is None else ["--tonic-input", f"{tonic_input:.8g}"]
+    if "min_adaptation_gain" in found.changes:
+        print(
+            f"\nThe brain sets b within this range, whose middle is {held}. To fix b, set both "
+            f"ends to {held}."
+        )
+    print(f"\nTo show the rhythm with b held at this value:\n{shlex.join(again)}")
+
+
+def _name(oscillators: tuple[str, ...]) -> str:
+    first, *others = oscillators
+    return f"{first} + {len(others)}" if others else first
+
+
+def _show(shown: "Rhythms") -> None:
+    """Print a row for each group of oscillators, and the lags of legs and rings below."""
+    from evo_cpg.cli.terminal import show_table, show_words
+
+    heads = ("joints", "Hz", "lag, deg", "amplitude", "multiplier", "recovery")
+    rows = []
+    for part in shown.groups:
+        if part.cycle is None:
+            rows.append((_name(part.oscillators), "rest" if part.rests else "not found"))
+            continue
+        # An oscillator has no lag to an oscillator at rest.
+        known = part.cycle.lag[part.cycle.lag == part.cycle.lag]
+        lag = f"{known.min():.1f} to {known.max():.1f}" if len(known) else ""
+        hertz, swing, multiplier, recovery = _numbers(part.cycle)
+        lag = "below" if part.branched else lag
+        rows.append((_name(part.oscillators), hertz, lag, swing, multiplier, recovery))
+    title = f"b = {shown.adaptation_gain:g}, u = {shown.tonic_input:g}"
+    show_table(heads, rows, title=title)
+    for part in shown.groups:
+        if part.branched and part.cycle is not None:
+            first, *others = part.cycle.oscillators
+            behind = [part.cycle.lags((first, i))[1] for i in others]
+            names = zip(part.oscillators[1:], behind, strict=True)
+            listed = ", ".join(f"{name} {round(lag)}" for name, lag in names if lag == lag)
+            show_words(f"lag of each oscillator behind {part.oscillators[0]}, deg: {listed}")
+    for names, lags in shown.rings:
+        words = ", ".join(f"{lag:.1f}" for lag in lags)
+        show_words(f"ring of {', '.join(names)}: each lags behind the one before by {words} deg")
+    resting: dict[str, list[str]] = {}
+    for part in shown.groups:
+        if part.rests:
+            resting.setdefault(part.reason, []).append(_name(part.oscillators))
+    for reason, names in resting.items():
+        show_words(f"{', '.join(names)}: {reason}")
+    if shown.open_loop:
+        show_words(
+            "open loop: without the senses of controller.cpg.feedback, which change the rhythm"
+        )
+
+
+def _numbers(cycle: "LimitCycle") -> tuple[str, str, str, str]:
+    """Return frequency (Hz), amplitudes, size of the largest multiplier, and recovery time (s)."""
+    digits, swing = 5 if cycle.frequency >= 1 else 4, cycle.amplitude
+    frequency = f"{cycle.frequency:#.{digits}g}"
+    amplitude = f"{swing.min():.2g} to {swing.max():.2g}"
+    size, recovery = abs(cycle.multipliers[0]), f"{cycle.recovery_time:.3g}"
+    if size != size:
+        return frequency, amplitude, "unknown", "unknown"
+    return frequency, amplitude, f"{size:.3g}", recovery if cycle.stable else "unstable"
+
+
+def _show_found(result: "FoundRhythm") -> None:
+    """Print the settings and the rhythm, before and after."""
+    from evo_cpg.api.rhythm import CHANGED
+    from evo_cpg.cli.terminal import show_table
+
+    names = ("frequency, Hz", "amplitude", "multiplier", "recovery, s", "lag, deg")
+    names += ("  from joint to joint",)
+
+    def words(shown: "Rhythm | str") -> tuple[str, ...]:
+        if isinstance(shown, str):
+            return (shown, *[""] * (len(names) - 1))
+        lags = shown.lags
+        along = f"{lags.min():.1f} to {lags.max():.1f}" if len(lags) else ""
+        return (*_numbers(shown.cycle), f"{shown.lag:.2f}" if len(lags) else "", along)
+
+    now, then = result.present, result.found
+    rows = [
+        ("b", f"{result.present_gain:g}", f"{then.adaptation_gain:g}"),
+        *((key, f"{getattr(now, key):g}", f"{getattr(then.settings, key):g}") for key in CHANGED),
+        *zip(names, words(result.before), words(then), strict=True),
+    ]
+    show_table(("", "present", "found"), rows, title=result.chain.name)

@@ -1,12 +1,13 @@
-"""Errors of the command line, messages for other errors, and exit codes."""
+"""Exit codes, messages for errors, and hints for wrong usage of a command."""
 
 import os
 import sys
 from enum import IntEnum
 from pathlib import Path
 
-from evo_cpg.errors import UserError
-from evo_cpg.system import folded
+import typer
+
+from evo_cpg.errors import UsageError, UserError
 
 
 class ExitCode(IntEnum):
@@ -25,18 +26,13 @@ class ExitCode(IntEnum):
     """Interrupt by the user. Shells use this number, too."""
 
 
-class UsageError(UserError):
-    """Wrong input that the command line itself detects."""
-
-
-def warn(words: object) -> None:
-    """Print a warning to standard error."""
-    tell(f"evo-cpg: warning: {words}")
-
-
-def tell(words: str) -> None:
-    """Print words to standard error. On a terminal, no word is broken."""
-    print(folded(words, sys.stderr), file=sys.stderr)
+# Missing argument, and the hint.
+_MISSING = {
+    "CONFIG": "Name a configuration, such as iwadate2010_swimmer. `evo-cpg configs` lists them",
+    "RUN": "Name a run folder. `evo-cpg train` makes them, below runs/",
+    "ANIMAL": "Name a configuration, such as eel, or a run folder. `evo-cpg configs` lists them",
+    "NAME": "`evo-cpg configs` lists the names",
+}
 
 
 def require_free(output: Path, overwrite: bool) -> None:
@@ -50,29 +46,31 @@ def require_free(output: Path, overwrite: bool) -> None:
         raise UsageError(f"{output} exists. Choose another name, or replace it with --overwrite")
 
 
-def message_for(error: Exception) -> str | None:
-    """Return the message for an error that is not a fault of the program, or None for a fault.
+def require_none(option: str, others: dict[str, object]) -> None:
+    """Check that none of the options is given that do not fit another one.
 
-    Args:
-        error: error that ended a command.
+    Raises:
+        UsageError: one of them is given.
     """
+    if found := next((name for name, given in others.items() if given), None):
+        raise UsageError(f"{option} and {found} exclude each other. Leave out one of them")
+
+
+def message_for(error: Exception) -> str | None:
+    """Return the message for the error that ended a command, or None for a fault of the program."""
     if isinstance(error, UserError):
         return str(error)
-    words = _of_system(error) or _of_platform()
-    return words and " ".join(words.split())
-
-
-def _of_system(error: Exception) -> str | None:
-    """Return the message for a refusal of the operating system."""
     if isinstance(error, UnicodeEncodeError):
-        return (
+        words = (
             f"{error.object[:100]!a} cannot be written in {error.encoding}. Choose a locale with "
             "UTF-8, such as LC_ALL=C.UTF-8, or another name"
         )
-    if not isinstance(error, OSError):
-        return None
-    reason = error.strerror or str(error) or type(error).__name__
-    return reason if error.filename is None else f"{error.filename}: {reason}"
+    elif isinstance(error, OSError):
+        reason = error.strerror or str(error) or type(error).__name__
+        words = reason if error.filename is None else f"{error.filename}: {reason}"
+    else:
+        words = _of_platform()
+    return words and " ".join(words.split())
 
 
 def _of_platform() -> str | None:
@@ -91,3 +89,14 @@ def _of_platform() -> str | None:
             "JAX_PLATFORMS to 'cpu', or unset it"
         )
     return None
+
+
+def add_hint(error: Exception) -> None:
+    """Add a hint to an error of Typer about the arguments of a command. Leave others alone."""
+    if isinstance(error, typer.BadParameter):
+        # Pydantic's prefix.
+        error.message = error.message.removeprefix("Value error, ")
+        missing = getattr(error.param, "metavar", None)
+        # Only an error about a missing argument has no message of its own.
+        if not error.message and missing in _MISSING:
+            error.message = _MISSING[missing]

@@ -32,9 +32,12 @@ def interrupts_delivered() -> Iterator[None]:
     before, again = sys.unraisablehook, _Again()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        if not _must_return(frame):
-            raise KeyboardInterrupt
-        again()
+        while frame is not None:
+            if frame.f_code.co_name in _SILENT:
+                again()
+                return
+            frame = frame.f_back
+        raise KeyboardInterrupt
 
     def forgotten(unraisable: Any) -> None:
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
@@ -99,11 +102,3 @@ class _Again:
         """Cancel the interrupt if it was not sent yet."""
         if self._timer is not None:
             self._timer.cancel()
-
-
-def _must_return(frame: FrameType | None) -> bool:
-    while frame is not None:
-        if frame.f_code.co_name in _SILENT:
-            return True
-        frame = frame.f_back
-    return False

@@ -1,13 +1,13 @@
 """`evo-cpg`: commands, errors and interrupts of the program.
 
-A command is a function in a file, both with the command's name. Its signature declares the options.
-The file is imported when the command is called. JAX and VTK are imported when the command runs,
+A command is a function with its name. The signature declares the options, and `COMMANDS` names the
+file, which is imported when the command is called. JAX and VTK are imported when the command runs,
 because `--help` must be quick.
 """
 
+import errno
 import functools
 import importlib
-import inspect
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -16,38 +16,23 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from evo_cpg.cli import streams
-from evo_cpg.cli.errors import ExitCode, message_for, tell
+from evo_cpg.cli import terminal
+from evo_cpg.cli.errors import ExitCode, add_hint, message_for
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
-from evo_cpg.cli.usage import add_hint
+from evo_cpg.cli.terminal import advice_printed, tell
 
-# Names of all commands, in the order of the help text. `import` is a keyword, so its file is
-# `import_.py`.
-COMMANDS = (
-    "train",
-    "resume",
-    "sweep",
-    "reproduce",
-    "refine",
-    "render",
-    "plot",
-    "analyse",
-    "watch",
-    "probe",
-    "lab",
-    "sensitivity",
-    "fit",
-    "model",
-    "preview",
-    "verify",
-    "audit",
-    "validate",
-    "cpg",
-    "export",
-    "import",
-    "bench",
-    "configs",
-)
+# Commands of each file, in the order of the help text. `import` is a keyword, so its function is
+# `import_`.
+_FILES = {
+    "evolve": ("train", "resume", "sweep", "refine", "watch"),
+    "draw": ("render", "plot", "preview", "model"),
+    "ask": ("analyse", "audit", "verify", "probe", "sensitivity", "lab"),
+    "cpg": ("cpg",),
+    "fit": ("fit",),
+    "exchange": ("validate", "configs", "export", "import"),
+    "repeat": ("reproduce", "bench"),
+}
+COMMANDS = {name: file for file, names in _FILES.items() for name in names}
 
 # These commands write their results to a folder, so a lost standard output is no failure.
 _EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
@@ -55,47 +40,31 @@ _EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
 _PLAIN: dict[str, Any] = {"pretty_exceptions_enable": False, "rich_markup_mode": None}
 
 
-def with_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that takes the fields of a group of options in place of the group.
-
-    Args:
-        function: function of a command. A parameter that is a group is annotated with a named
-            tuple, whose fields are annotated as options.
-    """
-    signature = inspect.signature(function)
-    groups = {
-        parameter.name: parameter.annotation
-        for parameter in signature.parameters.values()
-        if hasattr(parameter.annotation, "_field_defaults")
-    }
+def _with_all_lines(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a command that prints all lines of its progress."""
 
     @functools.wraps(function)
-    def command(**given: Any) -> None:
-        for name, group in groups.items():
-            given[name] = group(**{field: given.pop(field) for field in group._fields})
-        function(**given)
+    def command(*values: Any, **options: Any) -> None:
+        # Rich, which draws the progress, takes a moment to import.
+        from evo_cpg.api.progress import all_lines
 
-    parameters: list[inspect.Parameter] = []
-    for parameter in signature.parameters.values():
-        group = groups.get(parameter.name)
-        own = inspect.signature(group).parameters.values() if group else [parameter]
-        parameters += own
-    command.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
+        with all_lines():
+            function(*values, **options)
+
     return command
 
 
-class _Files(Mapping[str, Any]):
+class _Imported(Mapping[str, Any]):
     """Mapping from names to commands, which imports a command at its look-up."""
 
     def __getitem__(self, name: str) -> Any:
         if name not in COMMANDS:
             raise KeyError(name)
-        place = f"{name}_" if name == "import" else name
-        found = getattr(importlib.import_module(f"evo_cpg.cli.{place}"), place)
+        module = importlib.import_module(f"evo_cpg.cli.{COMMANDS[name]}")
+        found = getattr(module, f"{name}_" if name == "import" else name)
         if not isinstance(found, typer.Typer):
             function, found = found, typer.Typer(add_completion=False, **_PLAIN)
-            found.command(name)(with_options(function))
+            found.command(name)(_with_all_lines(function))
         command = typer.main.get_command(found)
         command.name = name
         return command
@@ -112,7 +81,7 @@ class _Commands(TyperGroup):
 
     def __init__(self, **settings: Any):
         super().__init__(**settings)
-        self.commands: Any = _Files()
+        self.commands: Any = _Imported()
 
     def invoke(self, ctx: typer.Context) -> Any:
         """Run a command, and add hints to messages about wrong arguments."""
@@ -134,7 +103,7 @@ app = typer.Typer(
 
 def _show_version(value: bool) -> bool:
     if value:
-        from evo_cpg.api.version import version
+        from evo_cpg.api.machine import version
 
         print(version())
         raise typer.Exit
@@ -169,11 +138,6 @@ def options(
     """Evolve the motion of virtual creatures."""
 
 
-def _command() -> str:
-    """Return the name of the command that this process was started with."""
-    return next((word for word in sys.argv[1:] if not word.startswith("-")), "")
-
-
 def main() -> None:
     """Run the command line.
 
@@ -182,7 +146,7 @@ def main() -> None:
     # For 200 individuals, native code is 20 to 45 times as fast as a GPU (docs/faq.md).
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     try:
-        with interrupts_delivered():
+        with interrupts_delivered(), advice_printed():
             app()
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None
@@ -196,17 +160,19 @@ def main() -> None:
 
 def program() -> None:
     """Run `main` as a process that does not wait for compilations after an interrupt."""
-    streams.protect()
+    terminal.protect()
     try:
         main()
     except SystemExit as stop:
         if stop.code == ExitCode.INTERRUPTED:
             leave_at_once(ExitCode.INTERRUPTED)
-        error = streams.output_error()
-        if error is not None:
+        error = terminal.output_error()
+        # A reader that stops early, such as `head`, is no error.
+        if error is not None and error.errno != errno.EPIPE:
             words = f"cannot write to standard output ({error.strerror or error})"
             tell(f"evo-cpg: {words}")
-            if not stop.code and _command() not in _EVOLVING:
+            command = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
+            if not stop.code and command not in _EVOLVING:
                 raise SystemExit(ExitCode.WRONG_INPUT) from None
         if not waits_for_threads() and isinstance(stop.code, int | None):
             leave_at_once(stop.code or 0)

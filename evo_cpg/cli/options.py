@@ -1,15 +1,18 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share, with their completions and checks."""
 
+import contextlib
 import enum
 import os
-import re
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import typer
 
-from evo_cpg.cli.completion import complete_config, complete_folder
-from evo_cpg.cli.errors import UsageError, warn
+from evo_cpg.cli.terminal import warn
+from evo_cpg.errors import UsageError, question, similar
+
+_CONFIG = "config.yaml"
+_RUNS = Path("runs")
 
 
 class What(enum.StrEnum):
@@ -31,7 +34,7 @@ class View(enum.StrEnum):
 def _find_config(given: Path) -> Path:
     from evo_cpg.io.shipped import find_config
 
-    config = given / "config.yaml"
+    config = given / _CONFIG
     if os.path.isfile(config):
         raise UsageError(
             f"{given} is a run folder. `evo-cpg resume {given}` continues the run. Its "
@@ -45,24 +48,47 @@ def find_config_or_folder(given: Path) -> Path:
     from evo_cpg.io.shipped import find_config
 
     if len(given.parts) > 1 and not given.suffix and not os.path.exists(given):
-        from evo_cpg.cli.run_names import find_run
-
         return find_run(given)
     return find_config(given, folders=True)
 
 
+def find_run(given: Path) -> Path:
+    """Return a run folder, or explain what its name means instead.
+
+    Raises:
+        UsageError: there is no such folder, or it holds runs, or it is a file of a run.
+    """
+    if _is_run(given):
+        return given
+    if not os.path.exists(given):
+        runs = {run.name: run for place in (_RUNS, given.parent) for run in _runs_in(place)}
+        near = question([str(runs[name]) for name in similar(given.name, runs)])
+        hint = near or f"`evo-cpg train CONFIG --out {given}` makes a run there"
+        raise UsageError(f"{given}: there is no such folder. {hint}")
+    owner = next((folder for folder in given.parents if _is_run(folder)), None)
+    if owner is not None:
+        raise UsageError(f"{given} is a part of a run. Give the run folder, {owner}")
+    if runs := _runs_in(given):
+        raise UsageError(f"{given} is not a run folder. It holds runs, such as {runs[0]}")
+    # The command itself reports another folder, after errors in its options.
+    return given
+
+
+def _is_run(folder: Path) -> bool:
+    # Unlike the methods of `Path`, this function accepts names that no file can have.
+    return os.path.isfile(folder / _CONFIG)
+
+
+def _runs_in(place: Path) -> list[Path]:
+    try:
+        return [each for each in sorted(place.iterdir()) if _is_run(each)]
+    except (OSError, ValueError):
+        return []
+
+
 def run_folder(given: Path | None) -> Path | None:
     """Return a run folder, or explain what its name means instead."""
-    from evo_cpg.cli.run_names import find_run
-
     return given and find_run(given)
-
-
-def run_folders(given: list[Path] | None) -> list[Path] | None:
-    """Return run folders, or explain what a name means instead."""
-    from evo_cpg.cli.run_names import find_run
-
-    return given and [find_run(each) for each in given]
 
 
 def name_replaced(overrides: list[str] | None) -> list[str] | None:
@@ -75,6 +101,20 @@ def name_replaced(overrides: list[str] | None) -> list[str] | None:
             if replaces(key, other):
                 warn(f"{other} is given twice. Only the last value counts: {override}")
     return overrides
+
+
+def complete_config(incomplete: str) -> list[str]:
+    """Return names of shipped configurations, configuration files and folders that match."""
+    from evo_cpg.io.shipped import shipped_names
+
+    names = [name for name in shipped_names() if name.startswith(incomplete)]
+    with contextlib.suppress(OSError):
+        folder, slash, _ = incomplete.rpartition("/")
+        for path in sorted(Path(folder + slash or ".").iterdir()):
+            shown = f"{path}/" if path.is_dir() else str(path)
+            if shown.startswith(incomplete) and shown.endswith(("/", ".yaml", ".yml")):
+                names.append(shown)
+    return names
 
 
 Config = Annotated[
@@ -92,7 +132,6 @@ Run = Annotated[
         metavar="RUN",
         help="A run folder made by `train`.",
         callback=run_folder,
-        autocompletion=complete_folder,
     ),
 ]
 Overrides = Annotated[
@@ -130,37 +169,6 @@ Cell = Annotated[
 ]
 
 
-class Which(NamedTuple):
-    """Options: a champion or elite of a run, and one of its trials.
-
-    Attributes:
-        number: number of one of several runs, or None for the best.
-        trial: number of the trial, from 0.
-        cell: cell of the run's map, such as ``3,0,7``, or None for the champion.
-    """
-
-    number: Number = None
-    trial: Trial = 0
-    cell: Cell = None
-
-    @property
-    def of_run(self) -> str:
-        """Suffix for names of files about the run: ``_run1``."""
-        return "" if self.number is None else f"_run{self.number}"
-
-    @property
-    def of_trial(self) -> str:
-        """Suffix for names of files about the trial: ``_run1_trial2``."""
-        return self.of_run + (f"_trial{self.trial}" if self.trial else "")
-
-    @property
-    def of_cell(self) -> str:
-        """Suffix for names of files about the elite: ``_cell_3_0_7``."""
-        return "" if self.cell is None else f"_cell_{self.cell.replace(',', '_')}"
-
-
-BEST = Which()
-
 Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse values that are allowed but not plausible.")
 ]
@@ -180,15 +188,3 @@ Crowd = Annotated[
 Folder = Annotated[
     Path | None, typer.Option("--out", "-o", help="Folder for the files (default: RUN).")
 ]
-
-
-def pixels_of(size: str) -> tuple[int, int]:
-    """Return width and height, pixels, from ``WIDTHxHEIGHT``.
-
-    Raises:
-        UsageError: the text has another form.
-    """
-    match = re.fullmatch(r"(\d{1,9})x(\d{1,9})", size)
-    if not match:
-        raise UsageError(f"--size: {size!r} is not WIDTHxHEIGHT, such as 1280x720")
-    return int(match[1]), int(match[2])

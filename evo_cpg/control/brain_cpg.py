@@ -490,6 +490,10 @@ def build_brain_cpg(
     none = (False,) * tree.dof_count
     muscular = tree.muscles.driven if tree.muscles else none
     follows = _follows_angles(tree, settings)
+    angles = None
+    if any(follows):
+        full = xp.where(np.array(follows), xp.deg2rad(settings.angle_range_deg), 0.0)
+        angles = AngleRange(full, tree.of_commands("lower"), tree.of_commands("upper"))
     rateless = [any(kinds) for kinds in zip(muscular, tree.torque_driven, follows, strict=True)]
     return BrainCpg(
         gene_count=brain.gene_count + (feedback.gene_count if feedback else 0),
@@ -521,7 +525,7 @@ def build_brain_cpg(
         feedback=feedback,
         muscles=tree.muscles is not None,
         gear=tree.gears,
-        angles=_angle_range(tree, settings, follows) if any(follows) else None,
+        angles=angles,
         sensed=sensed if len(sensed) < tree.dof_count else None,
         unit=units_of(tree),
     )
@@ -554,11 +558,6 @@ def _follows_angles(tree: Tree, settings: BrainCpgSettings) -> tuple[bool, ...]:
         lambda: tuple((np.asarray(springs) > 0).tolist()),
         lambda made: ((springs > 0) == np.array(made)).all(),
     )
-
-
-def _angle_range(tree: Tree, settings: BrainCpgSettings, follows: tuple[bool, ...]) -> AngleRange:
-    full = xp.where(np.array(follows), xp.deg2rad(settings.angle_range_deg), 0.0)
-    return AngleRange(full, tree.of_commands("lower"), tree.of_commands("upper"))
 
 
 def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:

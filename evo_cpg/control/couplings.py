@@ -22,7 +22,6 @@ symmetry. ``docs/models/controller.md`` shows which waves grow.
 
 import dataclasses
 import fnmatch
-import functools
 import re
 from collections.abc import Iterator, Sequence
 
@@ -296,7 +295,7 @@ def start_phases(
     for i, coupling in enumerate(couplings):
         lag = coupling.lag_deg
         if lag is None:
-            together = chosen(functools.partial(_is_together, coupling.weight))
+            together = chosen(lambda weight=coupling.weight: bool(weight >= 0))
             lag = 0.0 if together else 180.0
         for source, target in _pairs(tree, coupling, i):
             lags[source].setdefault(target, xp.deg2rad(lag))
@@ -345,7 +344,10 @@ def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
     if count < 2:
         problem = f"a ring needs at least two oscillators, got {', '.join(names) or 'none'}"
         raise CouplingError(problem, where)
-    if not chosen(functools.partial(_closes, ring.lag_deg, count)):
+    # Distance of the sum of lags from whole turns, in turns.
+    if not chosen(
+        lambda: bool(abs((count * ring.lag_deg / 360 + 0.5) % 1 - 0.5) * 360 / count <= _CLOSED_DEG)
+    ):
         allowed = sorted({(360 * k / count + 180) % 360 - 180 for k in range(count)})
         allowed.sort(key=lambda lag: (round(abs(lag), 6), -lag))
         raise CouplingError(
@@ -354,15 +356,6 @@ def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
             ("rings", number, "lag_deg"),
         )
     return found
-
-
-def _is_together(weight: float) -> bool:
-    return bool(weight >= 0)
-
-
-def _closes(lag_deg: float, count: int) -> bool:
-    turns = count * lag_deg / 360
-    return bool(abs(turns - round(turns)) * 360 / count <= _CLOSED_DEG)
 
 
 def uncoupled(matrix: Float[np.ndarray, "o o"]) -> list[int]:

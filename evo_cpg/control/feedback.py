@@ -1,28 +1,384 @@
-"""Feedback of the senses into the spinal cord: all kinds together.
-
-| kind | module |
-|---|---|
-| stretch of joints | `evo_cpg.control.stretch` |
-| load of limbs | `evo_cpg.control.limb_load` |
+"""Feedback of the senses into the spinal cord: stretch of joints, and load of limbs.
 
 The inputs f of all senses are added, and their sum is limited:
 
     s = u_max clip(f, -limit, limit).
+
+**Stretch.** The extensor of an oscillator pulls its joint to positive angles. At an angle q > 0 the
+extensor's side of the joint is short, and the flexor's side is stretched:
+
+    stretch_e = [-q]+,    stretch_f = [q]+,    [x]+ = max(0, x).
+
+The neuron of the stretched side receives + w times the stretch, and the other one - w times it.
+Both terms together are linear in the angle:
+
+    s_e = w ([-q]+ - [q]+) = -w q,    s_f = w ([q]+ - [-q]+) = w q.
+
+Oscillator i adds the angles and rates of its own joint and of its neighbours, after a delay D:
+
+    s_f = -s_e = sum_j K_ij (w q_j(t - D) + w_r q'_j(t - D)).                              (1)
+
+| symbol | name |
+|---|---|
+| w, w_r | ``angle_weight`` (1/rad), ``rate_weight`` (s/rad) |
+| D | ``delay`` (s) |
+| K | ``rows``: 1 for the own joint, 1 - n/(N + 1) for the nth joint along the chain |
+| N | ``from_parents``, ``from_children`` |
+
+A positive weight excites the neuron of the stretched side, as edge cells of the lamprey do. A
+negative weight excites the neuron of the bent side. Published models use either sign.
+
+**Load.** The load n of a limb is the vertical force of the ground on all its bodies, in units of
+the animal's weight. It excites the extensors of the limb, and inhibits its flexors:
+
+    s_e = -s_f = w n_own(t - D) + v sum_others n(t - D).                                    (2)
+
+| symbol | name |
+|---|---|
+| w, v | ``weight``, ``neighbour_weight`` |
+
+**Weights and delays.** A weight is a setting, or it evolves. A gene g sets a weight that evolves
+between two numbers:
+
+    w = low + (high - low) / (1 + exp(-g)).
+
+The senses are sampled at the start of a control step of length h, and held during the step. A delay
+D between two samples takes a linear mean of both. So it acts like a continuous delay of D + h/2.
+Samples before the start of the trial count as 0.
 """
 
 import dataclasses
 import itertools
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.control.afferent import Gain, Weight
-from evo_cpg.control.limb_load import Load, LoadFeedback, build_load
-from evo_cpg.control.stretch import Stretch, StretchFeedback, build_stretch
-from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.control.couplings import (
+    CouplingError,
+    axis_directions,
+    axis_parents,
+    listed_oscillators,
+    matching_bodies,
+)
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.linear import expand_dims_like, of_each
+from evo_cpg.creature.algebra.numerics import Number, Numbers
 from evo_cpg.creature.tree import Tree
+
+# Longest delay, s. A delay costs one stored sample of each oscillator per control step.
+_LONGEST = 1.0
+
+# A number, or the lowest and highest value of a number that evolves.
+Weight = float | tuple[float, float]
+
+
+def check_weights(settings: Any, *names: str) -> None:
+    """Check the weights among some settings.
+
+    Raises:
+        ValueError: the range of a weight that evolves is empty.
+    """
+    for name in names:
+        weight = getattr(settings, name)
+        if isinstance(weight, tuple) and not weight[0] < weight[1]:
+            raise ValueError(
+                f"{name} must be a number, or [low, high] with low < high, got {list(weight)}"
+            )
+
+
+def check_delay(delay: float) -> None:
+    """Check a delay, s.
+
+    Raises:
+        ValueError: the delay is outside its range.
+    """
+    if not 0 <= delay <= _LONGEST:
+        raise ValueError(f"delay must be from 0 to {_LONGEST:g} s, got {delay}")
+
+
+class Gain(eqx.Module):
+    """A weight that is a setting, or that evolves within a range.
+
+    Attributes:
+        low: the weight, or its smallest value.
+        high: its largest value, or None for a setting.
+        gene: index of its gene among the genes of the feedback, or None for a setting.
+    """
+
+    low: Number
+    high: Number | None = None
+    gene: int | None = eqx.field(static=True, default=None)
+
+    def times(
+        self, values: Float[Array, "k *n"], genes: Float[Array, "g *n"] | None
+    ) -> Float[Array, "k *n"]:
+        """Return values times the weight of each individual."""
+        if self.high is None:
+            return self.low * values
+        assert genes is not None and self.gene is not None
+        share = jax.nn.sigmoid(genes[self.gene])
+        return of_each(self.low + (self.high - self.low) * share, values) * values
+
+
+class Delay(eqx.Module):
+    """A delay between two samples.
+
+    Attributes:
+        samples: number of former samples that the delay needs.
+        newer: share of the newer one of the two samples, 0 to 1.
+    """
+
+    samples: int = eqx.field(static=True)
+    newer: Number
+
+    def memory(
+        self, count: int, batch: tuple[int, ...], dtype: jnp.dtype | type
+    ) -> Float[Array, "k o *n"] | None:
+        """Return former samples of 0, the newest first, or None if the delay needs none."""
+        return jnp.zeros((self.samples, count, *batch), dtype) if self.samples else None
+
+    def after(
+        self, now: Float[Array, "o *n"], past: Float[Array, "k o *n"] | None
+    ) -> tuple[Float[Array, "o *n"], Float[Array, "k o *n"] | None]:
+        """Return the delayed values, and the next memory."""
+        if past is None:
+            return now, past
+        samples = jnp.concatenate([now[None], past])
+        return self.newer * samples[-2] + (1 - self.newer) * samples[-1], samples[:-1]
+
+
+def make_delay(delay: Number, control_step: float) -> Delay:
+    """Return a delay (s) for samples that are a control step (s) apart."""
+    steps = delay / control_step
+    # A delay that is a whole number of steps, but for rounding, takes no extra sample.
+    samples = chosen(lambda: math.ceil(float(steps) - 1e-9))
+    return Delay(samples, samples - steps)
+
+
+def spread(
+    offsets: tuple[int, ...], rows: Float[Numbers, "k o"], values: Float[Array, "o *n"]
+) -> Float[Array, "o *n"]:
+    """Return the product of a matrix, given by its diagonals, with one value per oscillator."""
+    count, margin = values.shape[0], max(map(abs, offsets), default=0)
+    zeros = jnp.zeros((margin, *values.shape[1:]), values.dtype)
+    padded = jnp.concatenate([zeros, values, zeros])
+    total = jnp.zeros_like(values)
+    for offset, row in zip(offsets, rows, strict=True):
+        shifted = padded[margin + offset : margin + offset + count]
+        total += expand_dims_like(row, values) * shifted
+    return total
+
+
+@dataclasses.dataclass(frozen=True)
+class StretchFeedback:
+    """Stretch of joints, which enters their oscillators and those of neighbours.
+
+    Attributes:
+        joints: degrees of freedom that are sensed, and whose oscillators receive the feedback. They
+            are names or patterns such as ``tail*.z``.
+        angle_weight: input per joint angle, 1/rad, in units of ``max_tonic_input``. A positive
+            weight excites the neuron of the stretched side and inhibits the other one. Two numbers
+            are the range of a weight that evolves.
+        rate_weight: input per joint rate, s/rad, in units of ``max_tonic_input``. Its sign and its
+            range are those of ``angle_weight``.
+        delay: time from the joint to the neuron, s, 0 to 1.
+        from_parents: number of joints towards the root whose stretch an oscillator also receives.
+            The effect decreases linearly along the chain, to 0 at the next joint.
+        from_children: number of joints away from the root, in the same way.
+
+    Raises:
+        ValueError: a value is outside its range.
+    """
+
+    joints: tuple[str, ...] = ("*",)
+    angle_weight: Weight = 0.0
+    rate_weight: Weight = 0.0
+    delay: float = 0.0
+    from_parents: int = 0
+    from_children: int = 0
+
+    def __post_init__(self):
+        check_weights(self, "angle_weight", "rate_weight")
+        check_delay(self.delay)
+        for name in ("from_parents", "from_children"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+
+
+class StretchSense(eqx.Module):
+    """One `StretchFeedback` on a creature's tree.
+
+    Attributes:
+        angle_weight: w.
+        rate_weight: w_r.
+        offsets: offsets of the nonzero diagonals of K. Offset k means that oscillator i receives
+            the stretch of joint i + k.
+        rows: these diagonals, ``rows[m, i] = K[i, i + offsets[m]]``, 0 outside.
+        delay: D.
+    """
+
+    angle_weight: Gain
+    rate_weight: Gain
+    offsets: tuple[int, ...] = eqx.field(static=True)
+    rows: Float[Numbers, "k o"]
+    delay: Delay
+
+    def now(
+        self,
+        genes: Float[Array, "g *n"] | None,
+        joint_angle: Float[Array, "d *n"],
+        joint_rate: Float[Array, "d *n"],
+    ) -> Float[Array, "d *n"]:
+        """Return s_f of eq. 1 before the delay, in units of u_max.
+
+        Args:
+            genes: genes of the feedback, or None if no weight evolves.
+            joint_angle: joint angles, rad.
+            joint_rate: joint rates, rad/s.
+        """
+        angle = self.angle_weight.times(joint_angle, genes)
+        return spread(self.offsets, self.rows, angle + self.rate_weight.times(joint_rate, genes))
+
+
+def _spread(
+    tree: Tree, settings: StretchFeedback, number: int
+) -> tuple[tuple[int, ...], Float[Numbers, "k o"]]:
+    """Return the offsets and diagonals of K.
+
+    Joints whose axes point in opposite directions receive each other's stretch with a minus sign.
+    """
+    where = ("feedback", "stretch", number, "joints")
+    among = set(listed_oscillators(tree, settings.joints, where))
+    parents = axis_parents(tree)
+    direction = axis_directions(tree)
+    elements: dict[tuple[int, int], float] = {(i, i): 1.0 for i in among}
+    for i in among:
+        ancestor, steps = parents[i], 1
+        while ancestor is not None and steps <= max(settings.from_parents, settings.from_children):
+            if ancestor in among:
+                side = direction[i] * direction[ancestor]
+                for place, reach in (
+                    ((i, ancestor), settings.from_parents),
+                    ((ancestor, i), settings.from_children),
+                ):
+                    if steps <= reach:
+                        elements[place] = side * (1 - steps / (reach + 1))
+            ancestor, steps = parents[ancestor], steps + 1
+    offsets = tuple(sorted({source - target for target, source in elements}))
+    rows = np.zeros((len(offsets), tree.dof_count))
+    for (target, source), share in elements.items():
+        rows[offsets.index(source - target), target] = share
+    return offsets, rows
+
+
+@dataclasses.dataclass(frozen=True)
+class LoadFeedback:
+    """Load of limbs, which enters the oscillators of these limbs.
+
+    Attributes:
+        limbs: bodies, or patterns such as ``*_thigh``. Each one is the first body of a limb. All
+            bodies behind it belong to the limb.
+        joints: degrees of freedom of the limbs whose oscillators receive the load. They are names
+            or patterns such as ``*.y``.
+        weight: input per load of the own limb, in units of ``max_tonic_input``. A positive weight
+            excites the extensor and inhibits the flexor. The load is 1 if the limb carries the
+            whole animal. Two numbers are the range of a weight that evolves.
+        neighbour_weight: the same for the sum of the loads of the other limbs in the list.
+        delay: time from the ground to the neuron, s, 0 to 1.
+
+    Raises:
+        ValueError: a value is outside its range.
+    """
+
+    limbs: tuple[str, ...]
+    joints: tuple[str, ...] = ("*",)
+    weight: Weight = 0.0
+    neighbour_weight: Weight = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self):
+        check_weights(self, "weight", "neighbour_weight")
+        check_delay(self.delay)
+
+
+class Limbs(eqx.Module):
+    """Limbs of a creature, and the oscillators that feel them.
+
+    Attributes:
+        bodies: bodies of each limb.
+        limb: limb whose load each oscillator feels, or the number of limbs for none.
+    """
+
+    bodies: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    limb: tuple[int, ...] = eqx.field(static=True)
+
+
+class Load(eqx.Module):
+    """One `LoadFeedback` on a creature's tree.
+
+    Attributes:
+        limbs: the limbs.
+        weight: w.
+        neighbour_weight: v.
+        delay: D.
+    """
+
+    limbs: Limbs
+    weight: Gain
+    neighbour_weight: Gain
+    delay: Delay
+
+    def now(
+        self, genes: Float[Array, "g *n"] | None, load: Float[Array, "b *n"]
+    ) -> Float[Array, "o *n"]:
+        """Return s_e of eq. 2 before the delay, in units of u_max.
+
+        Args:
+            genes: genes of the feedback, or None if no weight evolves.
+            load: load of each body.
+        """
+        own = jnp.stack([load[np.array(bodies)].sum(0) for bodies in self.limbs.bodies])
+        others = own.sum(0, keepdims=True) - own
+        felt = self.weight.times(own, genes) + self.neighbour_weight.times(others, genes)
+        # Oscillators without a limb feel 0.
+        padded = jnp.concatenate([felt, jnp.zeros_like(felt[:1])])
+        return padded[np.array(self.limbs.limb)]
+
+
+def find_limbs(
+    tree: Tree, limbs: tuple[str, ...], joints: tuple[str, ...], where: tuple[str | int, ...]
+) -> Limbs:
+    """Return limbs by the patterns of their first bodies, in the order of bodies.
+
+    Raises:
+        CouplingError: a pattern matches nothing, a limb is part of another limb or has none of the
+            joints.
+    """
+    first = sorted(matching_bodies(tree, limbs, (*where, "limbs"), CouplingError))
+    if not first:
+        raise CouplingError("names no limb", (*where, "limbs"))
+    among = set(listed_oscillators(tree, joints, (*where, "joints")))
+    owner: list[int] = []
+    for body, parent in enumerate(tree.parents):
+        above = owner[parent] if parent >= 0 else len(first)
+        if body in first and above < len(first):
+            names = f"{tree.names[body]!r} is part of the limb {tree.names[first[above]]!r}"
+            raise CouplingError(names, (*where, "limbs"))
+        owner.append(first.index(body) if body in first else above)
+    limb = [owner[body] if i in among else len(first) for i, body in enumerate(tree.dof_bodies)]
+    for i, body in enumerate(first):
+        if i not in limb:
+            problem = f"matches no joint of the limb {tree.names[body]!r}"
+            raise CouplingError(problem, (*where, "joints"))
+    bodies = tuple(
+        tuple(body for body, own in enumerate(owner) if own == i) for i in range(len(first))
+    )
+    return Limbs(bodies, tuple(limb))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +416,7 @@ class Feedback(eqx.Module):
     """
 
     gene_count: int = eqx.field(static=True)
-    stretch: tuple[Stretch, ...]
+    stretch: tuple[StretchSense, ...]
     load: tuple[Load, ...]
     limit: Number
     unit: Number
@@ -103,10 +459,22 @@ def build_feedback(
         return Gain(*weight, next(genes)) if isinstance(weight, tuple) else Gain(weight)
 
     stretch = tuple(
-        build_stretch(tree, one, i, gain, control_step) for i, one in enumerate(settings.stretch)
+        StretchSense(
+            gain(one.angle_weight),
+            gain(one.rate_weight),
+            *_spread(tree, one, i),
+            make_delay(one.delay, control_step),
+        )
+        for i, one in enumerate(settings.stretch)
     )
     load = tuple(
-        build_load(tree, one, i, gain, control_step) for i, one in enumerate(settings.load)
+        Load(
+            find_limbs(tree, one.limbs, one.joints, ("feedback", "load", i)),
+            gain(one.weight),
+            gain(one.neighbour_weight),
+            make_delay(one.delay, control_step),
+        )
+        for i, one in enumerate(settings.load)
     )
     limit = settings.limit * max_tonic_input
     return Feedback(next(genes), stretch, load, limit, max_tonic_input)

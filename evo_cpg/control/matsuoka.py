@@ -192,11 +192,8 @@ class MatsuokaNetwork(eqx.Module):
 
     def substeps(self, h: float) -> int:
         """Return the number of Runge-Kutta steps for a step of h (s)."""
-        return chosen(lambda: self._substeps(h))
-
-    def _substeps(self, h: float) -> int:
-        longest = SUBSTEP_FRACTION * min(self.rise_time, self.adaptation_time)
-        return max(1, math.ceil(h / longest))
+        times = self.rise_time, self.adaptation_time
+        return chosen(lambda: max(1, math.ceil(h / (SUBSTEP_FRACTION * min(times)))))
 
 
 class Oscillators(NamedTuple):
@@ -251,14 +248,10 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[Numbers, "o o"
         if body == following:
             weights[i, i + 1] = weights[i + 1, i] = settings.cross_weight
     weights |= explicit_weights(tree, settings.couplings, settings.rings)
-    return settings.pair_weight * _matrix(tree.dof_count, weights)
-
-
-def _matrix(count: int, elements: dict[tuple[int, int], Number]) -> Float[Numbers, "o o"]:
-    """Return a square matrix with these elements, and zeros elsewhere."""
-    place = np.zeros((count, count), int)
-    place[tuple(np.array(list(elements)).T)] = 1 + np.arange(len(elements))
-    return xp.array([0.0, *elements.values()])[place]
+    # Elements may be traced, so that they are placed by their numbers. Others are zero.
+    place = np.zeros((tree.dof_count, tree.dof_count), int)
+    place[tuple(np.array(list(weights)).T)] = 1 + np.arange(len(weights))
+    return settings.pair_weight * xp.array([0.0, *weights.values()])[place]
 
 
 def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:

@@ -22,8 +22,8 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.control.brain_cpg import BrainCpg, Decoded
 from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.control.feedback import StretchSense
 from evo_cpg.control.matsuoka import MatsuokaState, Oscillators
-from evo_cpg.control.stretch import Stretch
 from evo_cpg.creature.algebra.linear import expand_dims_like, of_each
 from evo_cpg.creature.algebra.numerics import Numbers
 
@@ -102,7 +102,7 @@ class Preparation(Controller):
         )
 
     @property
-    def _stretch(self) -> tuple[Stretch, ...]:
+    def _stretch(self) -> tuple[StretchSense, ...]:
         return self.animal.feedback.stretch if self.animal.feedback else ()
 
     def intact(self) -> Surgery:

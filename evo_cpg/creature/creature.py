@@ -5,6 +5,7 @@ body has a frame at its geometric centre. In the neutral pose z is up and the an
 """
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from evo_cpg.creature.algebra.decisions import Condition, chosen
 from evo_cpg.creature.algebra.numerics import Number, Numbers, Triple, as_vector, is_traced, xp
+from evo_cpg.creature.axis_kinds import SPANNING, AxisKind, Turn
 from evo_cpg.creature.shapes import Shape
 
 
@@ -29,13 +31,13 @@ class CreatureError(ValueError):
 
 @dataclasses.dataclass(frozen=True)
 class Material:
-    """Material of a body (Iwadate 2010, Table 1).
+    """Material of bodies (Iwadate 2010, Table 1).
 
     Attributes:
-        density: density, kg/m^3.
-        restitution: coefficient of restitution, 0 to 1.
-        static_friction: coefficient of static friction, for resting contacts.
-        dynamic_friction: coefficient of dynamic friction, for sliding contacts.
+        density: mass per volume (water: 1000), kg/m^3.
+        restitution: fraction of the normal speed that remains after an impact.
+        static_friction: coefficient of friction at rest.
+        dynamic_friction: coefficient of friction while sliding.
     """
 
     density: Number
@@ -46,17 +48,16 @@ class Material:
 
 @dataclasses.dataclass(frozen=True)
 class Actuator:
-    """Motor on each axis of a joint: ``gain (rate* - rate) + stiffness (angle* - angle)``.
+    """A motor on each axis: ``gain (rate* - rate) + stiffness (angle* - angle)``.
 
     A motor without stiffness is the velocity servo of Iwadate 2010. A motor with stiffness and a
     commanded rate of zero is the dashpot of Fukui 2003: a damped spring whose rest angle the
     controller sets.
 
     Attributes:
-        gain: torque per velocity error, N m s/rad.
-        torque_limit: largest torque on one axis, N m, or infinity for no limit. The joint gives way
-            under a larger load.
-        stiffness: torque per angle error, N m/rad.
+        gain: torque per velocity error, N m s/rad; 0 for a spring alone.
+        torque_limit: largest torque, N m, unlimited if left out.
+        stiffness: torque per angle error, N m/rad; 0 for a pure velocity servo.
     """
 
     gain: Number
@@ -66,11 +67,13 @@ class Actuator:
 
 @dataclasses.dataclass(frozen=True)
 class TorqueMotor:
-    """Motor on each axis of a joint whose torque the controller commands.
+    """A motor on each axis whose torque the controller commands.
 
     Attributes:
-        gear: torque per unit of a controller's output, N m. A negative gear reverses it.
-        torque_limit: largest torque on one axis, N m, or infinity for no limit.
+        gear: torque per unit of a controller's output, N m; negative to reverse it. The controller
+            ``brain_cpg`` commands ``gear (ML - MR)``, with ML and MR of muscles. Controllers that
+            command torques ignore it.
+        torque_limit: largest torque, N m, unlimited if left out.
     """
 
     gear: Number = 1.0
@@ -79,34 +82,40 @@ class TorqueMotor:
 
 @dataclasses.dataclass(frozen=True)
 class Muscle:
-    """Two antagonistic muscles about each axis of a joint, after Ekeberg 1993 and Hill 1938.
+    """Two antagonistic muscles about each axis, after Ekeberg and Hill.
 
-    `evo_cpg.physics.tree.muscle` has the equations. Strength is area times stress times arm. The
-    bend sets the stiffness in proportion to the strength, so equal numbers fit animals of any size.
+    Strength is area times stress times arm. The bend sets the stiffness in proportion to the
+    strength, so equal numbers fit animals of any size.
 
     Attributes:
         area: cross-section of the muscle on each side, m^2.
         arm: lever arm of the muscles about the axis, m.
-        fibre_length: length of the fibres at the neutral angle, their optimal length, m.
-        stress: specific tension, isometric force per cross-section, Pa.
-        bend: angle that one fully active side holds without load, without Hill's law, rad.
-        tone: gamma, stiffness of relaxed muscles over the stiffness that one active side adds.
-        damping_time: delta over the stiffness with one side fully active, s.
+        fibre_length: length of the fibres at the neutral angle, m.
+        stress: specific tension, Pa; 140e3 to 300e3 in fish, frogs and salamanders.
+        bend_deg: angle that one fully active side holds without load and without Hill's law,
+            degrees. It sets the stiffness.
+        tone: stiffness of relaxed muscles over the stiffness that one active side adds.
+        damping_time: damping over stiffness with one side fully active, s.
         max_speed: largest speed of shortening, fibre lengths per second.
-        curvature: k of Hill's curve of force over speed.
-        hill: False for forces that do not depend on length and speed, as in Ekeberg 1993.
+        curvature: k of Hill's curve of force over speed; 0.15 to 0.35 in animals.
+        hill: whether force depends on length and speed; false for Ekeberg's muscles.
     """
 
     area: Number
     arm: Number
     fibre_length: Number
     stress: Number = 2e5
-    bend: Number = np.pi / 4
+    bend_deg: Number = 45.0
     tone: Number = 1.0
     damping_time: Number = 0.02
     max_speed: Number = 5.0
     curvature: Number = 0.25
     hill: bool = True
+
+    @property
+    def bend(self) -> Number:
+        """Angle that one fully active side holds, rad."""
+        return xp.deg2rad(self.bend_deg)
 
     @property
     def strength(self) -> Number:
@@ -155,13 +164,8 @@ Motor = Actuator | TorqueMotor | Muscle
 NO_LIMIT = 1e6
 
 
-# Kinds of degrees of freedom: a rotation about an axis, a displacement along an axis, or one of
-# the three components of a ball's rotation vector.
-AxisKind = Literal["turn", "slide", "ball"]
-
-
 class DegreeOfFreedom(NamedTuple):
-    """One degree of freedom of a joint. The units of a slide are m, N and kg for rad, N m, kg m^2.
+    """One degree of freedom of a joint. Units of a slide are m, N and kg for rad, N m and kg m^2.
 
     Attributes:
         axis: unit vector in the child's neutral frame.
@@ -172,13 +176,9 @@ class DegreeOfFreedom(NamedTuple):
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
         friction_loss: torque of dry friction, N m.
-        servo_gain: torque of the motor per rate error, N m s/rad, 0 without a motor.
-        servo_stiffness: torque of the motor per angle error, N m/rad, 0 without a motor.
-        torque_limit: largest torque of the motor, N m, 0 without a motor, infinity for muscles.
-        torque_motor: motor whose torque the controller commands, or None.
-        muscle: muscles about the axis, or None.
-        kind: rotation, displacement, or component of a ball's rotation.
-        place: position of an axis of rotation relative to the joint, in the child's frame, m.
+        actuator: servo, torque motor or muscles, or None for a passive axis.
+        kind: motion along the coordinate, with the units of the coordinate and its force.
+        place: position of the axis relative to the joint, in the child's frame, m.
     """
 
     axis: Triple
@@ -189,21 +189,13 @@ class DegreeOfFreedom(NamedTuple):
     damping: Number
     armature: Number
     friction_loss: Number
-    servo_gain: Number
-    servo_stiffness: Number
-    torque_limit: Number
-    torque_motor: TorqueMotor | None
-    muscle: Muscle | None
-    kind: AxisKind = "turn"
+    actuator: Motor | None
+    kind: AxisKind = Turn()
     place: Triple = (0.0, 0.0, 0.0)
 
 
-# Kinds of joints: up to three rotations at one place, of which three stay independent; a ball; and
-# any other axes, whose equations are eliminated one by one.
-JointKind = Literal["turns", "ball", "chain"]
-
-# Number of axes that span all rotations, such as those of a ball.
-SPANNING = 3
+# Kinds of joints, each a class in `evo_cpg.physics.tree.joint_kinds`.
+JointKind = Literal["weld", "turns", "ball", "chain"]
 
 # Smallest distance (rad) of the middle one of three angles from the angle at which the axes lie in
 # one plane, and rounding errors of angles.
@@ -223,19 +215,15 @@ class Joint:
         parent_anchor: position of the joint in the parent's frame, m.
         child_anchor: position of the joint in the child's frame, m.
         axes: unit vectors in the child's neutral frame, in order.
-        lower: lower limit of each axis, rad, or ``-NO_LIMIT``.
-        upper: upper limit of each axis, rad, or ``NO_LIMIT``.
+        lower: lower limit of each axis.
+        upper: upper limit of each axis.
         orientation: rotation from child frame to parent frame in the neutral pose, ``(3, 3)``.
-        stiffness: stiffness of the passive spring, N m/rad. Like the values below, it is one for
-            all axes, or a tuple with one for each.
-        damping: passive damping, N m s/rad.
-        armature: rotor inertia, kg m^2.
-        actuator: servo, torque motor or muscles, or None for a passive axis.
-        rest: angle at which the passive spring is relaxed, rad.
-        friction_loss: torque of dry friction, N m.
         kinds: kind of each axis, or None if all of them turn.
         places: position of each axis in the child's frame, m, or None for ``child_anchor``. None
             for the whole puts all axes there.
+
+    The other attributes are those of `DegreeOfFreedom`: one value for all axes, or a tuple with one
+    for each.
     """
 
     parent: str
@@ -262,46 +250,38 @@ class Joint:
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
         """Degrees of freedom, in the order in which they move the body."""
         alike = self.stiffness, self.rest, self.damping, self.armature, self.friction_loss
-        columns = self.lower, self.upper, *map(self._each, alike), self.motors
-        kinds = self.kinds or ("turn",) * len(self.axes)
+        columns = self.lower, self.upper, *map(self._each, alike), self._each(self.actuator)
+        kinds = self.kinds or (Turn(),) * len(self.axes)
         places = self.places or (None,) * len(self.axes)
-        return tuple(
-            DegreeOfFreedom._make((*passive, *driven_by(motor), kind, self._from_anchor(place)))
-            for *passive, motor, kind, place in zip(self.axes, *columns, kinds, places, strict=True)
-        )
+        shifts = [
+            as_vector(xp.array(place) - xp.array(self.child_anchor)) if place else (0.0, 0.0, 0.0)
+            for place in places
+        ]
+        rows = zip(self.axes, *columns, kinds, shifts, strict=True)
+        return tuple(itertools.starmap(DegreeOfFreedom, rows))
 
     @property
     def kind(self) -> JointKind:
-        """Kind of the joint."""
-        kinds = set(self.kinds or ())
-        if kinds == {"ball"}:
+        """Kind of the joint: "turns" are rotations at one place that stay independent."""
+        if not self.axes:
+            return "weld"
+        kinds = self.kinds or ()
+        if kinds and all(kind.at_once for kind in kinds):
             return "ball"
-        if "slide" in kinds or any(self.places or ()):
+        carries = any(kind.translation for kind in kinds) or any(self.places or ())
+        if carries or len(self.axes) > SPANNING:
             return "chain"
         if len(self.axes) < SPANNING:
             return "turns"
-        if len(self.axes) > SPANNING:
-            return "chain"
 
         def spans() -> Condition:
             return stay_independent(self.axes, self.lower[1], self.upper[1])
 
         return "turns" if chosen(lambda: bool(spans()), lambda made: spans() == made) else "chain"
 
-    @property
-    def motors(self) -> tuple[Motor | None, ...]:
-        """Motor or muscles about each axis."""
-        return self._each(self.actuator)
-
     def _each(self, value: Any) -> tuple[Any, ...]:
         """Return the value of each axis."""
         return value if isinstance(value, tuple) else (value,) * len(self.axes)
-
-    def _from_anchor(self, place: Triple | None) -> Triple:
-        """Return a place in the child's frame relative to the joint."""
-        if place is None:
-            return (0.0, 0.0, 0.0)
-        return as_vector(xp.array(place) - xp.array(self.child_anchor))
 
 
 def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Condition:
@@ -325,18 +305,16 @@ def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Co
     return wide & (plane >= upper + _PLANE_MARGIN - _ROUNDING)
 
 
-def driven_by(
-    motor: Motor | None,
-) -> tuple[Number, Number, Number, TorqueMotor | None, Muscle | None]:
-    """Return gain, stiffness, largest torque, torque motor and muscles of a motor."""
+def driven_by(motor: Motor | None) -> tuple[Number, Number, Number]:
+    """Return gain, stiffness and largest torque of a motor."""
     match motor:
         case Muscle():
-            return 0.0, 0.0, float("inf"), None, motor
+            return 0.0, 0.0, float("inf")
         case TorqueMotor():
-            return 0.0, 0.0, motor.torque_limit, motor, None
+            return 0.0, 0.0, motor.torque_limit
         case Actuator():
-            return motor.gain, motor.stiffness, motor.torque_limit, None, None
-    return 0.0, 0.0, 0.0, None, None
+            return motor.gain, motor.stiffness, motor.torque_limit
+    return 0.0, 0.0, 0.0
 
 
 class Inertial(NamedTuple):
@@ -568,6 +546,22 @@ def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:
         frames[body.name] = anchor - rotation @ xp.array(joint.child_anchor), rotation
     centres, rotations = zip(*(frames[body.name] for body in creature.bodies), strict=True)
     return xp.array(centres), xp.array(rotations)
+
+
+def joint_places(
+    creature: Creature, pose: tuple[Numbers, Numbers]
+) -> dict[tuple[int, int], Numbers]:
+    """Return the position of the joint between every parent and child, m, by their indices.
+
+    A body and its further parts have no joint between them.
+    """
+    centres, rotations = pose
+    return {
+        (creature.body_index(body.joint.parent), i): centres[i]
+        + rotations[i] @ xp.array(body.joint.child_anchor)
+        for i, body in enumerate(creature.bodies)
+        if body.joint is not None and body.whole is None
+    }
 
 
 def lowest_height(creature: Creature, pose: tuple[Numbers, Numbers] | None = None) -> Number:

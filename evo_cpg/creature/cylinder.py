@@ -15,7 +15,7 @@ from evo_cpg.creature.shapes import (
     ObstaclePart,
     RoundedBox,
     Shape,
-    Skin,
+    SkinMesh,
     Surface,
     joined,
     ring,
@@ -167,7 +167,7 @@ class Cylinder(Shape):
         return xp.concatenate(ends)
 
     @override
-    def skin(self) -> Skin:
+    def skin(self) -> SkinMesh:
         """Return the side and both ends, with points of their own, so that the rims are sharp."""
         around = _rim(_ROUND_RIM)
         here, ahead = np.arange(_ROUND_RIM), np.roll(np.arange(_ROUND_RIM), -1)
@@ -188,7 +188,7 @@ class Cylinder(Shape):
             np.column_stack([here, back + here, back + ahead]),
             np.column_stack([here, back + ahead, ahead]),
         ]
-        return Skin(np.concatenate(points), np.concatenate(normals), np.concatenate(faces))
+        return SkinMesh(np.concatenate(points), np.concatenate(normals), np.concatenate(faces))
 
 
 def _rim(count: int) -> np.ndarray:

@@ -25,7 +25,7 @@ from typing_extensions import override
 
 from evo_cpg.creature.algebra.numerics import Triple
 from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh, hull
-from evo_cpg.creature.shapes import Skin
+from evo_cpg.creature.shapes import SkinMesh
 
 # Corners of an elliptic section. Their second moment is that of the ellipse to 3e-5.
 _ROUND = 24
@@ -65,7 +65,7 @@ class SmoothMesh(ConvexMesh):
     """Convex mesh whose picture is smooth where its faces turn by little."""
 
     @override
-    def skin(self) -> Skin:
+    def skin(self) -> SkinMesh:
         """Return separate points for each triangle, with the mean normals of similar neighbours."""
         a, b, c = self.triangles.swapaxes(0, 1)
         doubled = np.cross(b - a, c - a)
@@ -84,10 +84,10 @@ class SmoothMesh(ConvexMesh):
         normals = (weight[..., None] * doubled[kept][near]).sum(2)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
         points = self.triangles[kept].reshape(-1, 3)
-        return Skin(points, normals.reshape(-1, 3), np.arange(len(points)).reshape(-1, 3))
+        return SkinMesh(points, normals.reshape(-1, 3), np.arange(len(points)).reshape(-1, 3))
 
 
-class Piece(NamedTuple):
+class LoftPiece(NamedTuple):
     """A convex piece, and its centre of mass ``(3,)`` in the frame of the sections, m."""
 
     shape: SmoothMesh
@@ -95,7 +95,7 @@ class Piece(NamedTuple):
 
 
 @functools.lru_cache(maxsize=256)
-def loft(sections: tuple[LoftSection, ...], corners: int | None = None) -> tuple[Piece, ...]:
+def loft(sections: tuple[LoftSection, ...], corners: int | None = None) -> tuple[LoftPiece, ...]:
     """Return the convex pieces of a loft, the largest one first.
 
     Args:
@@ -141,11 +141,11 @@ def outline(corners: int | None) -> np.ndarray:
     return found * _EQUAL_AREA if corners is None else found / np.abs(found).max(0)
 
 
-def _made(rings: list[np.ndarray], first: int) -> Piece:
+def _made(rings: list[np.ndarray], first: int) -> LoftPiece:
     """Return the hull of neighbouring sections."""
     vertices, faces = hull(np.concatenate(rings), f"sections {first} and {first + 1}")
     made, centre = convex_mesh(vertices, faces)
-    return Piece(SmoothMesh(made.vertices, made.faces), centre)
+    return LoftPiece(SmoothMesh(made.vertices, made.faces), centre)
 
 
 def _rings(sections: tuple[LoftSection, ...], corners: int | None) -> list[np.ndarray]:
@@ -155,7 +155,9 @@ def _rings(sections: tuple[LoftSection, ...], corners: int | None) -> list[np.nd
         MeshError: the spine turns back, sections cross, or a section has no size.
     """
     places = np.array([each.at for each in sections])
-    _require_sizes(sections)
+    for i, each in enumerate(sections):
+        if not each.width * each.height and 0 < i < len(sections) - 1:
+            raise MeshError(f"section {i} has no area. Only the first and the last may be a tip")
     normals = _normals(places)
     corners_at = outline(corners)
     rings = []
@@ -206,12 +208,6 @@ def _common_radius(one: np.ndarray, other: np.ndarray) -> float:
     rows = np.concatenate([ConvexHull(points).equations for points in (one, other)])
     inside = np.column_stack([rows[:, :3], np.ones(len(rows))])
     return linprog([0, 0, 0, -1], inside, -rows[:, 3], bounds=[(None, None)] * 4).x[3]
-
-
-def _require_sizes(sections: tuple[LoftSection, ...]) -> None:
-    for i, each in enumerate(sections):
-        if not each.width * each.height and 0 < i < len(sections) - 1:
-            raise MeshError(f"section {i} has no area. Only the first and the last may be a tip")
 
 
 def _normals(places: np.ndarray) -> np.ndarray:

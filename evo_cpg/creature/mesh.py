@@ -28,7 +28,7 @@ from evo_cpg.creature.shapes import (
     ObstaclePart,
     RoundedBox,
     Shape,
-    Skin,
+    SkinMesh,
     Surface,
 )
 
@@ -172,12 +172,9 @@ class ConvexMesh(Shape):
 
     @override
     def support(self, direction: Numbers) -> np.ndarray:
-        far = chosen(lambda: self._farthest(direction))
-        return self.points[far].mean(0)
-
-    def _farthest(self, direction: Numbers) -> Numbers:
         reach = self.points @ direction
-        return reach.max() - reach <= _EQUALLY_FAR * xp.ptp(reach)
+        far = chosen(lambda: reach.max() - reach <= _EQUALLY_FAR * xp.ptp(reach))
+        return self.points[far].mean(0)
 
     @property
     @override
@@ -199,12 +196,12 @@ class ConvexMesh(Shape):
         return (ObstaclePart("ellipsoid", np.zeros(3), half, 0.0, axes, self.corners @ axes),)
 
     @override
-    def skin(self) -> Skin:
+    def skin(self) -> SkinMesh:
         """Return a skin with sharp edges: separate points for each triangle that has an area."""
         normals, areas = _planes(self.triangles)
         points = self.triangles[areas > 0].reshape(-1, 3)
         faces = np.arange(len(points)).reshape(-1, 3)
-        return Skin(points, np.repeat(normals[areas > 0], 3, 0), faces)
+        return SkinMesh(points, np.repeat(normals[areas > 0], 3, 0), faces)
 
     @functools.cached_property
     def corners(self) -> np.ndarray:
@@ -312,7 +309,6 @@ def convex_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[ConvexMesh, np
     _require_one_closed_surface(faces)
     _, centre, _ = _mass_properties(vertices[faces], longest)
     vertices = vertices - centre
-    _require_broad(vertices[faces], longest)
     _require_convex(vertices, faces, longest)
     shape = ConvexMesh(tuple(map(tuple, vertices.tolist())), tuple(map(tuple, faces.tolist())))
     return shape, centre
@@ -383,15 +379,13 @@ def _sensible_length(vertices: np.ndarray) -> float:
     """
     with np.errstate(over="ignore"):
         longest = float(np.ptp(vertices, axis=0).max())
-    if longest > LONGEST:
-        raise MeshError(
-            f"its longest side is {longest:.4g} m. Allowed: {SHORTEST:g} to {LONGEST:g} m. "
-            "For a drawing in millimetres, set scale: 0.001"
+    if not SHORTEST <= longest <= LONGEST:
+        long = longest > LONGEST
+        advice = (
+            "For a drawing in millimetres, set scale: 0.001" if long else "Is the scale too small?"
         )
-    if longest < SHORTEST:
         raise MeshError(
-            f"its longest side is {longest:.4g} m. Allowed: {SHORTEST:g} to {LONGEST:g} m. "
-            "Is the scale too small?"
+            f"its longest side is {longest:.4g} m. Allowed: {SHORTEST:g} to {LONGEST:g} m. {advice}"
         )
     return longest
 
@@ -421,21 +415,17 @@ def _require_one_closed_surface(faces: np.ndarray) -> None:
         )
 
 
-def _require_broad(triangles: np.ndarray, longest: float) -> None:
-    """Raise an error if too much of the surface is in thin triangles with uncertain normals."""
-    areas, thin = _planes(triangles)[1], ~_is_broad(triangles, longest)
-    if areas[thin].sum() > _LOST * areas.sum():
+def _require_convex(vertices: np.ndarray, faces: np.ndarray, longest: float) -> None:
+    """Check that the body is convex, and that most of its surface has reliable normals."""
+    triangles = vertices[faces]
+    (normals, areas), broad = _planes(triangles), _is_broad(triangles, longest)
+    if areas[~broad].sum() > _LOST * areas.sum():
         raise MeshError(
-            f"{thin.sum()} of its {len(triangles)} triangles are lower than {_THIN:.2%} of the "
+            f"{(~broad).sum()} of its {len(triangles)} triangles are lower than {_THIN:.2%} of the "
             "mesh's longest side. Make the mesh thicker, or use fewer triangles"
         )
-
-
-def _require_convex(vertices: np.ndarray, faces: np.ndarray, longest: float) -> None:
-    triangles = vertices[faces]
-    normals, _ = _planes(triangles)
     beyond = normals @ vertices.T - (normals * triangles[:, 0]).sum(1)[:, None]
-    beyond = np.where(_is_broad(triangles, longest)[:, None], beyond, 0.0)
+    beyond = np.where(broad[:, None], beyond, 0.0)
     deepest = float(beyond.max())
     if deepest > _DENT * longest:
         face, vertex = np.unravel_index(beyond.argmax(), beyond.shape)

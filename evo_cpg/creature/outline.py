@@ -14,18 +14,26 @@ of width at the plane has no area, because the outline of a tapered body is smoo
 `_in_line` is a weight between 0 and 1. It falls to 0 as the bodies turn, move apart or differ in
 width. An end of weight w keeps the fraction 1 - w of its area, and its side gets the fraction w of
 its length. Areas are continuous in the geometry.
+
+Surface points on an outline (`outline_surface`):
+
+- Each round end has its tip and rings around the axis, a Gauss-Radau rule. It is a rule over the
+  directions halfway between those of the points and those of the normals, so that slender
+  ellipsoids need few points. Half-balls need a single ring at the default resolutions.
+- The side has Gauss-Legendre points along the axis and a ring around it.
+- A body with flat ends has the points of its shape. Its sides are stretched.
 """
 
 import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
-from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.shapes import Barrel
+from evo_cpg.creature.creature import Creature, joint_places
+from evo_cpg.creature.shapes import Barrel, Shape, Surface
 
 # Bounds between which bodies cease to be in line. Cosine of the angle between their axes.
 _TURN = (0.9, 0.72)
@@ -48,9 +56,20 @@ _SLIGHT = 1e-9
 _LEAST = 1e-12
 
 
+# Cosine between the normal of a flat end and the axis: a face at the first value belongs to the
+# end, and at the second to the side.
+_FACING = (0.9, 0.6)
+
+# Places along the axis of a half-ball, and weights, of a ring and the tip. They give the area, form
+# drag along the axis, and skin friction along the axis exactly: w (1 - x^3) = 3/4 and
+# w (1 - x^2)^(3/2) = 3 pi / 16.
+_BALL_PLACES = np.array([0.44775115257259673, 1.0])
+_BALL_WEIGHTS = np.array([0.823963622929168, 0.176036377070832])
+
+
 @dataclasses.dataclass(frozen=True)
-class Outline:
-    """Outline of a body.
+class BodyOutline:
+    """BodyOutline of a body.
 
     Attributes:
         barrel: the body as a cylinder with two ends.
@@ -61,13 +80,6 @@ class Outline:
     barrel: Barrel
     covered: Float[Numbers, " 2"]
     extension: Float[Numbers, " 2"]
-
-
-class _Link(NamedTuple):
-    """Joint between two bodies: their indices, and its place in the world, m."""
-
-    bodies: tuple[int, int]
-    place: Numbers
 
 
 class _End(NamedTuple):
@@ -94,28 +106,28 @@ class _End(NamedTuple):
 
 def outlines(
     creature: Creature, pose: tuple[Numbers, Numbers]
-) -> tuple[list[Outline], Float[Numbers, "b b"]]:
+) -> tuple[list[BodyOutline], Float[Numbers, "b b"]]:
     """Return the outline of each body, and the weight with which every two bodies are in line.
 
     Args:
         creature: the creature.
         pose: centres and rotations of its bodies.
     """
-    links = _links(creature, pose)
+    links = joint_places(creature, pose)
     barrels = [_barrel(creature, pose, i, links) for i in range(len(creature.bodies))]
     beside: list[list[tuple[Number, Number, Number]]] = [[] for _ in barrels]
     table = np.zeros((len(barrels), len(barrels)))
-    for link in links:
-        if all(barrels[i].ends == "flat" for i in link.bodies):
+    for bodies, place in links.items():
+        if all(barrels[i].ends == "flat" for i in bodies):
             continue
-        ends = [_end(barrels[i], pose[0][i], pose[1][i], link.place) for i in link.bodies]
+        ends = [_end(barrels[i], pose[0][i], pose[1][i], place) for i in bodies]
         weight, apart = _in_line(*ends)
-        flat = any(barrels[i].ends == "flat" for i in link.bodies)
-        for i, end in zip(link.bodies, ends, strict=True):
+        flat = any(barrels[i].ends == "flat" for i in bodies)
+        for i, end in zip(bodies, ends, strict=True):
             part = 0.5 if flat else end.tip / (ends[0].tip + ends[1].tip)
             beside[i].append((end.in_front, weight, apart * part))
         pair = np.zeros((len(barrels), len(barrels)))
-        pair[link.bodies, link.bodies[::-1]] = 1.0
+        pair[bodies, bodies[::-1]] = 1.0
         table = table + pair * weight
     return [_outline(barrel, near) for barrel, near in zip(barrels, beside, strict=True)], table
 
@@ -125,35 +137,25 @@ def fade(x: Number, full: float, none: float) -> Number:
     return smooth_step((x - none) / (full - none))
 
 
-def _links(creature: Creature, pose: tuple[Numbers, Numbers]) -> list[_Link]:
-    centres, rotations = pose
-    return [
-        _Link(
-            (creature.body_index(body.joint.parent), i),
-            centres[i] + rotations[i] @ xp.array(body.joint.child_anchor),
-        )
-        for i, body in enumerate(creature.bodies)
-        # A body and its parts are no neighbours at a joint.
-        if body.joint is not None and body.whole is None
-    ]
-
-
 def _barrel(
-    creature: Creature, pose: tuple[Numbers, Numbers], body: int, links: list[_Link]
+    creature: Creature,
+    pose: tuple[Numbers, Numbers],
+    body: int,
+    links: dict[tuple[int, int], Numbers],
 ) -> Barrel:
     """Return a body as a cylinder along its axis nearest to the line through its neighbours.
 
     The line is the main axis of the directions to the joints, weighted by the neighbours' volumes.
     """
-    shape, own = creature.bodies[body].shape, [link for link in links if body in link.bodies]
+    shape, own = creature.bodies[body].shape, [link for link in links if body in link]
     if not own:
         return shape.barrel(np.eye(3)[0])
     centres, rotations = pose
     spread = _SLIGHT * np.eye(3)
     for link in own:
-        other = creature.bodies[sum(link.bodies) - body].shape
+        other = creature.bodies[sum(link) - body].shape
         size = xp.minimum(other.volume / xp.maximum(shape.volume, _LEAST**3), 1.0)
-        direction = rotations[body].T @ (link.place - centres[body])
+        direction = rotations[body].T @ (links[link] - centres[body])
         squared = xp.maximum(direction @ direction, _LEAST**2)
         spread = spread + size * xp.outer(direction, direction) / squared
     nearest = chosen(
@@ -213,7 +215,7 @@ def _width_along(end: _End, direction: Numbers) -> Number:
     return xp.sqrt((parts @ squares + _SLIGHT * squares.mean()) / (parts.sum() + _SLIGHT))
 
 
-def _outline(barrel: Barrel, beside: list[tuple[Number, Number, Number]]) -> Outline:
+def _outline(barrel: Barrel, beside: list[tuple[Number, Number, Number]]) -> BodyOutline:
     """Return the outline of a body from its neighbours.
 
     Args:
@@ -230,4 +232,125 @@ def _outline(barrel: Barrel, beside: list[tuple[Number, Number, Number]]) -> Out
             lengths = lengths + weight * length
         covered.append(1.0 - kept)
         extension.append((1.0 - kept) * lengths / xp.maximum(total, _LEAST))
-    return Outline(barrel, xp.array(covered), xp.array(extension))
+    return BodyOutline(barrel, xp.array(covered), xp.array(extension))
+
+
+def outline_surface(
+    shape: Shape, outline: BodyOutline, resolution: int
+) -> tuple[Surface, Bool[np.ndarray, " n"]]:
+    """Return points on the outline of a body in its frame, and whether each lies on the body.
+
+    Other points lie on straightened ends or sides.
+
+    Args:
+        shape: shape of the body.
+        outline: its outline.
+        resolution: about half the number of points along the axis of each part.
+    """
+    barrel, covered = outline.barrel, outline.covered
+    if barrel.ends == "flat":
+        surface = _flat_surface(shape.surface(resolution), outline)
+        return surface, np.ones(len(surface.areas), bool)
+    balls = barrel.ends == "ball"
+    count = 2 * resolution + 4 if balls else max(4 * resolution, 8)
+    half_axes = xp.maximum(barrel.half_axes, _LEAST)
+    angles = (np.arange(count) + 0.5) * 2 * np.pi / count
+    around = np.column_stack([np.cos(angles), np.sin(angles)])
+    end = _end_surface(half_axes, *_end_rule(balls, resolution), around)
+    parts = [
+        Surface(
+            (end.points + xp.array([barrel.length / 2, 0.0, 0.0])) * sign,
+            end.normals * sign,
+            end.areas * (1 - each),
+        )
+        for sign, each in zip(np.array([[1, 1, 1], [-1, 1, 1]]), covered, strict=True)
+    ]
+    front, rear = barrel.length / 2 + outline.extension
+    parts.append(_side_surface(half_axes[1:], -rear, front, resolution, around))
+    points, normals, areas = (xp.concatenate(columns) for columns in zip(*parts, strict=True))
+    on_body = np.arange(len(areas)) < 2 * len(end.areas)
+    return Surface(points @ barrel.axes.T, normals @ barrel.axes.T, areas), on_body
+
+
+def _flat_surface(surface: Surface, outline: BodyOutline) -> Surface:
+    """Return the points of a body with flat ends, with covered ends and longer sides."""
+    axis, length = outline.barrel.axes[:, 0], xp.maximum(outline.barrel.length, _LEAST)
+    facing, along = surface.normals @ axis, surface.points @ axis
+    front, rear = (fade(sign * facing, *_FACING) for sign in (1, -1))
+    side = fade(xp.abs(facing), 1 - _FACING[0], 1 - _FACING[1])
+    ahead, behind = outline.extension
+    growth = (ahead + behind) / length
+    shift = side * (along * growth + (ahead - behind) / 2)
+    kept = (1 - outline.covered[0] * front) * (1 - outline.covered[1] * rear)
+    return surface._replace(
+        points=surface.points + shift[:, None] * axis,
+        areas=surface.areas * kept * (1 + side * growth),
+    )
+
+
+def _end_rule(balls: bool, resolution: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places of rings along the axis from 0 to the tip at 1, and weights that add to 1.
+
+    The tip comes last.
+    """
+    if balls and resolution <= 2:
+        return _BALL_PLACES, _BALL_WEIGHTS
+    rings = resolution - 1 if balls else resolution + 1
+    legendre = np.polynomial.Legendre.basis
+    nodes = (legendre(rings) - legendre(rings + 1)).roots()
+    nodes = np.sort(nodes.real)
+    nodes[-1] = 1.0
+    weights = (1 + nodes) / ((rings + 1) * legendre(rings)(nodes)) ** 2
+    return (nodes + 1) / 2, weights / 2
+
+
+def _end_surface(
+    half_axes: Numbers, places: np.ndarray, weights: np.ndarray, around: np.ndarray
+) -> Surface:
+    """Return points on the front half of an ellipsoid: rings around its axis, then its tip.
+
+    Let g be a unit vector of the product rule and S the roots of the half axes. The point is
+    S^2 q for the unit vector q along S g, and the normal is along g / S.
+    """
+    rings = [
+        np.column_stack([np.full(len(around), x), np.sqrt(1 - x * x) * around]) for x in places
+    ]
+    directions = np.concatenate([*rings[:-1], np.eye(3)[:1]])
+    counts = np.full(len(places), len(around))
+    counts[-1] = 1
+    solid = np.repeat(2 * np.pi * weights / counts, counts)
+    placed, normals, stretch, length = _halfway(directions, half_axes)
+    areas = solid * xp.prod(xp.sqrt(half_axes)) ** 3 * (stretch / length**3)[:, 0]
+    return Surface(placed * half_axes, normals, areas)
+
+
+def _halfway(
+    directions: np.ndarray, half_axes: Numbers
+) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    """Return points between the directions of points and of normals of an ellipsoid or ellipse.
+
+    Returns:
+        The points over the half axes, the unit normals there, and two columns of lengths for the
+        areas: of the gradients, and of the directions times the square roots of the half axes.
+    """
+    stretched = directions * xp.sqrt(half_axes)
+    length = xp.linalg.norm(stretched, axis=-1, keepdims=True)
+    placed = stretched / length
+    scaled = placed / half_axes
+    stretch = xp.linalg.norm(scaled, axis=-1, keepdims=True)
+    return placed, scaled / stretch, stretch, length
+
+
+def _side_surface(
+    half_axes: Numbers, rear: Number, front: Number, rings: int, around: np.ndarray
+) -> Surface:
+    """Return points on an elliptic cylinder along x."""
+    placed, normals, stretch, length = _halfway(around, half_axes)
+    lines = 2 * np.pi / len(around) * xp.prod(xp.sqrt(half_axes)) ** 3 * (stretch / length**2)[:, 0]
+    nodes, weights = np.polynomial.legendre.leggauss(rings)
+    count, extent = len(around), xp.maximum(front - rear, 0.0)
+    places = np.repeat(nodes, count)[:, None] * extent / 2 + (front + rear) / 2
+    points = xp.concatenate([places, xp.tile(placed * half_axes, (rings, 1))], 1)
+    normals = xp.tile(normals, (rings, 1))
+    normals = xp.concatenate([np.zeros((rings * count, 1)), normals], 1)
+    return Surface(points, normals, np.repeat(weights / 2, count) * extent * xp.tile(lines, rings))

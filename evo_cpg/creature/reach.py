@@ -73,22 +73,11 @@ def _swept(tree: Tree, chain: list[int], box: Interval, most: int) -> Interval:
     for body in chain:
         dofs = [i for i, owner in enumerate(tree.dof_bodies) if owner == body]
         for i in reversed(dofs):
-            if tree.dof_kinds[i] == "ball":
-                # A ball turns in every direction. Its three axes are one rotation.
-                if i == dofs[0]:
-                    low, high = _times(_ANY_ROTATION, (low, high))
-                continue
-            free = functools.partial(_is_free, tree, i)
-            whole = chosen(lambda free=free: bool(free()), lambda made, free=free: free() == made)
-            if tree.dof_kinds[i] == "slide":
-                low, high = _slid(tree, i, whole, pieces, (low, high))
-                continue
-            ends = tree.lower[i] - _GIVE, tree.upper[i] + _GIVE
-            # An axis without limits turns all the way round.
-            edges = xp.linspace(*((-np.pi, np.pi) if whole else ends), pieces + 1)
-            place = 0.0 if tree.joint_places is None else tree.joint_places[:, i, None]
-            low, high = _times(_turns(tree.joint_axes[:, i], edges), (low - place, high - place))
-            low, high = low + place, high + place
+            if not tree.dof_kinds[i].at_once:
+                low, high = _moved(tree, i, pieces, (low, high))
+            elif i in tree.balls:
+                # The axes of a ball are one rotation, in any direction.
+                low, high = _times(_ANY_ROTATION, (low, high))
         fixed = tree.joint_orientation[:, :, body]
         low, high = _times((fixed[..., None], fixed[..., None]), (low, high))
         offset = tree.joint_offset[:, body, None]
@@ -96,26 +85,32 @@ def _swept(tree: Tree, chain: list[int], box: Interval, most: int) -> Interval:
     return low, high
 
 
-def _slid(tree: Tree, axis: int, free: bool, pieces: int, box: Interval) -> Interval:
-    """Return ranges of a box's coordinates that slides along an axis.
+def _moved(tree: Tree, axis: int, pieces: int, box: Interval) -> Interval:
+    """Return ranges of a box's coordinates that an axis moves, for each piece of its range.
 
-    A slide without limits reaches everything.
+    An axis without limits turns all the way round, and reaches everything along itself.
     """
-    margin = _GIVE * (tree.upper[axis] - tree.lower[axis])
-    ends = tree.lower[axis] - margin, tree.upper[axis] + margin
-    edges = xp.linspace(*((-NO_LIMIT, NO_LIMIT) if free else ends), pieces + 1)
-    along = tree.joint_axes[:, axis, None]
-    moved = xp.sort(xp.array([along * edges[:-1], along * edges[1:]]), 0)
-    low, high = (
-        (end[:, None] + shift[:, :, None]).reshape(3, -1)
-        for end, shift in zip(box, moved, strict=True)
-    )
-    return low, high
+    kind, direction = tree.dof_kinds[axis], tree.joint_axes[:, axis]
+    lower, upper = tree.lower[axis], tree.upper[axis]
 
+    def free() -> Condition:
+        return upper >= NO_LIMIT
 
-def _is_free(tree: Tree, axis: int) -> Condition:
-    """Return whether an axis has no limits."""
-    return tree.upper[axis] >= NO_LIMIT
+    ends = (-NO_LIMIT, NO_LIMIT) if kind.translation else (-np.pi, np.pi)
+    if not chosen(lambda: bool(free()), lambda made: free() == made):
+        give = _GIVE if kind.rotation else _GIVE * (upper - lower)
+        ends = lower - give, upper + give
+    edges = xp.linspace(*ends, pieces + 1)
+    low, high = (x[:, None] for x in box)
+    if kind.rotation:
+        place = 0.0 if tree.joint_places is None else tree.joint_places[:, axis, None]
+        turned = _times(_turns(direction, edges), (box[0] - place, box[1] - place))
+        low, high = ((x + place).reshape(3, pieces, -1) for x in turned)
+    if kind.translation:
+        along = kind.translation * direction[:, None]
+        shift = xp.sort(xp.array([along * edges[:-1], along * edges[1:]]), 0)
+        low, high = low + shift[0][:, :, None], high + shift[1][:, :, None]
+    return low.reshape(3, -1), high.reshape(3, -1)
 
 
 def _turns(axis: Numbers, edges: Numbers) -> Interval:

@@ -37,7 +37,7 @@ class PlanPairs(NamedTuple):
 
     Attributes:
         kept: pairs that must not pass through each other.
-        watched: pairs that must not overlap (`evo_cpg.simulation.rules`).
+        watched: pairs that must not overlap (`evo_cpg.simulation.judge`).
     """
 
     kept: PairNames = ()

@@ -107,7 +107,7 @@ class ObstaclePart(NamedTuple):
     corners: np.ndarray | None = None
 
 
-class Skin(NamedTuple):
+class SkinMesh(NamedTuple):
     """Triangles of a shape's picture.
 
     Attributes:
@@ -288,10 +288,10 @@ class Shape(abc.ABC):
         """
         return None
 
-    def skin(self) -> Skin:
+    def skin(self) -> SkinMesh:
         """Return the triangles of the shape's picture, by default between support points."""
         directions, _, faces = _split_sphere()
-        return Skin(np.array([self.support(each) for each in directions]), directions, faces)
+        return SkinMesh(np.array([self.support(each) for each in directions]), directions, faces)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -355,11 +355,13 @@ class Box(Shape):
         return np.array(list(itertools.product((-1, 1), repeat=3))) * self.half_extents
 
     @override
-    def skin(self) -> Skin:
+    def skin(self) -> SkinMesh:
         """Return the skin of a box with rounded edges."""
         directions, signs, faces = _split_sphere()
         radius = _ROUNDING * self.half_extents.min()
-        return Skin(signs * (self.half_extents - radius) + radius * directions, directions, faces)
+        return SkinMesh(
+            signs * (self.half_extents - radius) + radius * directions, directions, faces
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -407,7 +409,8 @@ class Ellipsoid(Shape):
     @override
     def surface(self, resolution: int) -> Surface:
         """Map the sphere's product rule (Gauss in x, uniform around x) to the ellipsoid."""
-        directions, solid_angles = _sphere_rule(resolution)
+        nodes, weights = np.polynomial.legendre.leggauss(2 * resolution)
+        directions, solid_angles = _around_x(nodes, weights, ring(resolution))
         scaled = directions / xp.maximum(self.half_extents, LEAST)
         stretch = xp.linalg.norm(scaled, axis=-1)
         return Surface(
@@ -443,11 +446,11 @@ class Ellipsoid(Shape):
         return (ObstaclePart("ellipsoid", np.zeros(3), self.half_extents, 0.0),)
 
     @override
-    def skin(self) -> Skin:
+    def skin(self) -> SkinMesh:
         directions, _, faces = _split_sphere()
         normals = directions / self.half_extents
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return Skin(directions * self.half_extents, normals, faces)
+        return SkinMesh(directions * self.half_extents, normals, faces)
 
 
 class Sphere(Ellipsoid):
@@ -592,10 +595,10 @@ class Capsule(Shape):
         return (ObstaclePart("line", *self.rounded_box),)
 
     @override
-    def skin(self) -> Skin:
+    def skin(self) -> SkinMesh:
         directions, signs, faces = _split_sphere()
         points = signs * [self.length / 2, 0, 0] + self.radius * directions
-        return Skin(points, directions, faces)
+        return SkinMesh(points, directions, faces)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -648,9 +651,9 @@ class NoShape(Shape):
         return np.zeros((1, 3))
 
     @override
-    def skin(self) -> Skin:
+    def skin(self) -> SkinMesh:
         """Return one triangle without area, because pictures cannot draw nothing."""
-        return Skin(np.zeros((3, 3)), np.tile([1.0, 0.0, 0.0], (3, 1)), np.array([[0, 1, 2]]))
+        return SkinMesh(np.zeros((3, 3)), np.tile([1.0, 0.0, 0.0], (3, 1)), np.array([[0, 1, 2]]))
 
 
 def _nearest_first(direction: Numbers) -> np.ndarray:
@@ -693,11 +696,6 @@ def _cube_rule(resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     ]
     places, normals = (np.concatenate(columns) for columns in zip(*faces, strict=True))
     return places, normals, np.tile(np.outer(weights, weights).ravel() / 4, 6)
-
-
-def _sphere_rule(resolution: int) -> tuple[Numbers, Numbers]:
-    """Return directions ``(n, 3)``, solid angles ``(n,)``: Gauss-Legendre in x, uniform around."""
-    return _around_x(*np.polynomial.legendre.leggauss(2 * resolution), ring(resolution))
 
 
 def _around_x(nodes: Numbers, weights: Numbers, around: Numbers) -> tuple[Numbers, Numbers]:

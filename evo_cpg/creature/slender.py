@@ -14,6 +14,9 @@ may have one body only. A further part of a body is a chain of its own.
 
 The nose is the end that points forward, along +x. In a chain that stands across, such as a leg, it
 is the end nearer to the root.
+
+The drag of a body depends on the shape of its whole chain, which `ChainOutline` describes along the
+centreline and along two axes across it that all bodies of the chain share in the neutral pose.
 """
 
 import itertools
@@ -25,7 +28,7 @@ from jaxtyping import Float
 
 from evo_cpg.creature.algebra.decisions import Condition, all_hold, chosen
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
-from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
+from evo_cpg.creature.creature import Creature, joint_places, neutral_pose, topological_order
 from evo_cpg.creature.shapes import Shape
 
 # Cosine of the largest turn at a link, and largest cosine between the two links of a body.
@@ -46,8 +49,19 @@ _LEAST_LENGTH = 1e-12
 # Least number of bodies of a chain that bends as a wave. One or two rigid bodies cannot.
 LEAST_BODIES = 3
 
+# Volume over that of the bounding box, up to which a shape counts as round (a cylinder), and from
+# which it is a box.
+_ROUND_FILL, _BOX_FILL = 0.25 * np.pi, 1.0
+
+# Least length, so that a body without size has an outline, m.
+_TINY = 1e-9
+
 # Cosine of the largest angle between a chain and +x at which its front end is the nose.
 _FORWARD = 0.5
+
+
+# Two bodies that a joint links, by their indices.
+_Link = frozenset[int]
 
 
 class SlenderChain(NamedTuple):
@@ -84,110 +98,101 @@ class SlenderChain(NamedTuple):
         return xp.cumsum(self.lengths) - self.lengths
 
 
-class _Link(NamedTuple):
-    """Joint between two bodies, by their indices; the first is the parent."""
+class ChainOutline(NamedTuple):
+    """Outline of a chain of bodies.
 
-    parent: int
-    child: int
+    Attributes:
+        chain: the bodies, from the nose to the tail.
+        axes: axes of the outline in each body's frame, as columns. The first is the principal axis
+            along the centreline.
+        halves: half sizes of each body along its axes, m.
+        sizes: length of the chain and its mean widths along the other axes, m.
+        volume: volume of the bodies, m^3.
+        sharpness: 1 for boxes, 0 for shapes that fill no more of their bounding box than a
+            cylinder.
+        blunt: whether each body is a cylinder with flat ends.
+    """
 
-    def other(self, body: int) -> int:
-        return self.child if body == self.parent else self.parent
+    chain: SlenderChain
+    axes: Float[np.ndarray, "n 3 3"]
+    halves: Float[Numbers, "n 3"]
+    sizes: Float[Numbers, " 3"]
+    volume: Number
+    sharpness: Number
+    blunt: tuple[bool, ...]
+
+    @property
+    def bluntness(self) -> Float[Numbers, " 3"] | None:
+        """Fraction of the length in cylinders with their axis along each axis of the outline.
+
+        None if there are no cylinders.
+        """
+        if not any(self.blunt):
+            return None
+        lengths = xp.maximum(self.halves[:, 0], _TINY)
+        along = np.square(self.axes[:, 0]) * np.array(self.blunt)[:, None]
+        return lengths @ along / lengths.sum()
 
 
 def slender_chains(creature: Creature) -> tuple[SlenderChain, ...]:
     """Return the chains of a creature, which contain each body once."""
     pose = neutral_pose(creature)
-    joints = _joints(creature)
+    places = {frozenset(pair): place for pair, place in joint_places(creature, pose).items()}
 
     def choose() -> tuple[tuple[int, ...], ...]:
-        links = _links(creature, pose, joints)
+        links = _links(creature, pose, places)
         return tuple(_noses_first(creature, pose, bodies) for bodies in _paths(creature, links))
 
     def still(chains: tuple[tuple[int, ...], ...]) -> Condition:
-        made = [_Link(*pair) for bodies in chains for pair in itertools.pairwise(bodies)]
-        turns = [_turn(creature, pose, link) for link in made]
-        return all_hold(turn > _STRAIGHT - 0.2 for turn in turns)
+        made = [frozenset(pair) for bodies in chains for pair in itertools.pairwise(bodies)]
+        return all_hold(_turn(pose, link, places[link]) > _STRAIGHT - 0.2 for link in made)
 
     chains = chosen(choose, still)
-    return tuple(_chain(creature, pose, joints, tuple(bodies)) for bodies in chains)
-
-
-def _joints(creature: Creature) -> list[_Link]:
-    return [
-        _Link(creature.body_index(body.joint.parent), i)
-        for i, body in enumerate(creature.bodies)
-        if body.joint is not None and body.whole is None
-    ]
-
-
-def _place(creature: Creature, pose: tuple[Numbers, Numbers], link: _Link) -> Numbers:
-    """Return the position of the joint between two linked bodies in the neutral pose, m."""
-    centres, rotations = pose
-    for body in link:
-        joint = creature.bodies[body].joint
-        if joint is not None and creature.body_index(joint.parent) == link.other(body):
-            return centres[body] + rotations[body] @ xp.array(joint.child_anchor)
-    raise ValueError(f"bodies {link.parent} and {link.child} have no joint")
+    return tuple(_chain(creature, pose, places, tuple(bodies)) for bodies in chains)
 
 
 def _unit(vector: Numbers) -> Numbers:
     return vector / xp.maximum(xp.linalg.norm(vector), 1e-12)
 
 
-def _turn(creature: Creature, pose: tuple[Numbers, Numbers], link: _Link) -> Number:
+def _turn(pose: tuple[Numbers, Numbers], link: _Link, place: Numbers) -> Number:
     """Return the cosine of the turn between the two halves of the way from centre to centre."""
-    centres, _ = pose
-    place = _place(creature, pose, link)
-    return _unit(place - centres[link.parent]) @ _unit(centres[link.child] - place)
-
-
-def _extents(shape: Shape, direction: np.ndarray) -> tuple[float, float]:
-    """Return width and thickness of a shape across a unit vector of its frame, m."""
-    half, axes = (np.asarray(x, float) for x in shape.stretch)
-    across = axes - np.outer(direction, direction @ axes)
-    _, thickness, width = np.sort(2 * np.linalg.norm(across, axis=0) * half)
-    return float(width), float(thickness)
-
-
-def _fits(extents: list[tuple[float, float]], ends: list[bool]) -> bool:
-    """Return whether two bodies may be linked.
-
-    Args:
-        extents: width and thickness of each, m.
-        ends: whether each has no other joint.
-    """
-    (narrow, _, _), (wide, thickness, end) = sorted(
-        (*each, last) for each, last in zip(extents, ends, strict=True)
-    )
-    return wide < _SIMILAR * narrow or (end and narrow > 0 and wide >= _THIN * thickness)
+    one, two = (pose[0][body] for body in link)
+    return _unit(place - one) @ _unit(two - place)
 
 
 def _links(
-    creature: Creature, pose: tuple[np.ndarray, np.ndarray], joints: list[_Link]
+    creature: Creature, pose: tuple[np.ndarray, np.ndarray], places: dict[_Link, np.ndarray]
 ) -> list[_Link]:
-    """Return the joints that continue a chain."""
+    """Return the joints that continue a chain.
+
+    Args:
+        creature: the creature.
+        pose: centres and rotations of its bodies.
+        places: position of the joint between every two bodies, m.
+    """
     centres, rotations = pose
-    extents = {}
-    for link in joints:
-        place = _place(creature, pose, link)
-        extents[link] = [
-            _extents(creature.bodies[body].shape, rotations[body].T @ _unit(place - centres[body]))
-            for body in link
-        ]
-    count = Counter(body for link in joints for body in link)
-    straight = [
-        link
-        for link, each in extents.items()
-        if _turn(creature, pose, link) > _STRAIGHT
-        and _fits(each, [count[body] == 1 for body in link])
-    ]
-    widths = {link: [width for width, _ in each] for link, each in extents.items()}
+    count = Counter(body for link in places for body in link)
+    extents: dict[_Link, list[tuple[float, float, bool]]] = {}
+    straight = []
+    for link, place in places.items():
+        extents[link] = []
+        for body in link:
+            # Width and thickness across the direction to the joint, and whether the body is an end.
+            half, axes = (np.asarray(x, float) for x in creature.bodies[body].shape.stretch)
+            direction = rotations[body].T @ _unit(place - centres[body])
+            across = axes - np.outer(direction, direction @ axes)
+            _, thickness, width = np.sort(2 * np.linalg.norm(across, axis=0) * half).tolist()
+            extents[link].append((width, thickness, count[body] == 1))
+        (narrow, _, _), (wide, thickness, end) = sorted(extents[link])
+        fits = wide < _SIMILAR * narrow or (end and narrow > 0 and wide >= _THIN * thickness)
+        if fits and _turn(pose, link, place) > _STRAIGHT:
+            straight.append(link)
+    widths = {link: [width for width, _, _ in each] for link, each in extents.items()}
 
     kept: list[set[_Link]] = []
     for body, centre in enumerate(centres):
-        toward = {
-            link: _unit(_place(creature, pose, link) - centre) for link in straight if body in link
-        }
+        toward = {link: _unit(places[link] - centre) for link in straight if body in link}
         alike = {link: min(widths[link]) / max(widths[link]) for link in toward}
         pairs = list(itertools.combinations(toward, 2))
         opposite = [pair for pair in pairs if np.dot(*(toward[x] for x in pair)) < _OPPOSITE]
@@ -211,7 +216,7 @@ def _paths(creature: Creature, links: list[_Link]) -> list[tuple[int, ...]]:
     beside: dict[int, list[int]] = {i: [] for i in range(len(creature.bodies))}
     for link in links:
         for body in link:
-            beside[body].append(link.other(body))
+            beside[body] += link - {body}
     paths, seen = [], set()
     for start, near in beside.items():
         if start in seen or len(near) > 1:
@@ -241,7 +246,7 @@ def _noses_first(
 def _chain(
     creature: Creature,
     pose: tuple[Numbers, Numbers],
-    joints: list[_Link],
+    at: dict[_Link, Numbers],
     bodies: tuple[int, ...],
 ) -> SlenderChain:
     centres, rotations = pose
@@ -250,10 +255,7 @@ def _chain(
         half, axes = shapes[0].stretch
         front = axes[:, chosen(lambda: int(np.argmax(half)))] * xp.max(half)
         return SlenderChain(bodies, front[None], -front[None])
-    places = [
-        _place(creature, pose, next(x for x in joints if set(x) == {one, two}))
-        for one, two in itertools.pairwise(bodies)
-    ]
+    places = [at[frozenset(pair)] for pair in itertools.pairwise(bodies)]
     front, rear = [], []
     for k, (body, shape) in enumerate(zip(bodies, shapes, strict=True)):
         ends = [
@@ -269,3 +271,46 @@ def _chain(
         front.append(free if ends[0] is None else ends[0])
         rear.append(free if ends[1] is None else ends[1])
     return SlenderChain(bodies, xp.stack(front), xp.stack(rear))
+
+
+def chain_outline(creature: Creature, chain: SlenderChain) -> ChainOutline:
+    """Return the outline of a chain of a creature."""
+    shapes = [creature.bodies[body].shape for body in chain.bodies]
+    axes = chosen(lambda: _axes(creature, chain, shapes), lambda _: True)
+    halves = xp.array(
+        [
+            [0.5 * axis @ (shape.support(axis) - shape.support(-axis)) for axis in own.T]
+            for shape, own in zip(shapes, axes, strict=True)
+        ]
+    )
+    if len(shapes) == 1:
+        lengths, sizes = 2 * halves[:, 0], 2 * halves[0]
+    else:
+        lengths = chain.lengths
+        total = xp.maximum(lengths.sum(), _TINY)
+        across = 2 * (lengths[:, None] * halves[:, 1:]).sum(0) / total
+        sizes = xp.array([total, across[0], across[1]])
+    volumes = xp.array([shape.volume for shape in shapes])
+    fill = volumes / (8 * xp.maximum(xp.prod(halves, 1), _TINY**3))
+    boxy = xp.clip((fill - _ROUND_FILL) / (_BOX_FILL - _ROUND_FILL), 0.0, 1.0)
+    sharpness = (lengths * boxy).sum() / xp.maximum(lengths.sum(), _TINY)
+    blunt = tuple(shape.blunt for shape in shapes)
+    sizes = xp.maximum(sizes, _TINY)
+    return ChainOutline(chain, axes, halves, sizes, volumes.sum(), sharpness, blunt)
+
+
+def _axes(creature: Creature, chain: SlenderChain, shapes: list[Shape]) -> np.ndarray:
+    """Return the principal axes of each body in the order of the outline's axes."""
+    _, rotations = neutral_pose(creature)
+    ordered = []
+    for body, shape, tangent in zip(chain.bodies, shapes, chain.tangents, strict=True):
+        _, axes = shape.stretch
+        first = int(np.argmax(np.abs(tangent @ axes)))
+        second, third = ((first + 1) % 3, (first + 2) % 3)
+        if ordered:
+            shared = rotations[chain.bodies[0]] @ ordered[0][:, 1]
+            along = np.abs(shared @ rotations[body] @ axes)
+            if along[third] > along[second]:
+                second, third = third, second
+        ordered.append(axes[:, [first, second, third]])
+    return np.stack(ordered)

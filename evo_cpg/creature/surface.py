@@ -18,8 +18,7 @@ from jaxtyping import Bool, Float
 from evo_cpg.creature.algebra.decisions import Condition, all_hold, chosen
 from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
 from evo_cpg.creature.creature import Body, Creature, neutral_pose
-from evo_cpg.creature.outline import outlines
-from evo_cpg.creature.outline_points import outline_surface
+from evo_cpg.creature.outline import outline_surface, outlines
 from evo_cpg.creature.shapes import Surface
 
 # Layout of the surface points of a model. "merged" leaves sheltered points out, and merges points

@@ -13,37 +13,34 @@ working frame is at its joint (a free root's at its centre), with the axes of th
 
 import bisect
 import dataclasses
-import functools
 import itertools
-import re
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from evo_cpg.creature.algebra.decisions import chosen, some_hold
-from evo_cpg.creature.algebra.numerics import Number, Numbers, Triple, xp
-from evo_cpg.creature.axis_laws import (
-    DryFriction,
-    dry_friction_of,
-    idle_motors,
-    soft_limits,
-)
-from evo_cpg.creature.ball_limits import BallLimits, ball_limits_of
+from evo_cpg.creature.algebra.decisions import some_hold
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
+from evo_cpg.creature.axis_kinds import SPANNING, AxisKind, names_of_dofs
 from evo_cpg.creature.creature import (
     NO_LIMIT,
-    AxisKind,
+    Body,
     Creature,
-    DegreeOfFreedom,
+    Joint,
     JointKind,
     neutral_pose,
     rigid_owners,
     topological_order,
 )
-from evo_cpg.creature.muscles import Muscles, muscles_of
-from evo_cpg.creature.tendons import Tendons, tendons_of
-from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
+from evo_cpg.creature.laws import (
+    BallLimits,
+    ForceLaws,
+    Tendons,
+    ball_limits_of,
+    laws_of,
+    tendons_of,
+)
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
 _LEAST_VOLUME = 1e-30
@@ -69,12 +66,22 @@ class Group(NamedTuple):
     dofs: slice
     axes: int
     parents: tuple[int, ...]
-    kind: JointKind = "turns"
-    kinds: tuple[AxisKind, ...] = ()
+    kind: JointKind
+    kinds: tuple[AxisKind, ...]
+
+    @property
+    def carries(self) -> bool:
+        """Whether a turn or slide of the joint moves the origin of its body."""
+        return self.kind == "chain"
+
+    @property
+    def at_once(self) -> bool:
+        """Whether the axes turn at once, and not one after the other."""
+        return any(kind.at_once for kind in self.kinds)
 
 
-class Tree(eqx.Module):
-    """A tree of rigid bodies in the order of the recursions.
+class Tree(ForceLaws):
+    """A tree of rigid bodies in the order of the recursions, with the force laws of its axes.
 
     The root floats freely, or hangs on the fixed world (`evo_cpg.physics.tree.hanging`). The joint
     of a root that hangs comes first among the degrees of freedom.
@@ -93,8 +100,8 @@ class Tree(eqx.Module):
         joint_offset: joint position in the parent's frame (a root's in the world's), m.
         joint_orientation: rotation from child frame to parent frame in the neutral pose.
         joint_axes: unit vectors in the child's neutral frame.
-        joint_places: positions of the axes in the working frame, m, or None if all joints are of
-            the kinds "turns" and "ball", with axes at the origin.
+        joint_places: positions of the axes in the working frame, m, or None if no joint moves the
+            origin of its body (`Group.carries`).
         mass: mass of each body, kg. A welded body has none: its owner has the mass of all bodies
             that are welded together.
         volume: volume of each body, m^3.
@@ -102,20 +109,7 @@ class Tree(eqx.Module):
         root_centre: origin of the root's own frame in its working frame, m.
         centre_of_volume: centre of the shape in the working frame, m, or None if it is ``com``.
         inertia: spatial inertia in the working frame, kg m^2, kg m and kg.
-        stiffness: stiffness of the passive springs, N m/rad.
-        rest: angles at which these springs are relaxed, rad, or None if all are 0.
-        damping: passive damping, N m s/rad.
-        armature: rotor inertia of each axis, kg m^2.
-        dry_friction: dry friction of the axes, or None if there is none.
-        lower: lower joint limit, rad, or ``-NO_LIMIT`` (`evo_cpg.creature.creature`).
-        upper: upper joint limit, rad, or ``NO_LIMIT``.
-        servo_gain: torque of the motors per rate error, N m s/rad, 0 for a passive axis.
-        servo_stiffness: stiffness of the motors' springs, N m/rad.
-        torque_limit: largest torque of the motors, N m.
-        torque_motors: motors whose torque is commanded, or None if there are none.
-        muscles: muscles about the axes, or None if there are none.
-        limit_stiffness: stiffness of the soft limits, N m/rad.
-        limit_damping: damping of the soft limits, N m s/rad.
+        rest: angles at which the passive springs are relaxed, rad, or None if all are 0.
         tendons: fixed tendons, or None if there are none.
         ball_limits: limits of the angles of balls, or None if there are none. The components of a
             ball have no limits of their own.
@@ -140,20 +134,7 @@ class Tree(eqx.Module):
     root_centre: Float[Numbers, "3"]
     centre_of_volume: Float[Numbers, "3 b"] | None
     inertia: Float[Numbers, "6 6 b"]
-    stiffness: Float[Numbers, " d"]
     rest: Float[Numbers, " d"] | None
-    damping: Float[Numbers, " d"]
-    armature: Float[Numbers, " d"]
-    dry_friction: DryFriction | None
-    lower: Float[Numbers, " d"]
-    upper: Float[Numbers, " d"]
-    servo_gain: Float[Numbers, " d"]
-    servo_stiffness: Float[Numbers, " d"]
-    torque_limit: Float[Numbers, " d"]
-    torque_motors: TorqueMotors | None
-    muscles: Muscles | None
-    limit_stiffness: Float[Numbers, " d"]
-    limit_damping: Float[Numbers, " d"]
     tendons: Tendons | None = None
     ball_limits: BallLimits | None = None
 
@@ -212,14 +193,20 @@ class Tree(eqx.Module):
 
     @property
     def slides(self) -> Bool[np.ndarray, " d"]:
-        """Degrees of freedom that are displacements, with the units m, m/s and N."""
-        return np.array([kind == "slide" for kind in self.dof_kinds], bool)
+        """Degrees of freedom whose coordinate is a length, with the units m, m/s and N."""
+        return np.array([kind.unit == "m" for kind in self.dof_kinds], bool)
 
     @property
     def root_slides(self) -> tuple[int, ...]:
         """Degrees of freedom of the slides on which the root hangs."""
-        kinds = () if self.hanging is None else self.hanging.kinds
-        return tuple(i for i, kind in enumerate(kinds) if kind == "slide")
+        count = 0 if self.hanging is None else self.hanging.axes
+        return tuple(np.flatnonzero(self.slides[:count]).tolist())
+
+    @property
+    def balls(self) -> tuple[int, ...]:
+        """First degree of freedom of each ball joint."""
+        components = [i for i, kind in enumerate(self.dof_kinds) if kind.at_once]
+        return tuple(components[::SPANNING])
 
     def without_motors(self, axes: Bool[np.ndarray, " d"]) -> "Tree":
         """Return the tree with idle motors about some axes, and muscles without active fibres.
@@ -227,17 +214,8 @@ class Tree(eqx.Module):
         Idle motors and muscles have no torque and cost no energy. The springs and dampers of
         relaxed muscles stay. The motor of a tendon is idle if any of the tendon's joints is.
         """
-        muscles = self.muscles
-        if muscles is not None:
-            active = ("strength", "stiffening", "power")
-            none = {name: getattr(muscles, name) * ~axes for name in active}
-            muscles = dataclasses.replace(muscles, **none)
-        return dataclasses.replace(
-            self,
-            **idle_motors(self, axes),
-            muscles=muscles,
-            tendons=None if self.tendons is None else self.tendons.without_motors(axes),
-        )
+        tendons = self.tendons and self.tendons.without_motors(axes)
+        return dataclasses.replace(self.with_idle(axes), tendons=tendons)
 
 
 def build_tree(creature: Creature) -> Tree:
@@ -265,45 +243,25 @@ def build_tree(creature: Creature) -> Tree:
     orientation = xp.stack(
         [xp.array(joint.orientation) if joint else np.eye(3) for joint in own], axis=-1
     )
-    mass = xp.array([body.mass for body in bodies])
-    com = centre = -child_anchor
-    if any(body.inertial is not None for body in bodies):
-        com = centre + xp.array(
-            [np.zeros(3) if body.inertial is None else body.inertial.centre for body in bodies]
-        )
-    about = [body.inertia for body in bodies]
-    inertias = list(map(spatial_inertia, mass, com, about))
-    owners = rigid_owners(bodies)
-    if owners != list(range(len(bodies))):
-        places = _places_in_owner(owners, parents, offset, orientation)
-        inertias = [
-            own if i == owner else spatial_inertia(m, p + turn @ c, turn @ tensor @ turn.T)
-            for i, (owner, own, m, c, tensor, (p, turn)) in enumerate(
-                zip(owners, inertias, mass, com, about, places, strict=True)
-            )
-        ]
-        within = [p + turn @ c for c, (p, turn) in zip(com, places, strict=True)]
-        mass, com, inertias = _merged(owners, mass, within, inertias, centre)
-    inertia = xp.stack(inertias, axis=-1)
+    centre, owners = -child_anchor, rigid_owners(bodies)
+    mass, com, inertias = _masses(bodies, parents, owners, offset, orientation, centre)
     dofs = [dof for joint in own if joint for dof in joint.dofs]
     dof_bodies = [i for i, joint in enumerate(own) if joint for _ in joint.dofs]
-    leverage = _effective_inertia(creature, order)
-
-    def each(name: str) -> Float[Numbers, "d *rest"]:
-        return xp.array([getattr(dof, name) for dof in dofs], float)
-
-    kinds: tuple[AxisKind, ...] = tuple(dof.kind for dof in dofs)
-    groups, hanging = _groups(bodies, parents, dof_bodies), _hanging(creature)
-    rest, armature, loss = each("rest"), each("armature"), each("friction_loss")
-    gain, spring = each("servo_gain"), each("servo_stiffness")
-    muscles = muscles_of([dof.muscle for dof in dofs])
-    torque_motors = torque_motors_of([dof.torque_motor for dof in dofs])
-    torque_limit = each("torque_limit")
-    servo = gain + spring if muscles is None else gain + spring + muscles.strength
-    joint_inertia = leverage + armature
-    limit_stiffness, limit_damping = soft_limits(joint_inertia, servo, torque_limit, torque_motors)
-    dof_names = _dof_names([names[i] for i in dof_bodies], dofs)
-    idle = tuple(motor is None for joint in own if joint for motor in joint.motors)
+    groups = _groups(bodies, parents, dof_bodies)
+    root = creature.root_joint
+    hanging = root and _group_of(root, slice(0, 1), 0, (-1,))
+    dof_names = names_of_dofs(
+        (names[i], dof.kind, dof.axis) for i, dof in zip(dof_bodies, dofs, strict=True)
+    )
+    inertia = _effective_inertia(creature, order)
+    # A ball has one limit of its own (`ball_limits_of`), and its components have none.
+    laws = laws_of(
+        [x._replace(lower=-NO_LIMIT, upper=NO_LIMIT) if x.kind.at_once else x for x in dofs],
+        inertia,
+    )
+    rest = xp.array([dof.rest for dof in dofs], float)
+    carry = any(group.carries for group in (*groups, hanging) if group)
+    places = xp.array([dof.place for dof in dofs], float).reshape(-1, 3).T if carry else None
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
@@ -311,92 +269,79 @@ def build_tree(creature: Creature) -> Tree:
         hanging=hanging,
         dof_names=dof_names,
         dof_bodies=tuple(dof_bodies),
-        dof_kinds=kinds,
+        dof_kinds=tuple(dof.kind for dof in dofs),
         owners=tuple(owners),
         wholes=tuple(
             i if body.whole is None else names.index(body.whole) for i, body in enumerate(bodies)
         ),
         joint_offset=offset.T,
         joint_orientation=orientation,
-        joint_axes=each("axis").reshape(-1, 3).T,
-        joint_places=(
-            each("place").reshape(-1, 3).T
-            if any(group.kind == "chain" for group in (*groups, hanging) if group)
-            else None
-        ),
+        joint_axes=xp.array([dof.axis for dof in dofs], float).reshape(-1, 3).T,
+        joint_places=places,
         mass=mass,
         volume=xp.maximum(xp.array([body.shape.volume for body in bodies]), _LEAST_VOLUME),
         com=com.T,
         root_centre=-child_anchor[0],
         centre_of_volume=None if com is centre else centre.T,
-        inertia=inertia,
-        stiffness=each("stiffness"),
+        inertia=xp.stack(inertias, axis=-1),
         rest=rest if some_hold(lambda: rest != 0) else None,
-        damping=each("damping"),
-        armature=armature,
-        dry_friction=dry_friction_of(loss, joint_inertia),
-        lower=xp.array([-NO_LIMIT if dof.kind == "ball" else dof.lower for dof in dofs], float),
-        upper=xp.array([NO_LIMIT if dof.kind == "ball" else dof.upper for dof in dofs], float),
-        ball_limits=ball_limits_of(dofs, limit_stiffness, limit_damping),
-        servo_gain=gain,
-        servo_stiffness=spring,
-        torque_limit=torque_limit,
-        torque_motors=torque_motors,
-        muscles=muscles,
-        limit_stiffness=limit_stiffness,
-        limit_damping=limit_damping,
-        tendons=tendons_of(
-            creature.tendons,
-            dof_names,
-            idle,
-            [dof.kind == "ball" for dof in dofs],
-            joint_inertia,
-        ),
+        ball_limits=ball_limits_of(dofs, laws["limit_stiffness"], laws["limit_damping"]),
+        tendons=tendons_of(creature.tendons, dof_names, dofs, inertia + laws["armature"]),
+        **laws,
     )
 
 
-def _places_in_owner(
-    owners: list[int], parents: list[int], offset: Numbers, orientation: Numbers
-) -> list[tuple[Numbers, Numbers]]:
-    """Return the origin (m) and rotation of each body in the working frame of its owner."""
+def _masses(
+    bodies: list[Body],
+    parents: list[int],
+    owners: list[int],
+    offset: Numbers,
+    orientation: Numbers,
+    centre: Numbers,
+) -> tuple[Numbers, Numbers, list[Numbers]]:
+    """Return masses, centres of mass and spatial inertias, in working frames.
+
+    Bodies that are welded together have given theirs to their owner.
+
+    Args:
+        bodies: all bodies.
+        parents: index of each body's parent.
+        owners: index of each body's owner.
+        offset: joint position in the parent's frame, m.
+        orientation: rotation from child frame to parent frame in the neutral pose.
+        centre: centre of each shape in its body's working frame, m.
+    """
+    mass, com = xp.array([body.mass for body in bodies]), centre
+    if any(body.inertial is not None for body in bodies):
+        com = centre + xp.array(
+            [np.zeros(3) if body.inertial is None else body.inertial.centre for body in bodies]
+        )
+    tensors = [body.inertia for body in bodies]
+    inertias = list(map(spatial_inertia, mass, com, tensors))
+    if owners == list(range(len(bodies))):
+        return mass, com, inertias
     places: list[tuple[Numbers, Numbers]] = []
+    total: list[Any] = [0.0] * len(owners)
+    moment: list[Any] = [np.zeros(3)] * len(owners)
+    spatial: list[Any] = [np.zeros((6, 6))] * len(owners)
     for i, owner in enumerate(owners):
         if owner == i:
             places.append((np.zeros(3), np.eye(3)))
         else:
             place, turn = places[parents[i]]
             places.append((place + turn @ offset[i], turn @ orientation[..., i]))
-    return places
-
-
-def _merged(
-    owners: list[int],
-    mass: Numbers,
-    within: list[Numbers],
-    inertias: list[Numbers],
-    centre: Numbers,
-) -> tuple[Numbers, Numbers, list[Numbers]]:
-    """Return masses, centres of mass and inertias in which welded bodies have given theirs away.
-
-    Args:
-        owners: owner of each body.
-        mass: mass of each body, kg.
-        within: centre of mass of each body in the working frame of its owner, m.
-        inertias: spatial inertia of each body in the working frame of its owner.
-        centre: centre of each shape in its body's working frame, m.
-    """
-    total: list[Any] = [0.0] * len(owners)
-    moment: list[Any] = [np.zeros(3)] * len(owners)
-    tensor: list[Any] = [np.zeros((6, 6))] * len(owners)
-    for owner, m, place, own in zip(owners, mass, within, inertias, strict=True):
-        total[owner] = total[owner] + m
-        moment[owner] = moment[owner] + m * place
-        tensor[owner] = tensor[owner] + own
-    com = [
+        place, turn = places[i]
+        within = place + turn @ com[i]
+        if owner != i:
+            inertias[i] = spatial_inertia(mass[i], within, turn @ tensors[i] @ turn.T)
+        total[owner] = total[owner] + mass[i]
+        moment[owner] = moment[owner] + mass[i] * within
+        spatial[owner] = spatial[owner] + inertias[i]
+    middles = [
         xp.where(m > 0, c / xp.where(m > 0, m, 1.0), own)
         for m, c, own in zip(total, moment, centre, strict=True)
     ]
-    return xp.array(total), xp.stack(com), tensor
+    return xp.array(total), xp.stack(middles), spatial
 
 
 def spatial_inertia(mass: Number, com: Numbers, inertia: Numbers) -> Float[Numbers, "6 6"]:
@@ -455,9 +400,9 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     about = xp.einsum("di,bij,dj->db", directions, spin, directions) + mass * (lever * lever).sum(
         -1
     )
-    slides = np.array([dof.kind == "slide" for _, dof in dofs], bool)
-    if slides.any():
-        about = xp.where(slides[:, None], mass, about)
+    if dofs:
+        rows = zip(dofs, about, strict=True)
+        about = xp.stack([dof.kind.inertia(turning, mass) for (_, dof), turning in rows])
     beyond = np.array(distal, bool).reshape(len(moved), len(names))
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
     if creature.root_joint is None:
@@ -467,70 +412,27 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
 
 
 def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Group, ...]:
+    """Return groups of adjacent bodies of one depth whose limbs have the same build."""
     depth = [0]
     for parent in parents[1:]:
         depth.append(depth[parent] + 1)
-    kinds: dict[int, tuple[JointKind, tuple[AxisKind, ...]]] = {
-        i: (body.joint.kind, tuple(dof.kind for dof in body.joint.dofs))
-        for i, body in enumerate(bodies)
-        if body.joint
-    }
     build: dict[int, tuple] = {}
     for i in reversed(range(1, len(bodies))):
-        limbs = sorted(build[j] for j in range(i + 1, len(bodies)) if parents[j] == i)
-        build[i] = kinds[i], *limbs
+        joint = bodies[i].joint
+        limbs = sorted((build[j] for j in range(i + 1, len(bodies)) if parents[j] == i), key=repr)
+        build[i] = joint.kind, tuple(dof.kind for dof in joint.dofs), *limbs
     groups: list[Group] = []
     for _, run in itertools.groupby(range(1, len(bodies)), lambda i: (depth[i], build[i])):
         members = list(run)
-        start, (kind, own) = members[0], kinds[members[0]]
-        axes = len(own)
+        start, last = members[0], members[-1]
         first_dof = bisect.bisect_left(dof_bodies, start)
-        groups.append(
-            Group(
-                bodies=slice(start, members[-1] + 1),
-                dofs=slice(first_dof, first_dof + axes * len(members)),
-                axes=axes,
-                parents=tuple(parents[i] for i in members),
-                kind=kind,
-                kinds=own,
-            )
-        )
+        on = tuple(parents[i] for i in members)
+        groups.append(_group_of(bodies[start].joint, slice(start, last + 1), first_dof, on))
     return tuple(groups)
 
 
-def _dof_names(bodies: list[str], dofs: list[DegreeOfFreedom]) -> tuple[str, ...]:
-    """Return the names of degrees of freedom, unique in each body."""
-    names: list[str] = []
-    for body, dof in zip(bodies, dofs, strict=True):
-        axis = chosen(functools.partial(_axis_name, dof.axis))
-        name = f"{body}.{axis}" if dof.kind == "turn" else f"{body}.{dof.kind}_{axis}"
-        again = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
-        names.append(next(free for free in again if free not in names))
-    return tuple(names)
-
-
-def body_and_axis(dof_name: str) -> tuple[str, str]:
-    """Return the two parts of the name of a degree of freedom.
-
-    Such names are ``leg.x``, ``leg.(1,0,0.5)``, ``leg.slide_x`` and ``leg.slide_(1,0,0.5)``. A
-    number at the end tells equal axes of a body apart.
-    """
-    oblique = re.fullmatch(r"(.*)\.(\w*\([^()]*\)\w*)", dof_name)
-    body, axis = oblique.groups() if oblique else dof_name.rpartition(".")[::2]
-    return body, axis
-
-
-def _hanging(creature: Creature) -> Group | None:
-    """Return the root as a group, or None for a free root."""
-    joint = creature.root_joint
-    if joint is None:
-        return None
-    kinds: tuple[AxisKind, ...] = tuple(dof.kind for dof in joint.dofs)
-    return Group(slice(0, 1), slice(0, len(kinds)), len(kinds), (-1,), joint.kind, kinds)
-
-
-def _axis_name(axis: Triple) -> str:
-    for name, unit in zip("xyz", np.eye(3), strict=True):
-        if np.allclose(np.abs(axis), unit):
-            return name
-    return "(" + ",".join(f"{value:g}" for value in axis) + ")"
+def _group_of(joint: Joint, bodies: slice, first_dof: int, parents: tuple[int, ...]) -> Group:
+    """Return bodies with joints like a given one as a group."""
+    kinds = tuple(dof.kind for dof in joint.dofs)
+    dofs = slice(first_dof, first_dof + len(kinds) * len(parents))
+    return Group(bodies, dofs, len(kinds), parents, joint.kind, kinds)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-from evo_cpg.evolution.selection import rank_order
+from evo_cpg.evolution.operators import rank_order
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 
 

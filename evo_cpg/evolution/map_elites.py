@@ -11,7 +11,7 @@ Children of real-valued genomes vary along the line to another individual (Vassi
     child = a + iso_sigma N(0, I) + line_sigma N(0, 1) (b - a),
 
 with a and b drawn from the map. For bits a child is a one-point crossover of a and b, mutated as in
-`evo_cpg.evolution.bits`. The archive is a pytree of arrays, with cells along the last axis.
+`evo_cpg.evolution.genetics`. The archive is a pytree of arrays, with cells along the last axis.
 Individuals beyond the ranges belong to the nearest cell. Individuals without finite descriptors
 belong to none.
 """
@@ -25,10 +25,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
-from evo_cpg.evolution.archive import Archive, Axis
-from evo_cpg.evolution.bits import bit_mutation
-from evo_cpg.evolution.strategy import Evaluation, Strategy, descriptor_rows
-from evo_cpg.evolution.variation import one_point_crossover
+from evo_cpg.evolution.operators import bit_mutation, one_point_crossover
+from evo_cpg.evolution.strategy import Archive, Axis, Evaluation, Strategy, descriptor_rows
 
 # Metrics of every map.
 METRICS = ("coverage", "mean_elite")

@@ -1,4 +1,4 @@
-"""Interface of all searches: they propose genomes and receive their evaluation.
+"""Interface of all searches, their map of behaviour, and random search as the baseline.
 
 A *strategy* is structure and settings, like a controller or a task. Its *state* is any pytree of
 arrays, which the checkpoint stores with the population. Every generation calls `ask` for genomes
@@ -8,18 +8,62 @@ and `tell` with their evaluation:
 
 Both are pure JAX functions. One compiled program per generation contains both. Genes come first and
 individuals last, ``(g, n)``. Fitness is maximised.
+
+A search may fill a map of behaviour: axes divided into cells, with the fittest individual of each
+cell.
 """
 
 import abc
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
-from evo_cpg.evolution.archive import Archive, Axis
+
+class Axis(NamedTuple):
+    """A descriptor, and how its range is divided into cells.
+
+    Attributes:
+        name: name of the descriptor.
+        low: lower edge of the first cell.
+        high: upper edge of the last cell.
+        cells: number of cells.
+    """
+
+    name: str
+    low: float
+    high: float
+    cells: int
+
+    @property
+    def edges(self) -> Float[np.ndarray, " edges"]:
+        """Edges of all cells."""
+        return np.linspace(self.low, self.high, self.cells + 1)
+
+
+class Archive(NamedTuple):
+    """Elites: the fittest individual so far of each cell. Checkpoints use the names of the arrays.
+
+    Attributes:
+        genes: genome of each elite.
+        fitness: fitness of each elite, or -inf if the cell is empty.
+        descriptors: descriptors of each elite, in the order of the axes.
+        generation: generation in which each elite was found, from 0, or -1 if the cell is empty.
+        index: index of each elite in the population of that generation. Generation and index select
+            the random numbers of the elite's trials.
+        told: number of generations whose individuals were entered into the archive.
+    """
+
+    genes: Float[Array, "g cells"]
+    fitness: Float[Array, " cells"]
+    descriptors: Float[Array, "k cells"]
+    generation: Int[Array, " cells"]
+    index: Int[Array, " cells"]
+    told: Int[Array, ""]
 
 
 class Evaluation(eqx.Module):
@@ -182,3 +226,31 @@ def descriptor_rows(evaluation: Evaluation, names: tuple[str, ...]) -> Float[Arr
     """Return one row per name: the descriptor of that name, or else the task's term."""
     known: dict[str, ArrayLike] = {**evaluation.terms, **evaluation.descriptors}
     return jnp.stack([jnp.asarray(known[name]) for name in names])
+
+
+class RandomSearch(Strategy):
+    """Random genomes in every generation.
+
+    Attributes:
+        population: individuals in every generation.
+        draw: random genomes ``(g, n)`` from a key.
+    """
+
+    population: int = eqx.field(static=True)
+    draw: Callable[[Array], Float[Array, "g n"]]
+
+    def init(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """Return the first genomes."""
+        del key
+        return genes
+
+    def ask(
+        self, key: Array, state: Float[Array, "g n"] | None
+    ) -> tuple[Float[Array, "g n"], None]:
+        """Return the first genomes in the first generation, later new random genomes."""
+        return self.draw(key) if state is None else state, None
+
+    def tell(
+        self, key: Array, state: None, genes: Float[Array, "g n"], evaluation: Evaluation
+    ) -> None:
+        """Return None: random search ignores the results."""

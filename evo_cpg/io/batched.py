@@ -17,11 +17,17 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.creature.algebra.decisions import Condition, Undecidable, all_hold
 from evo_cpg.creature.self_collision import PairNames, PlanPairs
 from evo_cpg.creature.surface import PointLayout
-from evo_cpg.io.build import build_experiment
+from evo_cpg.io.build import CommonPlan, build_experiment
 from evo_cpg.io.errors import ConfigError
-from evo_cpg.io.numbers import are_allowed, are_checked_alone, number_at, with_numbers
+from evo_cpg.io.numbers import (
+    Building,
+    are_allowed,
+    are_checked_alone,
+    number_at,
+    values_of,
+    with_numbers,
+)
 from evo_cpg.io.schema.experiment import ExperimentConfig
-from evo_cpg.io.traced_build import Building, values_of
 from evo_cpg.physics.contact.pairs import Pairs
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
 from evo_cpg.simulation.simulation import Simulation
@@ -45,11 +51,10 @@ class BodyPlan:
     ):
         """Make a plan from some bodies. See `build_batch` for the arguments and errors."""
         self._config, self._keys = config, tuple(numbers)
-        self.batched, layout = _build(config, source, numbers, None, task)
-        self._building = Building(config, layout, _pairs(self.batched.common), task)
-        self.hindrance = ""
-        if not are_checked_alone(config, self._keys):
-            self.hindrance = "numbers are checked together"
+        self.batched, plan = _build(config, source, numbers, None, task)
+        self._building = Building(config, plan, task)
+        alone = are_checked_alone(config, self._keys)
+        self.hindrance = "" if alone else "numbers are checked together"
         self._run = jax.jit(jax.vmap(self._one, in_axes=-1, out_axes=-1))
 
     def build(
@@ -120,8 +125,8 @@ def _build(
     numbers: Mapping[str, Float[np.ndarray, " n"]],
     like: BatchedSimulation | None,
     task: Task | None,
-) -> tuple[BatchedSimulation, PointLayout]:
-    """Return the result of `build_batch`, and the layout of the surface points."""
+) -> tuple[BatchedSimulation, CommonPlan]:
+    """Return the result of `build_batch`, and the plan of its bodies."""
     for key in numbers:
         number_at(config, key, source)
     sizes = {np.shape(values) for values in numbers.values()}
@@ -132,7 +137,11 @@ def _build(
         with_numbers(config, dict(zip(numbers, row, strict=True)), source)
         for row in zip(*columns, strict=True)
     ]
-    return _combine(config, configs, source, ", ".join(numbers), like, task)
+
+    def with_task(simulation: Simulation, _: int) -> Simulation:
+        return dataclasses.replace(simulation, task=task) if task else simulation
+
+    return _combine(config, configs, source, ", ".join(numbers), with_task, like)
 
 
 def batch_of_configs(
@@ -153,7 +162,7 @@ def batch_of_configs(
     Raises:
         ConfigError: the simulations differ in more than numbers, or in nothing.
     """
-    return _combine(config, configs, source, "the settings", edit=edit)[0]
+    return _combine(config, configs, source, "the settings", edit)[0]
 
 
 def _combine(
@@ -161,25 +170,23 @@ def _combine(
     configs: Sequence[ExperimentConfig],
     source: Path | str,
     named: str,
+    edit: Callable[[Simulation, int], Simulation],
     like: BatchedSimulation | None = None,
-    task: Task | None = None,
-    edit: Callable[[Simulation, int], Simulation] = lambda simulation, individual: simulation,
-) -> tuple[BatchedSimulation, PointLayout]:
-    """Return a batch of the simulations of some configurations, and its layout of points."""
+) -> tuple[BatchedSimulation, CommonPlan]:
+    """Return a batch of the edited simulations of some configurations, and their plan."""
+
+    def build(plan: CommonPlan) -> list[Simulation]:
+        return [
+            edit(build_experiment(each, source, plan=plan).simulation, individual)
+            for individual, each in enumerate((config, *configs), -1)
+        ]
+
     problem, pairs = "", None
     # With other numbers, equal surfaces may become different, and bodies may cover other points. So
     # try more and more general layouts.
     layouts: tuple[PointLayout, ...] = "merged", "separate", "complete"
     for layout in layouts:
-
-        def build(pairs: PlanPairs | None, layout: PointLayout = layout) -> list[Simulation]:
-            found = []
-            for individual, each in enumerate((config, *configs), -1):
-                built = build_experiment(each, source, layout=layout, pairs=pairs)
-                found.append(edit(_with_task(built.simulation, task), individual))
-            return found
-
-        common, *simulations = build(pairs)
+        common, *simulations = build(CommonPlan(layout, pairs))
         sets = [_pairs(each) for each in (like.common if like else common, *simulations)]
         every = PlanPairs(*(tuple(sorted({*itertools.chain(*x)})) for x in zip(*sets, strict=True)))
         if like and every != sets[0]:
@@ -188,9 +195,10 @@ def _combine(
         if len(set(sets)) > 1:
             # Longer limbs may touch more bodies. Let all simulations check the union of all pairs.
             pairs = every
-            common, *simulations = build(pairs)
+            common, *simulations = build(CommonPlan(layout, pairs))
         try:
-            return _with_whole_floor(batch(common, simulations, like)), layout
+            batched = _with_whole_floor(batch(common, simulations, like))
+            return batched, CommonPlan(layout, _pairs(batched.common))
         except LayoutError as error:
             problem = str(error)
         except ValueError as error:
@@ -229,7 +237,3 @@ def _pairs(simulation: Simulation) -> PlanPairs:
         return tuple(sorted((names[min(pair)], names[max(pair)]) for pair in both))
 
     return PlanPairs(named(simulation.world.pairs), named(rules.pairs if rules else None))
-
-
-def _with_task(simulation: Simulation, task: Task | None) -> Simulation:
-    return dataclasses.replace(simulation, task=task) if task else simulation

@@ -10,10 +10,10 @@ import inspect
 import re
 from typing import Any
 
+from evo_cpg.io.schema.audit import Limits
 from evo_cpg.io.schema.evolution import MapSection
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.ground import ReliefFileConfig
-from evo_cpg.io.schema.limits import Limits
 from evo_cpg.io.schema.section import Section
 from evo_cpg.io.schema.shape import MeshFileConfig
 
@@ -37,9 +37,17 @@ def file_schema() -> Schema:
     kinds = schema["$defs"]
     for kind in (schema, *kinds.values()):
         _describe(kind)
-    for kind in (schema, *kinds.values()):
-        for value in kind["properties"].values():
-            _tell_apart(value, kinds)
+    for value in (
+        each for kind in (schema, *kinds.values()) for each in kind["properties"].values()
+    ):
+        # The key ``type`` is required in the schemas of all kinds except the default kind.
+        meant = value.get("default")
+        for option in value.get("oneOf") or value.get("items", {}).get("oneOf", ()):
+            if "$ref" in option:
+                kind = kinds[option["$ref"].rsplit("/", 1)[-1]]
+                own = kind["properties"]["type"].get("const")
+                if not isinstance(meant, dict) or own != meant["type"]:
+                    kind["required"] = list(dict.fromkeys(("type", *kind.get("required", ()))))
     _read_from_file(kinds["MeshConfig"], MeshFileConfig, ("vertices", "faces"))
     _read_from_file(kinds["ReliefConfig"], ReliefFileConfig, ("heights",))
     whole = kinds["CreatureConfig"]
@@ -85,18 +93,6 @@ def _describe(kind: Schema) -> None:
             value["description"] = own.get(name) or inherited[name]
         elif "const" in value:
             value["description"] = f"``{value['const']}``."
-
-
-def _tell_apart(value: Schema, kinds: Schema) -> None:
-    """Make the key ``type`` required in the schemas of all kinds except the default kind."""
-    meant = value.get("default")
-    for option in value.get("oneOf") or value.get("items", {}).get("oneOf", ()):
-        if "$ref" not in option:
-            continue
-        kind = kinds[option["$ref"].rsplit("/", 1)[-1]]
-        own = kind["properties"]["type"].get("const")
-        if not isinstance(meant, dict) or own != meant["type"]:
-            kind["required"] = list(dict.fromkeys(("type", *kind.get("required", ()))))
 
 
 def _read_from_file(kind: Schema, file: type[Section], instead_of: tuple[str, ...]) -> None:

@@ -1,4 +1,4 @@
-"""Checked configurations from YAML files and overrides."""
+"""Checked configurations from YAML files and overrides, and errors with their file and line."""
 
 import contextlib
 import copy
@@ -11,25 +11,54 @@ import yaml
 
 from evo_cpg.errors import question, similar
 from evo_cpg.io.errors import ConfigError, Key, KeyProblem, under
-from evo_cpg.io.files import read_small
 from evo_cpg.io.keys import follow, is_index, parts_of, value_at
-from evo_cpg.io.lines import located
 from evo_cpg.io.named_files import read_heights, read_mesh
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.shipped import shipped_names
-from evo_cpg.io.trust import beside, trusting
+from evo_cpg.io.trust import beside, read_small, trusting
 from evo_cpg.io.wording import checked, short
-from evo_cpg.io.yaml_problem import lost_colour, syntax_problem
-from evo_cpg.io.yaml_text import parse_yaml, to_yaml
-from evo_cpg.system import as_utf8
+from evo_cpg.io.yaml_text import compose_yaml, lost_colour, parse_yaml, syntax_problem, to_yaml
+
+
+@contextlib.contextmanager
+def located(source: Path | str, data: Any = None) -> Iterator[None]:
+    """Convert a `KeyProblem` into a `ConfigError`, with the file and line of its key.
+
+    Args:
+        source: file of the configuration.
+        data: contents of the configuration with overrides, whose values get no line. If None, no
+            error gets a line.
+    """
+
+    def is_of(written: Any, value: Any) -> bool:
+        """Return whether a value is the written one, to whose sections defaults may be added."""
+        if isinstance(written, dict) and isinstance(value, dict):
+            return all(key in value and is_of(each, value[key]) for key, each in written.items())
+        return bool(written == value)
+
+    try:
+        yield
+    except ConfigError:
+        raise
+    except KeyProblem as error:
+        path, key = Path(source), error.key
+        value, known = follow(data, key)
+        places = [(path, key)] if key and data is not None else []
+        for name in (("creature", "file"), ("creature",)):
+            found = _find(path, name) if places and key[0] == "creature" else None
+            if found is not None and isinstance(found[1], str):
+                # The creature has a file of its own.
+                places.insert(0, (path.parent / found[1], key[1:]))
+                break
+        for file, inner in places:
+            found = _find(file, inner)
+            if found is not None and found[2] == len(key) - known and is_of(found[1], value):
+                raise ConfigError(file, key, error.problem, found[0]) from None
+        raise ConfigError(source, key, error.problem) from None
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
     """Read and check a configuration file.
-
-    Args:
-        path: YAML file.
-        overrides: texts ``key.path=value`` with a YAML value, applied in order.
 
     Raises:
         ConfigError: the configuration is invalid. The message is worded for the user.
@@ -43,11 +72,6 @@ def complete_config(
 ) -> ExperimentConfig:
     """Check the contents of a configuration file and of the files that it names.
 
-    Args:
-        data: contents of the file.
-        source: path of the file, to whose folder other files are relative.
-        overrides: texts ``key.path=value`` with a YAML value, applied in order.
-
     Raises:
         ConfigError: the configuration is invalid. The message is worded for the user.
     """
@@ -58,13 +82,18 @@ def complete_config(
             if isinstance(entry["shape"].get("file"), str):
                 with under(*key, "file"):
                     beside(source, entry["shape"]["file"])
-        for override in overrides:
-            _apply(data, override)
-            # The user wrote the overrides, so the files that they name may be anywhere.
-            with trusting():
-                _read_files(data, source)
+        # The user wrote the overrides, so the files that they name may be anywhere.
         with trusting():
-            _read_meshes(data, source)
+            for override in overrides:
+                _apply(data, override)
+                _read_files(data, source)
+            meshes: dict[str, dict[str, Any]] = {}
+            for key, entry in _mesh_entries(data):
+                shape = repr(entry["shape"])
+                if shape not in meshes:
+                    with under(*key):
+                        meshes[shape] = read_mesh(source, entry["shape"])
+                entry["shape"] = meshes[shape]
         return _check(data)
 
 
@@ -106,14 +135,21 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         text = read_small(path)
     except FileNotFoundError:
-        raise ConfigError(path, (), f"no such file{_elsewhere(path)}") from None
+        hint = f". The configuration that comes with evo-cpg is called {path.stem}"
+        if path.stem not in shipped_names():
+            names: dict[str, str] = {}
+            # The folder may be missing or unreadable.
+            with contextlib.suppress(OSError):
+                files = sorted(each for each in path.parent.iterdir() if each.match("*.y*ml"))
+                names = {other.stem: other.name for other in files}
+            near = question([names[stem] for stem in similar(path.stem, names)])
+            hint = f": {near}" if near else ""
+        raise ConfigError(path, (), f"no such file{hint}") from None
     except OSError as error:
         raise ConfigError(path, (), f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
         row = error.object[: error.start].count(b"\n") + 1
-        problem = (
-            f"is not UTF-8 text (byte {error.start} is wrong, in line {row}). Save it as UTF-8"
-        )
+        problem = f"is not UTF-8 text (byte {error.start}, in line {row}). Save it as UTF-8"
         raise ConfigError(path, (), problem) from None
     except ValueError:
         raise ConfigError(path, (), "is not a file name") from None
@@ -121,8 +157,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         data = parse_yaml(text)
     except yaml.YAMLError as error:
         place, problem = syntax_problem(text, error)
-        where = f"{place}: " if place else ""
-        raise ConfigError(path, (), f"{where}not valid YAML: {problem}") from None
+        problem = f"not valid YAML: {problem}"
+        raise ConfigError(path, (), f"{place}: {problem}" if place else problem) from None
     if lost := lost_colour(text):
         raise ConfigError(path, (), lost)
     if data is None:
@@ -153,17 +189,6 @@ def _read_files(data: dict[str, Any], path: Path) -> None:
         given = {key: floor.pop(key) for key in ("file", "lowest", "highest") if key in floor}
         with under(*key):
             floor["heights"] = read_heights(path, given)
-
-
-def _read_meshes(data: dict[str, Any], path: Path) -> None:
-    """Replace the names of mesh files by their vertices and faces, reading each file once."""
-    found: dict[str, dict[str, Any]] = {}
-    for key, entry in _mesh_entries(data):
-        shape = entry["shape"]
-        if repr(shape) not in found:
-            with under(*key):
-                found[repr(shape)] = read_mesh(path, shape)
-        entry["shape"] = found[repr(shape)]
 
 
 def _mesh_entries(data: dict[str, Any]) -> Iterator[tuple[Key, dict[str, Any]]]:
@@ -209,19 +234,6 @@ def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any
             yield (name, *key), wrong, problem
 
 
-def _elsewhere(path: Path) -> str:
-    """Return a hint for a missing file: a shipped configuration, or a similar name nearby."""
-    if path.stem in shipped_names():
-        return f". The configuration that comes with evo-cpg is called {path.stem}"
-    names: dict[str, str] = {}
-    # The folder may be missing or unreadable.
-    with contextlib.suppress(OSError):
-        files = [other for other in path.parent.iterdir() if other.suffix in (".yaml", ".yml")]
-        names = {other.stem: other.name for other in sorted(files)}
-    near = question([names[stem] for stem in similar(path.stem, names)])
-    return f": {near}" if near else ""
-
-
 def _apply(data: dict[str, Any], override: str) -> None:
     """Set one value of the raw configuration, and create missing sections."""
     key, separator, text = override.partition("=")
@@ -233,7 +245,6 @@ def _apply(data: dict[str, Any], override: str) -> None:
         raise ConfigError(
             "command line", (), f"{override!r} is not of the form key.path=value, such as seed=3"
         )
-    text = as_utf8(text)
     if any("\ud800" <= character <= "\udfff" for character in text):
         raise refused(f"{text!a} is not UTF-8 text")
     try:
@@ -257,3 +268,28 @@ def _apply(data: dict[str, Any], override: str) -> None:
         if isinstance(place, list) and place:
             problem = f"{problem}. Its entries are numbered from 0 to {len(place) - 1}"
         raise refused(problem)
+
+
+def _find(path: Path, key: Key) -> tuple[int, Any, int] | None:
+    """Return the line of a key, its value, and the number of missing parts of the key.
+
+    For a missing key the line is that of the enclosing section.
+    """
+    try:
+        text = read_small(path)
+        node, data = compose_yaml(text), parse_yaml(text)
+    except (OSError, ValueError, yaml.YAMLError):
+        return None
+    value, known = follow(data, key)
+    line = None
+    for part in key[:known]:
+        if isinstance(node, yaml.MappingNode):
+            pairs = {own.value: (own, inner) for own, inner in node.value}
+            if part not in pairs:
+                return None
+            named, node = pairs[part]
+            line = named.start_mark.line
+        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int):
+            node = node.value[part]
+            line = node.start_mark.line
+    return None if line is None else (line + 1, value, len(key) - known)

@@ -1,9 +1,15 @@
-"""Access to the real numbers of a configuration by key, such as ``world.water.form_drag``."""
+"""Real numbers of a configuration by key, and simulations built from known or traced numbers.
 
+A simulation is built twice. With known numbers NumPy computes constants, and records the decisions
+that depend on the numbers (see `evo_cpg.creature.algebra.decisions`). With traced numbers JAX
+computes the constants as exact functions of the numbers, valid as long as the decisions hold.
+"""
+
+import dataclasses
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,22 +17,45 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import BaseModel, ValidationError
 
-from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.creature.algebra.decisions import (
+    Condition,
+    StaticDecisions,
+    Undecidable,
+    recording_decisions,
+    replaying_decisions,
+)
+from evo_cpg.creature.algebra.numerics import Number, is_number, is_traced, xp
+from evo_cpg.io.build import OWN_PLAN, CommonPlan, build_simulation
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.keys import follow, inside, parts_of, put
 from evo_cpg.io.load import check_config
 from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.simulation.batched import Inputs
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.task import Task
 
 # Sections whose numbers are no parameters of a trial, and keys of lists that are too long to list
 # each number.
 _OUTSIDE = ("audit", "evolution", "noise")
 _LONG = ("vertices", "faces", "heights")
 
+# Allowed rounding of unchanged elements, as a fraction of the largest number in their array.
+_ROUNDING = 1e-9
+
 
 def number_keys(config: ExperimentConfig) -> tuple[str, ...]:
     """Return the keys of all real numbers, except in `_OUTSIDE` sections and `_LONG` lists."""
+
+    def found(place: Any, key: str) -> Iterator[str]:
+        if isinstance(place, float):
+            yield key
+        elif isinstance(place, (dict, list)):
+            for name, inner in place.items() if isinstance(place, dict) else enumerate(place):
+                if name not in _LONG:
+                    yield from found(inner, f"{key}.{name}")
+
     data = config.model_dump(mode="json", exclude=set(_OUTSIDE))
-    return tuple(".".join(key) for key, _ in _numbers(data, ()))
+    return tuple(key.removeprefix(".") for key in found(data, ""))
 
 
 def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> float:
@@ -37,14 +66,19 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     """
     parts = parts_of(key)
     place, known = follow(config.model_dump(mode="json"), parts)
-    if known < len(parts):
-        problem = f"does not exist: {_hint(config, key)}"
-    elif isinstance(place, float):
+    if known == len(parts) and isinstance(place, float):
         return place
+    keys = number_keys(config)
+    near = [other for other in keys if other.startswith(f"{key}.")]
+    near += difflib.get_close_matches(key, keys, n=3, cutoff=0.6)
+    near += [other for other in keys if other.rpartition(".")[2] == key.rpartition(".")[2]]
+    hint = f"did you mean {', '.join(dict.fromkeys(near[:4]))}?" if near else "see docs/config.md"
+    if known < len(parts):
+        problem = f"does not exist: {hint}"
     elif isinstance(place, int) and not isinstance(place, bool):
         problem = f"is a whole number ({place}), and only real numbers can vary"
     elif isinstance(place, (dict, list)):
-        problem = f"is a section or a list, not a number: {_hint(config, key)}"
+        problem = f"is a section or a list, not a number: {hint}"
     else:
         problem = f"is {place!r}, not a number"
     raise ConfigError(source, parts, problem)
@@ -54,11 +88,6 @@ def with_numbers(
     config: ExperimentConfig, numbers: Mapping[str, float], source: Path | str
 ) -> ExperimentConfig:
     """Return a configuration with other numbers.
-
-    Args:
-        config: the configuration.
-        numbers: values by key.
-        source: file of the configuration.
 
     Raises:
         ConfigError: the numbers are not allowed.
@@ -93,10 +122,6 @@ def are_checked_alone(config: ExperimentConfig, keys: Sequence[str]) -> bool:
     """Return whether only the fields' own checks, and no section's check, use some numbers.
 
     The checks run with traced numbers: a check that uses one fails.
-
-    Args:
-        config: a checked configuration.
-        keys: keys of the numbers.
     """
 
     def check(numbers: list[Array]) -> None:
@@ -117,12 +142,7 @@ def are_checked_alone(config: ExperimentConfig, keys: Sequence[str]) -> bool:
 
 
 def put_numbers(config: ExperimentConfig, numbers: Mapping[str, Number]) -> ExperimentConfig:
-    """Return a configuration with other, unchecked numbers, which may be traced.
-
-    Args:
-        config: the configuration.
-        numbers: values by key.
-    """
+    """Return a configuration with other, unchecked numbers, which may be traced."""
     for key, number in numbers.items():
         config = put(config, parts_of(key), number)
     return config
@@ -137,21 +157,122 @@ def _sections(place: Any, key: str) -> Iterator[tuple[BaseModel, list[str]]]:
         place = inside(place, name)
 
 
-def _numbers(place: Any, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
-    if isinstance(place, float):
-        yield key, place
-    elif isinstance(place, (dict, list)):
-        parts = place.items() if isinstance(place, dict) else enumerate(place)
-        for name, inner in parts:
-            if name not in _LONG:
-                yield from _numbers(inner, (*key, str(name)))
+class Built(NamedTuple):
+    """A simulation built from known numbers.
+
+    Attributes:
+        paths: paths of the leaves.
+        leaves: leaves of the simulation.
+        structure: tree structure without the leaves.
+        choices: decisions that the build depends on.
+    """
+
+    paths: list[Any]
+    leaves: list[Any]
+    structure: Any
+    choices: StaticDecisions
+
+    def has_layout_of(self, other: "Built") -> bool:
+        """Return whether the other simulation differs only in numbers."""
+        return (
+            self.structure == other.structure
+            and self.choices == other.choices
+            and all(
+                np.shape(mine) == np.shape(theirs)
+                if is_number(mine) and is_number(theirs)
+                else np.array_equal(mine, theirs)
+                for mine, theirs in zip(self.leaves, other.leaves, strict=True)
+            )
+        )
+
+    def agrees(self, leaves: list[Any], inputs: Inputs) -> list[Condition]:
+        """Return whether each leaf of another simulation equals the own leaf, except at the inputs.
+
+        Raises:
+            Undecidable: a traced leaf has another shape.
+        """
+        moving = dict(zip(inputs.places, inputs.elements, strict=True))
+        conditions: list[Condition] = []
+        for place, (leaf, own) in enumerate(zip(leaves, self.leaves, strict=True)):
+            if not (is_traced(leaf) or is_number(leaf)):
+                conditions.append(np.array_equal(leaf, own))
+                continue
+            if np.shape(leaf) != np.shape(own):
+                raise Undecidable("the shape of an array would change")
+            rest = np.delete(np.arange(np.size(own)), moving.get(place, np.array([], int)))
+            found, known = xp.ravel(leaf)[rest], np.ravel(own)[rest]
+            slack = np.abs(own, where=np.isfinite(own), out=np.zeros(np.shape(own)))
+            slack = _ROUNDING * slack.max(initial=0.0)
+            # Infinities are equal, but their difference is NaN.
+            with np.errstate(invalid="ignore"):
+                conditions.append(((found == known) | (abs(found - known) <= slack)).all())
+        return conditions
 
 
-def _hint(config: ExperimentConfig, key: str) -> str:
-    """Return a hint with the most similar keys of numbers: below this key, or by spelling."""
-    keys = number_keys(config)
-    near = [other for other in keys if other.startswith(f"{key}.")]
-    last = key.rsplit(".", 1)[-1]
-    near += difflib.get_close_matches(key, keys, n=3, cutoff=0.6)
-    near += [other for other in keys if other.rsplit(".", 1)[-1] == last]
-    return f"did you mean {', '.join(dict.fromkeys(near[:4]))}?" if near else "see docs/config.md"
+class Building:
+    """Builder of simulations that differ from a configuration's simulation only in numbers.
+
+    Attributes:
+        plan: decisions that all simulations have in common.
+        task: task that replaces the configuration's task.
+        own: simulation of the configuration itself.
+    """
+
+    def __init__(
+        self,
+        config: ExperimentConfig,
+        plan: CommonPlan = OWN_PLAN,
+        task: Task | None = None,
+    ):
+        self.plan, self.task = plan, task
+        self.own = self.known(config)
+
+    def known(self, config: ExperimentConfig) -> Built:
+        """Build a simulation from known numbers.
+
+        Raises:
+            KeyProblem: parts do not fit together.
+        """
+        with recording_decisions() as choices:
+            simulation = self._build(config)
+        paths, structure = jax.tree_util.tree_flatten_with_path(simulation)
+        names, leaves = zip(*paths, strict=True)
+        return Built(list(names), list(leaves), structure, choices)
+
+    def traced(
+        self,
+        config: ExperimentConfig,
+        numbers: Mapping[str, Any],
+        conditions: list[Condition] | None = None,
+    ) -> list[Any]:
+        """Return the leaves as functions of some numbers, which may be traced.
+
+        Args:
+            config: the configuration.
+            numbers: values by key.
+            conditions: list that gets conditions under which `known` would build the same.
+
+        Raises:
+            Undecidable: a condition cannot be computed from the traced numbers.
+        """
+        with replaying_decisions(self.own.choices, conditions), jax.numpy_rank_promotion("allow"):
+            leaves, structure = jax.tree.flatten(self._build(put_numbers(config, numbers)))
+        if conditions is not None and structure != self.own.structure:
+            raise Undecidable("more than numbers would change")
+        return leaves
+
+    def name(self, place: int) -> str:
+        """Return the path of a leaf."""
+        return jax.tree_util.keystr(self.own.paths[place])[1:]
+
+    def _build(self, config: ExperimentConfig) -> Simulation:
+        _, simulation = build_simulation(config, self.plan)
+        return dataclasses.replace(simulation, task=self.task) if self.task else simulation
+
+
+def values_of(leaves: list[Any], inputs: Inputs, dtype: jnp.dtype) -> list[Array]:
+    """Return the inputs among the leaves of a simulation, which may be traced."""
+    return [
+        jnp.asarray(leaves[place], dtype).reshape(-1)[elements]
+        for place, elements in zip(inputs.places, inputs.elements, strict=True)
+    ]

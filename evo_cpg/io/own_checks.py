@@ -8,9 +8,9 @@ change, because each individual is alone in its trial.
 import contextlib
 import inspect
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,10 +19,12 @@ from jaxtyping import Array
 
 from evo_cpg.control.controller import Command
 from evo_cpg.creature.algebra.numerics import is_traced
+from evo_cpg.evolution.map_elites import METRICS
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.io.errors import Key, KeyProblem
-from evo_cpg.io.own_classes import own_parts
 from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.section import CustomConfig
+from evo_cpg.io.trust import own_parts
 from evo_cpg.native.engine import Engine, using
 from evo_cpg.native.jax_internals import quick_jit
 from evo_cpg.physics.step.world import World
@@ -84,28 +86,25 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
         genes = given["genes"]
         controller = methods(simulation.controller, "controller")
         draw = jax.random.key(0), _BATCH, jnp.float32
-        shape = simulation.controller.gene_count, _INDIVIDUALS
-        own_genes = controller.call("random_genes", *draw, test=_is_array(shape))
+        count = simulation.controller.gene_count
+        own_genes = controller.call("random_genes", *draw, test=_is_like(_numbers(count)))
         controller.call("decode", put("own genes", jnp.asarray(own_genes, genes.dtype)))
         constants, animal = put("start", begin_episode(simulation, genes, None, None))
         forces = put("forces", no_forces(simulation, animal.state))
         for i, sensor in enumerate(simulation.extra_sensors):
             snapshot = snapshot_of(simulation, constants, animal.state)
-            readings = _is_array((sensor.count, _INDIVIDUALS))
-            sensor = methods(sensor, "creature", "sensors", i)
-            sensor.call("sense", snapshot, forces, test=readings)
+            readings = _is_like(_numbers(sensor.count))
+            methods(sensor, "creature", "sensors", i).call("sense", snapshot, forces, test=readings)
         observation = put("observation", sense(simulation, constants, animal))
-        dofs = simulation.world.tree.dof_count, _INDIVIDUALS
 
         def is_act(found: Any) -> str | None:
-            if not (_is_pair(found) and isinstance(found[1], Command)):
+            if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], Command)):
                 return "must return a pair of the next state and a Command"
-            given = found[1]._asdict().items()
-            return _is_like("the next state", animal.nerves)(found[0]) or _first(
-                _is_array((2, *dofs) if name == "activation" else dofs, f"its {name}")(value)
-                for name, value in given
-                if value is not None or name not in ("target_angle", "activation", "torque")
-            )
+            dofs, fields = simulation.world.tree.dof_count, found[1]._asdict()
+            like = dict.fromkeys(fields, _numbers(dofs)) | {"activation": _numbers(2, dofs)}
+            left_out = [name for name in Command._field_defaults if fields[name] is None]
+            like = like | dict.fromkeys(left_out)
+            return _is_like(animal.nerves, exact=True)(found[0]) or _is_like(like)(fields)
 
         nerves = constants.phenotype.controller, animal.nerves
         _, command = controller.call("act", *nerves, observation, test=is_act)
@@ -128,18 +127,18 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
 
 
 def _check_task(task: "_Methods", simulation: Simulation, seen: Any, put: Callable) -> None:
-    steps = simulation.steps
+    """Call the methods of a task in the order of a run."""
+    steps, each, alone = simulation.steps, _numbers(), jax.ShapeDtypeStruct((), jnp.float32)
     tally = task.call("begin", _BATCH, seen.energy.dtype, steps)
-    after = task.call("update", tally, seen, steps, test=_is_like("the tally", tally))
-    terms = task.call("terms", after, steps, test=_is_dict("term", _BATCH))
-    terms = terms | dict.fromkeys(simulation.measures.names, seen.energy)
-    terms = put("terms", terms)
+    after = task.call("update", tally, seen, steps, test=_is_like(tally, exact=True))
+    terms = task.call("terms", after, steps, test=_is_dict_of(each))
+    terms = put("terms", terms | dict.fromkeys(simulation.measures.names, seen.energy))
     # Scales are measured on the whole first generation.
-    scales = put("scales", task.call("scales", terms, test=_is_dict("scale", ())))
-    task.call("descriptors", terms, test=_is_dict("descriptor", _BATCH))
-    task.call("fitness", terms, scales, test=_is_array(_BATCH))
-    alone = {name: jnp.asarray(term)[0] for name, term in terms.items()}
-    task.call("fitness", alone, scales, test=_is_array((), "one individual alone"))
+    scales = put("scales", task.call("scales", terms, test=_is_dict_of(alone)))
+    task.call("descriptors", terms, test=_is_dict_of(each))
+    task.call("fitness", terms, scales, test=_is_like(each))
+    first = {name: jnp.asarray(term)[0] for name, term in terms.items()}
+    task.call("fitness", first, scales, test=_is_like(alone))
 
 
 def check_own_forces(config: ExperimentConfig, world: World) -> None:
@@ -149,22 +148,22 @@ def check_own_forces(config: ExperimentConfig, world: World) -> None:
         KeyProblem: a force law fails, returns a wrong type or shape, mixes individuals, or is
             infinite or NaN at rest.
     """
-    count = len(config.world.forces)
-    if not count:
-        return
-    shape = 6, world.tree.body_count, _INDIVIDUALS
-    results: Results = {}
+    given = config.world.forces
+    shape, results = (6, world.tree.body_count), Results()
     laws = [
         _Methods(law, ("world", "forces", i), results=results)
-        for i, law in enumerate(world.forces[-count:])
+        for i, law in enumerate(world.forces[len(world.forces) - len(given) :])
+        if isinstance(given[i], CustomConfig)
     ]
+    if not laws:
+        return
 
     def go(state: State) -> Results:
         results.clear()
         bodies = world.bodies(kinematics(world.tree, state), 1e-3)
         for law in laws:
-            law.call("wrench", bodies, test=_is_array(shape))
-            law.call("derivative", bodies, test=_is_array((6, *shape)))
+            law.call("wrench", bodies, test=_is_like(_numbers(*shape)))
+            law.call("derivative", bodies, test=_is_like(_numbers(6, *shape)))
         return results
 
     with using(Engine("jax")):
@@ -247,72 +246,59 @@ def _random(shapes: Any, changed: Sequence[int] = ()) -> Any:
 
 
 def check_own_strategy(
+    config: ExperimentConfig,
     strategy: Strategy,
     population: int,
     simulation: Simulation,
-    trials: int,
-    metrics: tuple[str, ...],
-    where: str,
+    mapped: bool,
 ) -> None:
     """Check a user's own strategy in two traced generations: only types and shapes.
 
     Args:
+        config: configuration that names the strategy.
         strategy: strategy on one island.
         population: population that it was requested to have.
         simulation: simulation of a trial.
-        trials: number of trials of each individual.
-        metrics: names of the metrics that a map adds to metrics.csv.
-        where: ``on each island`` if there are several islands.
+        mapped: whether a map adds its own columns to metrics.csv.
 
     Raises:
         KeyProblem: the strategy fails, or returns a wrong type or shape.
     """
     own = _Methods(strategy, ())
     if strategy.population != population:
-        kind = type(strategy).__name__
-        problem = f"{population}{where}: {kind} has another population, {strategy.population}"
+        problem = f"{population}: {type(strategy).__name__} has another one, {strategy.population}"
         raise KeyProblem(("population",), problem)
-    shape = simulation.genome.count, strategy.population
     names = (*term_names(simulation.task), *simulation.measures.names)
-    taken = {*TABLE_COLUMNS, *metrics, *(f"best_{name}" for name in names)}
+    taken = {*TABLE_COLUMNS, *(METRICS if mapped else ()), *(f"best_{name}" for name in names)}
 
     def are_new(names: Any) -> str | None:
         if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
             return f"must be a tuple of names, got {names!r}"
-        return _first(
-            f"must not contain {name!r} again: columns of metrics.csv need unique names"
-            for name in names
-            if name in taken or names.count(name) > 1
-        )
+        twice = [name for name in names if name in taken or names.count(name) > 1]
+        return f"must not contain {twice[0]!r} again, a column of metrics.csv" if twice else None
 
     declared = own.call("metric_names", test=are_new)
-
-    def are_declared(found: Any) -> str | None:
-        problem = _is_dict("metric", ())(found)
-        if problem is None and set(found) != set(declared):
-            expected, given = (", ".join(names) or "nothing" for names in (declared, found))
-            problem = f"must return the metrics of metric_names, {expected}, got {given}"
-        return problem
+    alone = jax.ShapeDtypeStruct((), jnp.float32)
 
     def go(random: jax.Array, fitness: jax.Array) -> None:
         def is_generation(found: Any) -> str | None:
-            if not _is_pair(found):
+            if not (isinstance(found, tuple) and len(found) == 2):
                 return "must return a pair of genomes and a state"
             like = found[1] if kept is None else kept
-            return _is_array(shape)(found[0]) or _is_like("the state", like)(found[1])
+            return _is_like(random)(found[0]) or _is_like(like, exact=True)(found[1])
 
         draw, kept = jax.random.key(0), None
         _, kept = own.call("ask", draw, own.call("init", draw, random), test=is_generation)
         terms = dict.fromkeys(names, fitness)
-        in_trials = jnp.tile(fitness, (trials, 1))
+        in_trials = jnp.tile(fitness, (config.trial_count, 1))
         worth = Evaluation(fitness, terms, descriptors(simulation, terms), in_trials)
         updated = own.call("tell", draw, kept, random, worth)
         _, kept = own.call("ask", draw, updated, test=is_generation)
         # Metrics are computed from a state after trials, as in a run.
-        own.call("metrics", kept, test=are_declared)
+        own.call("metrics", kept, test=_is_like(dict.fromkeys(declared, alone)))
 
-    given = (jax.ShapeDtypeStruct(x, jnp.float32) for x in (shape, shape[1:]))
-    jax.eval_shape(go, *given)
+    shape = simulation.genome.count, strategy.population
+    jax.eval_shape(go, *(jax.ShapeDtypeStruct(x, jnp.float32) for x in (shape, shape[1:])))
 
 
 class _Methods:
@@ -334,47 +320,65 @@ class _Methods:
         Raises:
             KeyProblem: the user's own method fails, or its result fails the test.
         """
+        name, found = f"{type(self._part).__name__}.{method}", None
         try:
             found = getattr(self._part, method)
             found = found(*given) if given else found
         except Exception as error:
             if not self._own:
                 raise
-            reason = str(error).strip().splitlines() or [""]
-            place = self._place(error)
-            self._refuse(method, f"fails{place} ({type(error).__name__}: {reason[0]})")
-        problem = test and test(found)
+            file = inspect.getsourcefile(type(self._part))
+            frames = traceback.extract_tb(error.__traceback__)
+            lines = [frame.lineno for frame in frames if frame.filename == file]
+            place = f" at line {lines[-1]} of {Path(file).name}" if file and lines else ""
+            reason = (str(error).strip().splitlines() or [""])[0]
+            problem = f"fails{place} ({type(error).__name__}: {reason})"
+        else:
+            problem = test and test(found)
         if problem:
-            self._refuse(method, problem)
+            raise KeyProblem((*self._key, "type"), f"{name} {problem}")
         if self._own and self._results is not None:
-            name = f"{type(self._part).__name__}.{method}"
             self._results.setdefault((tuple(self._key), name), found)
         return found
 
-    def _place(self, error: Exception) -> str:
-        """Return the line of the user's own file that raised an error, in words."""
-        file = inspect.getsourcefile(type(self._part))
-        frames = traceback.extract_tb(error.__traceback__)
-        lines = [frame.lineno for frame in frames if frame.filename == file]
-        return f" at line {lines[-1]} of {Path(file).name}" if file and lines else ""
 
-    def _refuse(self, method: str, problem: str) -> NoReturn:
-        name = f"{type(self._part).__name__}.{method}"
-        raise KeyProblem((*self._key, "type"), f"{name} {problem}") from None
+def _numbers(*shape: int) -> jax.ShapeDtypeStruct:
+    """Return an array of numbers of a given shape for each individual."""
+    return jax.ShapeDtypeStruct((*shape, _INDIVIDUALS), jnp.float32)
 
 
-def _is_array(shape: tuple[int, ...], what: str = "") -> Test:
-    """Return a test for an array of real numbers with a given shape."""
-    what = f" for {what}" if what else ""
+def _is_like(model: Any, exact: bool = False) -> Test:
+    """Return a test for a pytree of arrays with the structure and shapes of a model.
+
+    Args:
+        model: the model.
+        exact: whether types must also be equal. Otherwise any real type passes.
+    """
 
     def test(value: Any) -> str | None:
-        found = getattr(value, "shape", () if isinstance(value, (int, float)) else None)
-        if found != shape:
-            count = " x ".join(map(str, shape[:-1]))
-            numbers = f"{count} numbers" if count else "one number"
-            axis = f" with {shape[-1]} individuals on the last axis" if shape else ""
-            return f"must return {numbers}{what}, shape {shape}{axis}, got {described(value)}"
-        return None if is_real(value) else f"must return real numbers{what}, got {described(value)}"
+        leaves, structure = jax.tree.flatten(value)
+        model_leaves, expected = jax.tree.flatten(model)
+        kinds = [(_type_of(x), jnp.shape(x)) for x in model_leaves]
+        found = [
+            (_type_of(x) if exact or not is_real(x) else kind, getattr(x, "shape", ()))
+            for x, (kind, _) in zip(leaves, kinds, strict=False)
+        ]
+        arrays = all(kind is not None for kind, _ in kinds)
+        if structure == expected and found == kinds and arrays:
+            return None
+        wrong = f"must return {described(model) if arrays else 'arrays'}, got {described(value)}"
+        return wrong if exact else f"{wrong}. Individuals are on the last axis"
+
+    return test
+
+
+def _is_dict_of(leaf: jax.ShapeDtypeStruct) -> Test:
+    """Return a test for a dict from names to arrays like a leaf."""
+
+    def test(value: Any) -> str | None:
+        if not isinstance(value, dict) or not all(isinstance(name, str) for name in value):
+            return f"must return a dict by name, not {described(value)}"
+        return _is_like(dict.fromkeys(value, leaf))(value)
 
     return test
 
@@ -388,47 +392,6 @@ def _is_light(value: Any) -> str | None:
         if place.shape == (3,) and place.dtype.kind in "iuf" and np.isfinite(place).all():
             return None
     return f"must be None, or a place of three numbers (m), such as (8.0, 0.0, 0.0), got {value!r}"
-
-
-def _is_dict(kind: str, shape: tuple[int, ...]) -> Test:
-    """Return a test for a dict from names to arrays with a given shape."""
-
-    def test(value: Any) -> str | None:
-        if not isinstance(value, dict) or not all(isinstance(name, str) for name in value):
-            return f"must return a dict by name, not {described(value)}"
-        return _first(
-            _is_array(shape, f"the {kind} {name!r}")(each) for name, each in value.items()
-        )
-
-    return test
-
-
-def _is_like(what: str, model: Any) -> Test:
-    """Return a test for a pytree with the structure, shapes and types of a model."""
-
-    def kinds(tree: Any) -> Any:
-        return jax.tree.map(lambda x: (getattr(x, "shape", ()), _type_of(x)), tree)
-
-    def test(value: Any) -> str | None:
-        if any(_type_of(leaf) is None for leaf in jax.tree.leaves(value)):
-            return f"must return {what} as a pytree of arrays, got {described(value)}"
-        if jax.tree.structure(value) != jax.tree.structure(model) or kinds(value) != kinds(model):
-            return (
-                f"must return {what} with unchanged structure, shapes and types, "
-                f"{described(model)}, got {described(value)}"
-            )
-        return None
-
-    return test
-
-
-def _is_pair(value: Any) -> bool:
-    return isinstance(value, tuple) and len(value) == 2
-
-
-def _first(problems: Iterable[str | None]) -> str | None:
-    """Return the first problem, or None if there is none."""
-    return next(filter(None, problems), None)
 
 
 def _shape_of(value: Any) -> jax.ShapeDtypeStruct:
@@ -452,13 +415,11 @@ def _type_of(value: Any) -> Any:
 
 def described(value: Any) -> str:
     """Return a description of a returned value for messages: types and shapes of arrays."""
-    if hasattr(value, "shape"):
-        return f"{_type_of(value)}{list(value.shape)}"
-    if jax.tree.structure(value) == jax.tree.structure(0):
-        return repr(value)
 
     def kind(x: Any) -> str:
         found = _type_of(x)
         return repr(x) if found is None else f"{found}{list(jnp.shape(x))}"
 
-    return str(jax.tree.map(kind, value))
+    if jax.tree.structure(value) == jax.tree.structure(0):
+        return kind(value)
+    return str(jax.tree.map(kind, value)).replace("'", "")

@@ -1,6 +1,6 @@
 """Numbers of a configuration as differentiable parameters of a trial.
 
-The simulation is built from traced numbers (see `evo_cpg.io.traced_build`). The result is
+The simulation is built from traced numbers (see `evo_cpg.io.numbers`). The result is
 exact at all values with unchanged decisions. Elements that no parameter changes remain constants
 of the compiled program (see `Inputs`).
 
@@ -21,13 +21,12 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.decisions import all_hold
 from evo_cpg.creature.algebra.numerics import TABLES, is_number, is_traced
 from evo_cpg.creature.surface import PointLayout
-from evo_cpg.io.build import build_experiment
+from evo_cpg.io.build import CommonPlan, build_experiment
 from evo_cpg.io.errors import ConfigError, KeyProblem
 from evo_cpg.io.keys import parts_of
-from evo_cpg.io.lines import located
-from evo_cpg.io.numbers import number_at, number_keys, with_numbers
+from evo_cpg.io.load import located
+from evo_cpg.io.numbers import Building, Built, number_at, number_keys, values_of, with_numbers
 from evo_cpg.io.schema.experiment import ExperimentConfig
-from evo_cpg.io.traced_build import Building, Built, values_of
 from evo_cpg.native.jax_internals import Tracer
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
@@ -103,22 +102,16 @@ class Parameters:
         Raises:
             ConfigError: the simulation is differentiated with respect to a value at a kink.
         """
-        given = {
-            key: _undifferentiated(value, self._refusal(key)) if key in self.kinks else value
-            for key, value in zip(self.keys, values, strict=True)
-        }
+        given = dict(zip(self.keys, values, strict=True))
+        for key, reason in self.kinks.items():
+            refusal = ConfigError(self.source, parts_of(key), reason)
+            given[key] = _undifferentiated(given[key], refusal)
         leaves = self.building.traced(self.config, given)
         changed = values_of(leaves, self.inputs, values.dtype)
         return self.inputs.put(self.experiment.simulation, changed)
 
-    def _refusal(self, key: str) -> ConfigError:
-        return ConfigError(self.source, parts_of(key), self.kinks[key])
-
     def require(self, values: Float[np.ndarray, " k"]) -> None:
         """Check that `simulation` is valid at other values.
-
-        Args:
-            values: values of the parameters.
 
         Raises:
             ConfigError: the values are not allowed, or change the layout of the simulation.
@@ -201,9 +194,9 @@ def parametrise(
             found = changes()
         except KeyProblem:
             # Merged surfaces may separate, which reorders their points.
-            building = Building(config, layout="separate")
+            building = Building(config, CommonPlan("separate"))
             found = changes()
-            experiment = build_experiment(config, source, folders, layout="separate")
+            experiment = build_experiment(config, source, folders, CommonPlan("separate"))
         followed = _followed(building, config, found)
         for key in found:
             if key not in followed:
@@ -244,7 +237,7 @@ def all_parameters(
     wet = {i for i, (path, _) in enumerate(paths) if _PATCHES in path}
     layouts: tuple[PointLayout, ...] = ("merged", "separate") if surfaces else ("merged",)
     for layout in layouts:
-        building = Building(config, layout)
+        building = Building(config, CommonPlan(layout))
         changes = {}
         for key in number_keys(config):
             if key in found or key in infinite:
@@ -288,7 +281,9 @@ def _change(
     for place, leaf in enumerate(building.own.leaves):
         if not is_number(leaf):
             continue
-        accuracy = _SEARCHED if _is_searched(building, place) else 0.0
+        first = getattr(building.own.paths[place][0], "name", None)
+        searched = first == "situations" and building.own.choices.searched
+        accuracy = _SEARCHED if searched else 0.0
         moves, smooth = _moves(leaf, [other.leaves[place] for other in others], both, accuracy)
         if not smooth:
             problem = (
@@ -392,12 +387,6 @@ def _finite(building: Building, config: ExperimentConfig, changes: dict[str, Cha
         return all(np.isfinite(slope).all() for slope in slopes)
 
     return _passing(list(changes), is_finite)
-
-
-def _is_searched(building: Building, place: int) -> bool:
-    """Return whether a leaf depends on a search."""
-    begins = getattr(building.own.paths[place][0], "name", None) == "situations"
-    return begins and bool(building.own.choices.searched)
 
 
 def _undifferentiated(value: Array, refusal: ConfigError) -> Array:

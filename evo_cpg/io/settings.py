@@ -1,6 +1,7 @@
 """Settings of a sweep: values for keys of a configuration, and the name of each setting."""
 
 import itertools
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -60,10 +61,12 @@ def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> l
         ValueError: there are too many settings, two have the same name, or a key of the grid
             replaces a value of a named setting.
     """
-    short = _short_names(grid)
-    count = max(1, len(named))
-    for values in grid.values():
-        count *= len(values)
+    lasts = [key.rpartition(".")[2] for key in grid]
+    # A key whose last part is that of another key is named in full.
+    short = {
+        key: last if lasts.count(last) == 1 else key for key, last in zip(grid, lasts, strict=True)
+    }
+    count = math.prod(map(len, grid.values())) * max(1, len(named))
     if count > _MOST:
         raise ValueError(f"a sweep has at most {_MOST} settings, got {count}")
     settings: list[Setting] = []
@@ -75,7 +78,8 @@ def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> l
             point = dict(zip(grid, chosen, strict=True))
             parts = [name] if name else []
             parts += [f"{short[key]}={_word(value)}" for key, value in point.items()]
-            settings.append(Setting(_folder_name(",".join(parts) or "all"), {**values, **point}))
+            folder = re.sub(r"[^\w.,=+-]+", "-", ",".join(parts) or "all").strip("-.,")[:_LONGEST]
+            settings.append(Setting(folder, {**values, **point}))
     names = [setting.name for setting in settings]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -88,13 +92,6 @@ def is_folder_name(text: str) -> bool:
     return re.fullmatch(r"[\w=+][\w.,=+-]*", text) is not None
 
 
-def _short_names(keys: Mapping[str, object]) -> dict[str, str]:
-    """Return the last part of each key, or the whole key if last parts coincide."""
-    names = {key: key.rsplit(".", 1)[-1] for key in keys}
-    alike = [name for name in names.values() if list(names.values()).count(name) > 1]
-    return {key: key if name in alike else name for key, name in names.items()}
-
-
 def _word(value: Any) -> str:
     """Return a value as part of a name. A section is named by its algorithm or type."""
     if isinstance(value, dict):
@@ -103,7 +100,3 @@ def _word(value: Any) -> str:
     if isinstance(value, list):
         return "_".join(map(_word, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _folder_name(text: str) -> str:
-    return re.sub(r"[^\w.,=+-]+", "-", text).strip("-.,")[:_LONGEST]

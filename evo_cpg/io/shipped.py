@@ -4,6 +4,7 @@ In a checkout they are the files in ``configs/``. A wheel contains them next to 
 """
 
 import filecmp
+import itertools
 import os
 import re
 from pathlib import Path
@@ -67,7 +68,9 @@ def shipped(name: str) -> Shipped:
             name, (), f"no configuration of this name comes with evo-cpg{_hint(name)}"
         )
     path = folder / f"{name}.yaml"
-    about = _head(path.read_text(encoding="utf-8"))
+    lines = path.read_text(encoding="utf-8").splitlines()
+    head = itertools.takewhile(lambda line: line.startswith("# "), lines)
+    about = " ".join(line.removeprefix("# ").strip() for line in head)
     summary = re.split(r"(?<=\.) (?=[A-Z])", about, maxsplit=1)[0].removesuffix(".")
     study = _STUDY.search(about)
     return Shipped(name, path, about, summary, " ".join(study.groups()) if study else "")
@@ -153,13 +156,3 @@ def _hint(name: str) -> str:
     """Return a hint for a wrong name: the nearest names, and how to list all of them."""
     near = question(similar(name, shipped_names()))
     return f"{f': {near}' if near else '.'} `evo-cpg configs` lists all names"
-
-
-def _head(text: str) -> str:
-    """Return the comment at the top of a file, up to its first empty line, on one line."""
-    words: list[str] = []
-    for line in text.splitlines():
-        if not line.startswith("# "):
-            break
-        words.append(line.removeprefix("# ").strip())
-    return " ".join(words)

@@ -1,7 +1,6 @@
 """Initial situations of the trials, from the configuration's start and light."""
 
 import functools
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -14,9 +13,8 @@ from evo_cpg.creature.algebra.numerics import Number, Triple, as_vector, is_trac
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.creature import Creature, length_of, lowest_along, lowest_height, neutral_pose
 from evo_cpg.io.errors import Key, KeyProblem
-from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.experiment import ExperimentConfig, SituationConfig
 from evo_cpg.io.schema.task import DEFAULT_LIGHT
-from evo_cpg.io.schema.trial import SituationConfig
 from evo_cpg.native.jax_internals import quick_jit
 from evo_cpg.physics.contact.contact_points import clearance
 from evo_cpg.physics.contact.terrain import Plane, nearest
@@ -63,7 +61,11 @@ def build_situations(
         x, y = settings.start if entry.start is None else entry.start
         turn = entry.start_heading_deg
         heading = xp.deg2rad(settings.start_heading_deg if turn is None else turn)
-        same = chosen(functools.partial(_same_start, begins, x, y, heading))
+        given = (x, y, heading)
+        known = [(*begin.start_position[:2], begin.start_heading) for begin in begins]
+        same = chosen(
+            lambda given=given, known=known: known.index(given) if given in known else None
+        )
         if same is not None:
             begin = begins[same]
         else:
@@ -75,9 +77,18 @@ def build_situations(
             begin = Situation((x, y, height), heading)
             _require_resolved(creature, begin.start_position, h, here)
             if settings.start_pose == "settled":
-                begin = _settled(settling, world, h, begin)
+                try:
+                    begin = settled(settling, world, h, begin)
+                except NoRestError as error:
+                    problem = f"'settled': no rest from the start at ({x:g}, {y:g}), {error}"
+                    raise KeyProblem(("simulation", "start_pose"), problem) from None
         begins.append(begin)
-        start, light = _root_place(creature, begin), common
+        start, light = begin.start_position, common
+        if creature.root_joint is not None:
+            # The root's own joint holds it at an offset from the start.
+            own = neutral_pose(creature)[0][creature.root_index]
+            offset = euler_to_matrix(0.0, 0.0, begin.start_heading) @ own
+            start = as_vector(xp.array(start) + offset)
         if entry.light is not None:
             light = entry.light.over(common or DEFAULT_LIGHT)
         goal = light and light.position(start, heading)
@@ -120,42 +131,6 @@ def _require_resolved(creature: Creature, place: Triple, h: Number, start: Key) 
             )
 
 
-def _root_place(creature: Creature, begin: Situation) -> Triple:
-    """Return the place of the root in a situation, with its own joint at zero, m."""
-    if creature.root_joint is None:
-        return begin.start_position
-    own = neutral_pose(creature)[0][creature.root_index]
-    offset = euler_to_matrix(0.0, 0.0, begin.start_heading) @ own
-    return as_vector(xp.array(begin.start_position) + offset)
-
-
-def _same_start(begins: list[Situation], x: float, y: float, heading: float) -> int | None:
-    """Return the index of an earlier situation with the same place and heading, or None."""
-    for i, begin in enumerate(begins):
-        if (*begin.start_position[:2], begin.start_heading) == (x, y, heading):
-            return i
-    return None
-
-
-def _settled(
-    settling: Callable[[], Settling], world: World, h: float, situation: Situation
-) -> Situation:
-    """Return the situation with the creature at rest.
-
-    Raises:
-        KeyProblem: the creature does not come to rest.
-    """
-    try:
-        return settled(settling, world, h, situation)
-    except NoRestError as error:
-        x, y, _ = situation.start_position
-        raise KeyProblem(
-            ("simulation", "start_pose"),
-            f"'settled': no rest from the start at ({x:g}, {y:g}), {error}. "
-            "Use 'neutral' to start in the neutral pose",
-        ) from None
-
-
 def require_light(config: ExperimentConfig, task: Task) -> None:
     """Check that no trial moves a light that the task does not have.
 
@@ -188,14 +163,7 @@ def _length(creature: Creature) -> Number:
 
 
 def out_of_reach(creature: Creature, world: World, start: Triple, light: Triple) -> str | None:
-    """Return why a light cannot be reached, or None if it may be reached.
-
-    Args:
-        creature: the creature.
-        world: the world around it.
-        start: position of its root at the start, m.
-        light: position of the light, m.
-    """
+    """Return why a light cannot be reached, or None if it may be reached."""
     where = "({:g}, {:g}, {:g})".format(*light)
     if world.ground is not None:
         solid = (world.ground.floor, *world.ground.obstacles)

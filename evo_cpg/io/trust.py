@@ -1,18 +1,25 @@
 """Limits on the files and code that a configuration or a run folder may use.
 
-A configuration may come from a stranger. Unless the user trusts it, files must lie in its own
-folder. Code must be installed or lie in the working folder.
+A configuration may come from a stranger. Files must not exceed a size. Unless the user trusts the
+configuration, they must lie in its own folder, and code must be installed or lie in the working
+folder.
 """
 
 import contextlib
 import contextvars
+import importlib.util
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-from evo_cpg.io.errors import KeyProblem
-from evo_cpg.io.files import require_small
-from evo_cpg.system import named, resolved, working_folder
+from evo_cpg.io.errors import Key, KeyProblem
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.section import CustomConfig
+from evo_cpg.system import resolved, with_working_folder, working_folder
+
+# Largest file that is read. The finest mesh of a body has a tenth of this size.
+LARGEST = 32 * 2**20
 
 # Environment variable with the effect of `--trust`, for clusters and scripts.
 VARIABLE = "EVO_CPG_TRUST"
@@ -56,14 +63,10 @@ def is_trusted() -> bool:
 def beside(source: Path, name: str) -> Path:
     """Return the path of a file that a configuration names.
 
-    Args:
-        source: the configuration file.
-        name: name of the file in the configuration.
-
     Raises:
         KeyProblem: the file lies outside the configuration's folder, and is not trusted.
     """
-    path = source.parent / named(name)
+    path = source.parent / name
     noted = _noted.get()
     if noted is not None and path not in noted:
         noted.append(path)
@@ -86,11 +89,6 @@ def beside(source: Path, name: str) -> Path:
 def named_file(source: Path, name: str, suffixes: Sequence[str]) -> Path:
     """Return the path of a file that a configuration names, if it can be read.
 
-    Args:
-        source: the configuration file.
-        name: name of the file in the configuration.
-        suffixes: allowed suffixes.
-
     Raises:
         KeyProblem: the file has another suffix, is missing, too large, a folder or not trusted.
     """
@@ -110,19 +108,88 @@ def named_file(source: Path, name: str, suffixes: Sequence[str]) -> Path:
     return path
 
 
+def require_small(path: Path) -> None:
+    """Check that a file does not exceed the size limit.
+
+    Raises:
+        OSError: the file is larger, or its size cannot be read.
+    """
+    size = path.stat().st_size
+    if size > LARGEST:
+        raise OSError(
+            None, f"{size / 2**20:.0f} MiB, more than the limit of {LARGEST // 2**20} MiB"
+        )
+
+
+def read_small(path: Path) -> str:
+    """Return the text of a file that does not exceed the size limit.
+
+    Raises:
+        OSError: it is larger, or cannot be read.
+        UnicodeDecodeError: it is not UTF-8.
+    """
+    require_small(path)
+    if not (path.is_file() or path.is_dir()):
+        # A pipe or a device may be endless.
+        raise OSError(None, "is not a regular file")
+    return path.read_text(encoding="utf-8")
+
+
 def code_folders(folders: Iterable[Path]) -> list[Path]:
     """Return the folders that are searched for a user's own classes."""
     here = working_folder()
     return [folder for folder in folders if is_trusted() or (here and resolved(folder) == here)]
 
 
-def distrusted(module: str, folders: Iterable[Path]) -> str:
-    """Return a note that a module exists but is not trusted, or empty if it does not exist."""
-    top = module.partition(".")[0]
-    for folder in folders:
-        if (folder / f"{top}.py").is_file() or (folder / top).is_dir():
-            return (
-                f". It lies in {folder}, but code is run only from the working folder. If you "
-                "trust the code, run evo-cpg --trust ..."
+def own_parts(config: ExperimentConfig) -> dict[Key, CustomConfig]:
+    """Return the parts of a configuration that are the user's own classes, by their keys."""
+    parts: dict[Key, Any] = {
+        **{("creature", "sensors", i): part for i, part in enumerate(config.creature.sensors)},
+        **{("world", "forces", i): part for i, part in enumerate(config.world.forces)},
+        **{(name,): getattr(config, name) for name in ("controller", "task", "evolution")},
+    }
+    return {key: part for key, part in parts.items() if isinstance(part, CustomConfig)}
+
+
+def require_code(config: ExperimentConfig, folders: Iterable[Path]) -> None:
+    """Check that the modules of a user's own classes can be found, without importing them.
+
+    Args:
+        config: configuration that names the classes.
+        folders: folders that may contain the modules, searched only if they are trusted.
+
+    Raises:
+        KeyProblem: a module cannot be found, or another module of its name would be imported.
+    """
+    folders = tuple(folders)
+    for key, part in own_parts(config).items():
+        place, top = (*key, "type"), part.type.partition(":")[0].partition(".")[0]
+        if not top:
+            # The name of the module is relative, but there is no package. The import reports the
+            # error.
+            continue
+        try:
+            spec = importlib.util.find_spec(top)
+        except ValueError:
+            # The module is loaded, without a record of its origin.
+            continue
+        if spec is None:
+            problem = f"{part.type!r} cannot be imported (no module {top!r})"
+            for folder in folders:
+                if (folder / f"{top}.py").is_file() or (folder / top).is_dir():
+                    problem = (
+                        f"{problem}. It lies in {folder}, but code is run only from the working "
+                        "folder. If you trust the code, run evo-cpg --trust ..."
+                    )
+                    break
+            raise KeyProblem(place, problem)
+        found = Path(spec.origin).resolve() if spec.origin else None
+        searched = with_working_folder(code_folders(folders))
+        files = (
+            folder / name for folder in searched for name in (f"{top}/__init__.py", f"{top}.py")
+        )
+        own = next((file.resolve() for file in files if file.is_file()), None)
+        if None not in (own, found) and own != found:
+            raise KeyProblem(
+                place, f"{part.type!r} would import {found} instead of {own}. Rename one of the two"
             )
-    return ""

@@ -89,8 +89,14 @@ class _Loader(_SafeLoader):
                 continue
             seen.add(id(one))
             if isinstance(one, yaml.MappingNode):
-                _require_different(key for key, _ in one.value)
-                left += [each for pair in one.value for each in pair]
+                names = set()
+                for key, value in one.value:
+                    if isinstance(key, yaml.ScalarNode) and key.value in names:
+                        raise yaml.constructor.ConstructorError(
+                            None, None, f"the key {key.value!r} is given twice", key.start_mark
+                        )
+                    names.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
+                    left += [key, value]
             else:
                 left += one.value
         return super().construct_document(node)
@@ -197,13 +203,40 @@ def _refused(event: yaml.Event, problem: str) -> yaml.YAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
 
 
-def _require_different(keys: Any) -> None:
-    seen = set()
-    for key in keys:
-        if not isinstance(key, yaml.ScalarNode):
-            continue
-        if key.value in seen:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"the key {key.value!r} is given twice", key.start_mark
-            )
-        seen.add(key.value)
+# Largest length of the line that a message about invalid YAML quotes.
+_QUOTED = 60
+
+# A colour without quotes, which YAML reads as a comment.
+_COLOUR = re.compile(r"^[^#\n]*\bcolor:[ \t]+(#[0-9a-fA-F]{6})\b", re.MULTILINE)
+
+
+def syntax_problem(text: str, error: yaml.YAMLError) -> tuple[str, str]:
+    """Return the place of an error in YAML, and the parser's message on one line.
+
+    Returns:
+        ``line 3, column 7``, empty if it is unknown, and the problem with the invalid line.
+    """
+    mark = getattr(error, "problem_mark", None)
+    problem = getattr(error, "problem", None) or getattr(error, "reason", "cannot be parsed")
+    if mark:
+        row, column = mark.line, mark.column
+    elif isinstance(error, yaml.reader.ReaderError):
+        # Its position counts bytes, so look for the forbidden character.
+        before = text[: max(text.find(chr(error.character)), 0)]
+        row, column = before.count("\n"), len(before.rpartition("\n")[2])
+    else:
+        return "", problem
+    line = (text.splitlines()[row : row + 1] or [""])[0]
+    if re.match(r"[ -]*\t", line):
+        problem = f"{problem}. YAML allows only spaces at the beginning of a line"
+    quoted = f": {line.strip()[:_QUOTED]!r}" if line.strip() else ""
+    return f"line {row + 1}, column {column + 1}", f"{problem}{quoted}"
+
+
+def lost_colour(text: str) -> str | None:
+    """Return the problem of a colour without quotes, read as a comment, or None without one."""
+    found = _COLOUR.search(text)
+    if found is None:
+        return None
+    line = text.count("\n", 0, found.start(1)) + 1
+    return f"line {line}: color: # begins a comment. Write the color in quotes: '{found[1]}'"

@@ -14,8 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from evo_cpg.creature.algebra.mixed_array import MixedArray
-from evo_cpg.creature.algebra.numerics import is_number
+from evo_cpg.creature.algebra.numerics import MixedArray, is_number
 from evo_cpg.simulation.simulation import Simulation
 
 # Differences up to this fraction of an array's largest number are rounding errors.

@@ -18,7 +18,6 @@ from evo_cpg.physics.step.step import Effort, first_warmstart, step
 from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import State
-from evo_cpg.simulation.genome import Phenotype
 from evo_cpg.simulation.noise import disturb_motion, disturb_start, friction_scale_of
 from evo_cpg.simulation.sensors import (
     body_loads,
@@ -26,7 +25,7 @@ from evo_cpg.simulation.sensors import (
     light_readings,
     pressure_readings,
 )
-from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.simulation import Phenotype, Simulation
 from evo_cpg.simulation.situation import light_places, starting_state
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 from evo_cpg.simulation.task import Transition
@@ -143,7 +142,10 @@ def initial_animal(
         disturb_start(simulation.noise, simulation.world, rest, keys),
         simulation.controller.initial_state(batch, dtype),
         jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
-        no_forces(simulation, rest) if _keeps_forces(simulation) else None,
+        # Keep the forces of the last control step only if a sense needs them.
+        no_forces(simulation, rest)
+        if simulation.extra_sensors or simulation.controller.uses_load
+        else None,
         first_warmstart(simulation.world, batch, dtype),
     )
 
@@ -269,7 +271,11 @@ def move(
         state, effort = step(world, before, motors, h, warmstart, constants.friction_scale)
         if effort.contact_frame_force is not None:
             ground_force = effort.contact_frame_force
-        airborne = airborne + _is_airborne(effort) / simulation.substeps
+        # Nothing touches the ground, or there is none.
+        in_air = jnp.ones_like(effort.energy)
+        if effort.contact_frame_force is not None:
+            in_air = jnp.all(effort.contact_frame_force[2] <= 0, axis=0).astype(in_air.dtype)
+        airborne = airborne + in_air / simulation.substeps
         forces = _add_fraction(forces, effort, 1.0 / simulation.substeps)
         energy = energy + effort.energy
         residual = jax.tree.map(jnp.maximum, residual, effort.residual)
@@ -319,11 +325,6 @@ def _light_of(constants: EpisodeConstants, own: Array | None, position: Array) -
     return None if place is None else expand_dims_like(place, position)
 
 
-def _keeps_forces(simulation: Simulation) -> bool:
-    """Return whether a sense needs the forces of the last control step."""
-    return bool(simulation.extra_sensors) or simulation.controller.uses_load
-
-
 def no_forces(simulation: Simulation, state: State) -> Forces:
     """Return zero forces: idle motors, no contact with the ground or between limbs."""
     contact_model, pairs = simulation.world.contact_model, simulation.world.pairs
@@ -349,10 +350,3 @@ def _add_fraction(forces: Forces, effort: Effort, fraction: float) -> Forces:
         plus(forces.pair_force, effort.pair_force),
         None if held is None else plus(held, effort.holding),
     )
-
-
-def _is_airborne(effort: Effort) -> Float[Array, " *n"]:
-    """Return 1 if nothing touches the ground in a physics step or there is no ground, else 0."""
-    if effort.contact_frame_force is None:
-        return jnp.ones_like(effort.energy)
-    return jnp.all(effort.contact_frame_force[2] <= 0, axis=0).astype(effort.energy.dtype)

@@ -1,4 +1,9 @@
-"""Outcome of a trial: terms of the task, measures of gait, and which individuals are alive."""
+"""Outcome of a trial: terms of the task, measures of gait, and which individuals are alive.
+
+Rules disqualify an animal in the control step in which it breaks them. Evolution exploits the
+errors of a simulator, and a rule removes such a motion from the search at once. Otherwise only an
+audit of the champion (`evo-cpg audit`) would find it.
+"""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -6,14 +11,49 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.numerics import Number
 from evo_cpg.native.fuse import fuse
+from evo_cpg.physics.contact.contact_points import clearance
+from evo_cpg.physics.contact.pairs import separations
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.control_step import AnimalState, Effects, transition
 from evo_cpg.simulation.measures import Trial
-from evo_cpg.simulation.observer import Observer, Seen
-from evo_cpg.simulation.rules import keeps
-from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.observers import Observer, Seen
+from evo_cpg.simulation.simulation import Rules, Simulation
 from evo_cpg.simulation.task import Task, Transition
+
+
+def keeps(
+    rules: Rules, world: World, state: State, energy: Float[Array, " *n"], duration: Number
+) -> Bool[Array, " *n"]:
+    """Return whether every animal keeps the rules in a control step.
+
+    Args:
+        rules: the rules.
+        world: the animals and their environment.
+        state: state at the end of the control step.
+        energy: energy spent by all motors in the step, J.
+        duration: duration of a control step, s.
+    """
+    valid = jnp.ones(energy.shape, bool)
+    if rules.speed is not None:
+        linear = state.linear_velocity
+        valid &= (linear * linear).sum(0) <= rules.speed**2
+    if rules.power is not None:
+        valid &= energy <= rules.power * duration
+    kin = kinematics(world.tree, state)
+    if rules.penetration is not None and world.contact_model is not None:
+        valid &= (clearance(world.contact_model, kin) >= -rules.penetration).all(0)
+    if rules.overlap is not None and rules.pairs is not None:
+        gap = separations(rules.pairs, kin).gap
+        # Pairs without stiffness cannot touch in this creature, only in others of its plan.
+        passes = expand_dims_like(rules.pairs.stiffness, gap) == 0
+        valid &= ((gap >= -rules.overlap) | passes).all(0)
+    return valid
+
 
 # A trial has diverged beyond this angular velocity of a joint or the root (rad/s), or this speed of
 # the root (m/s). No animal of metre size moves so fast, and the time step no longer resolves such

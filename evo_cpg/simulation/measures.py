@@ -1,9 +1,9 @@
 """Measures of gait: numbers that describe the motion in a whole trial, for any task.
 
 They are reported with the task's terms, and can be axes of maps of behaviour
-(`evo_cpg.evolution.map_elites`). Each is a class with the same three functions, like a task. The
-table `MEASURES` lists them by name. The distance is the straight line from the initial to the final
-place of the root's centre. If there is ground, only the horizontal distance counts.
+(`evo_cpg.evolution.map_elites`). The table `MEASURES` lists them by name. The distance is the
+straight line from the initial to the final place of the root's centre. If there is ground, only the
+horizontal distance counts.
 
 | name | meaning | unit |
 |---|---|---|
@@ -13,38 +13,54 @@ place of the root's centre. If there is ground, only the horizontal distance cou
 | ``duty_factor`` | fraction of time on the ground, mean of the bodies that ever touch it | - |
 | ``limb_duty_factor`` | the same of whole limbs, without trunk and tail | - |
 | ``airborne`` | fraction of time in which nothing touches the ground | - |
-| ``relative_slip`` | slip speed on the ground / speed (`evo_cpg.simulation.foot_slip`) | - |
+| ``relative_slip`` | slip speed on the ground (equation 1) / speed | - |
 | ``stride_length`` | distance / number of strides, from ``frequency`` | m |
 | ``frequency`` | sign changes of a joint's velocity / (2 x duration), mean of turning axes | Hz |
 | ``amplitude`` | standard deviation of the joints' angles, mean of turning axes | rad |
 | ``turning`` | mean angular velocity of the root about the vertical, to the left | rad/s |
 | ``tilt`` | mean of 1 - cos(angle between the root's z axis and the vertical) | - |
+
+*Slip* is the speed over the ground of everything that touches it, weighted by load. With the load
+N_p of a contact point p (the vertical force of the ground, N) and the horizontal velocity v_p of
+the material at the point (m/s), the slip speed of a trial is
+
+    v_s = int sum_p N_p |v_p| dt / int sum_p N_p dt.                                     (1)
+
+A rolling or pivoting foot does not slip, because the material at its lowest point is at rest. A
+point without load counts nothing. A body needs no name to be a foot: all contact points of the
+creature count, and those of the belly and the tail too. On level ground with one coefficient of
+sliding friction mu, the numerator times mu is the energy that friction dissipates.
+
+Differs from a mean over the time of contact: a foot that lands or leaves counts by its load, so
+there is no touch-down to detect, and equation (1) has derivatives.
 """
 
 import abc
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from evo_cpg.physics.step.world import World
-from evo_cpg.simulation.foot_slip import Slip, no_slip, slip_of_step
 from evo_cpg.simulation.task import Transition
 
+# Name of the term of `RootDisplacement`. Its parentheses keep it different from the names of terms
+# in users' tasks.
+DISPLACEMENT = "(displacement of the root)"
+
+# Squared speed (m^2/s^2) added under the root, so that a point at rest has a derivative.
+_FLOOR = 1e-20
+# Load (N) below which nothing touches.
+_NO_LOAD = 1e-9
 # Smallest distance (m) to divide by, so that an animal that stays in place has a finite cost.
 _NOWHERE = 1e-6
 
 
 class Trial(NamedTuple):
-    """Facts about the whole trial that a measure may use at the end.
-
-    Attributes:
-        world: the animal and its environment.
-        duration: duration of the trial, s.
-    """
+    """Facts that a measure may use at the end of a trial: its world and its duration (s)."""
 
     world: World
     duration: float
@@ -85,180 +101,132 @@ def no_displacement(batch: tuple[int, ...], dtype: jnp.dtype, components: int = 
     return Displacement(nowhere, nowhere)
 
 
-class Speed(Measure):
-    """Distance divided by the duration of the trial, m/s."""
+class Slip(NamedTuple):
+    """Sums over control steps, for equation (1).
+
+    Attributes:
+        slide: load times speed, all contact points together, N m/s.
+        load: load of all contact points, N.
+    """
+
+    slide: Float[Array, " *n"]
+    load: Float[Array, " *n"]
+
+    def speed(self) -> Float[Array, " *n"]:
+        """Return the slip speed, m/s, or 0 if nothing has touched the ground."""
+        return self.slide / jnp.maximum(self.load, _NO_LOAD)
+
+    def plus(self, other: "Slip") -> "Slip":
+        """Return the sums with further control steps."""
+        return Slip(self.slide + other.slide, self.load + other.load)
+
+
+def slip_of_points(force: Float[Array, "3 p *n"], velocity: Float[Array, "3 p *n"]) -> Slip:
+    """Return the slip of contact points at an instant.
+
+    Args:
+        force: force of the ground on every contact point, world axes, N.
+        velocity: velocity of the material at every contact point, m/s.
+    """
+    x, y, _ = velocity
+    load = jnp.maximum(force[2], 0.0)
+    return Slip((load * jnp.sqrt(x * x + y * y + _FLOOR)).sum(0), load.sum(0))
+
+
+def slip_of_step(transition: Transition) -> Slip:
+    """Return the slip in a control step: mean load, and velocities at the end of the step."""
+    return slip_of_points(transition.forces.contact_force, transition.after.contact_velocity)
+
+
+class RootDisplacement(Measure):
+    """Displacement of the root, m.
+
+    If there is a light, this is the decrease of the root's distance to the light. Otherwise it is
+    the horizontal distance from the root's initial place to its final place.
+    """
+
+    lit: bool = eqx.field(static=True)
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Displacement:
         """See `Measure.begin`."""
-        return no_displacement(batch, dtype)
+        del world
+        return no_displacement(batch, dtype, 2)
 
     def update(self, tally: Displacement, transition: Transition) -> Displacement:
-        """See `Measure.update`."""
-        places = (each.state.position for each in (transition.before, transition.after))
+        """See `Measure.update`. The place in the light is the distance from it, and 0."""
+        places = []
+        for snapshot in (transition.before, transition.after):
+            place = snapshot.state.position
+            if snapshot.light_position is None:
+                places.append(place[:2])
+            else:
+                away = place - snapshot.light_position
+                distance = jnp.sqrt(jnp.sum(away * away, 0))
+                places.append(jnp.stack([distance, jnp.zeros_like(distance)]))
         return tally.moved(transition.step, *places)
 
     def finish(self, tally: Displacement, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
-        return distance(tally, trial.world) / trial.duration
+        del trial
+        if self.lit:
+            return tally.start[0] - tally.end[0]
+        return jnp.sqrt(jnp.sum((tally.end - tally.start) ** 2, 0))
 
 
-class Spent(NamedTuple):
-    """Energy of the motors so far, J, and displacement of the root."""
-
-    energy: Float[Array, " *n"]
-    displacement: Displacement
-
-
-class CostOfTransport(Measure):
-    """Energy of the motors divided by the animal's weight and by the distance."""
-
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Spent:
-        """See `Measure.begin`."""
-        return Spent(jnp.zeros(batch, dtype), no_displacement(batch, dtype))
-
-    def update(self, tally: Spent, transition: Transition) -> Spent:
-        """See `Measure.update`."""
-        displacement = Speed().update(tally.displacement, transition)
-        return Spent(tally.energy + transition.energy, displacement)
-
-    def finish(self, tally: Spent, trial: Trial) -> Float[Array, " *n"]:
-        """See `Measure.finish`."""
-        moved = distance(tally.displacement, trial.world)
-        return tally.energy / (trial.world.weight * jnp.maximum(moved, _NOWHERE))
+def _tilt(seen: Transition) -> Float[Array, " *n"]:
+    """Return 1 - cos(angle between the root's z axis and the vertical) before the step."""
+    _, x, y, _ = seen.before.state.orientation
+    return 2.0 * (x * x + y * y)
 
 
-class _Total(Measure):
-    """Sum over the trial, divided by its duration."""
-
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:
-        """See `Measure.begin`."""
-        return jnp.zeros(batch, dtype)
-
-    def update(self, tally: Array, transition: Transition) -> Array:
-        """See `Measure.update`."""
-        return tally + self.of_step(transition)
-
-    def finish(self, tally: Array, trial: Trial) -> Float[Array, " *n"]:
-        """See `Measure.finish`."""
-        return tally / trial.duration
-
-    @abc.abstractmethod
-    def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """Return the addend of a control step."""
+def _turned(
+    old: tuple[Float[Array, "d *n"], Float[Array, "d *n"]], rate: Float[Array, "d *n"]
+) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
+    """Return the signs of the joints' velocities and the number of their changes so far."""
+    sign, changes = old
+    new = jnp.where(rate > 0, 1.0, jnp.where(rate < 0, -1.0, sign)).astype(rate.dtype)
+    return new, changes + jnp.where(new * sign < 0, 1.0, 0.0).astype(rate.dtype)
 
 
-class Power(_Total):
-    """Energy of the motors divided by the duration of the trial, W."""
+def _touched(seen: Transition, groups: Sequence[tuple[int, ...]]) -> Array:
+    """Return whether any body of each group touches the ground in a control step, ``(g, *n)``.
 
-    def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """Return the energy of the motors in the step, J."""
-        return transition.energy
-
-
-class Airborne(_Total):
-    """Fraction of time in which nothing touches the ground."""
-
-    def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """Return the time in the air, s."""
-        return transition.airborne * transition.before.control_step
+    A control step with any contact counts as a whole, however short the contact is.
+    """
+    force = seen.forces.contact_force
+    # Every contact force has a normal component. So the force vector is not zero in any axes.
+    touched = (force * force).sum(0) > 0
+    owners = seen.before.contact_bodies
+    rows = [touched[np.flatnonzero(np.isin(owners, group))].any(0) for group in groups]
+    return jnp.stack(rows)
 
 
-class Turning(_Total):
-    """Mean angular velocity of the root about the vertical, positive to the left, rad/s."""
-
-    def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """Return the turn to the left, rad."""
-        return transition.after.state.angular_velocity[2] * transition.before.control_step
-
-
-class Tilt(_Total):
-    """Mean of 1 - cos(angle between the root's z axis and the vertical)."""
-
-    def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """Return 1 - cos(angle) at the start of the step, times the length of the step in s."""
-        _, x, y, _ = transition.before.state.orientation
-        return 2.0 * (x * x + y * y) * transition.before.control_step
+def _distance(tallies: dict[str, Any], world: World) -> Float[Array, " *n"]:
+    """Return the length of the displacement, m. If there is ground, z does not count."""
+    x, y, z = tallies["displacement"].end - tallies["displacement"].start
+    level = x * x + y * y
+    return jnp.sqrt(level if world.contact_model is not None else level + z * z)
 
 
-class Strides(NamedTuple):
-    """For each joint axis: last sign of its velocity (0 at first), and number of sign changes."""
-
-    sign: Float[Array, "d *n"]
-    changes: Float[Array, "d *n"]
-
-
-class Frequency(Measure):
-    """Mean frequency of the turning axes, from sign changes of their velocities, Hz."""
-
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Strides:
-        """See `Measure.begin`."""
-        none = jnp.zeros((world.tree.dof_count, *batch), dtype)
-        return Strides(none, none)
-
-    def update(self, tally: Strides, transition: Transition) -> Strides:
-        """See `Measure.update`."""
-        rate = transition.after.state.qd
-        sign = jnp.where(rate > 0, 1.0, jnp.where(rate < 0, -1.0, tally.sign)).astype(rate.dtype)
-        changed = jnp.where(sign * tally.sign < 0, 1.0, 0.0).astype(rate.dtype)
-        return Strides(sign, tally.changes + changed)
-
-    def finish(self, tally: Strides, trial: Trial) -> Float[Array, " *n"]:
-        """See `Measure.finish`."""
-        changes = _of_angles(tally.changes, trial.world)
-        return changes.sum(0) / (2.0 * changes.shape[0] * trial.duration)
+def _mean_of_touching(tallies: dict[str, Any], trial: Trial) -> Float[Array, " *n"]:
+    """Return the mean fraction of time on the ground of the groups that ever touch it."""
+    time = tallies["contact"]
+    ever = (time > 0).astype(time.dtype).sum(0)
+    return time.sum(0) / (jnp.maximum(ever, 1.0) * trial.duration)
 
 
-class Stepped(NamedTuple):
-    """Strides so far, and displacement of the root."""
-
-    strides: Strides
-    displacement: Displacement
-
-
-class StrideLength(Measure):
-    """Distance divided by the number of strides, m. Less than one stride counts as one."""
-
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Stepped:
-        """See `Measure.begin`."""
-        return Stepped(Frequency().begin(world, batch, dtype), no_displacement(batch, dtype))
-
-    def update(self, tally: Stepped, transition: Transition) -> Stepped:
-        """See `Measure.update`."""
-        displacement = Speed().update(tally.displacement, transition)
-        return Stepped(Frequency().update(tally.strides, transition), displacement)
-
-    def finish(self, tally: Stepped, trial: Trial) -> Float[Array, " *n"]:
-        """See `Measure.finish`."""
-        strides = Frequency().finish(tally.strides, trial) * trial.duration
-        return distance(tally.displacement, trial.world) / jnp.maximum(strides, 1.0)
+def _frequency(tallies: dict[str, Any], trial: Trial) -> Float[Array, " *n"]:
+    """Return the mean frequency of the turning axes, from sign changes of their velocities, Hz."""
+    changes = _of_angles(tallies["strides"][1], trial.world)
+    return changes.sum(0) / (2.0 * changes.shape[0] * trial.duration)
 
 
-class Swing(NamedTuple):
-    """Time integrals of the joints' angles and of their squares."""
-
-    angle: Float[Array, "d *n"]
-    square: Float[Array, "d *n"]
-
-
-class Amplitude(Measure):
-    """Standard deviation of the joints' angles, mean of all turning axes, rad."""
-
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Swing:
-        """See `Measure.begin`."""
-        none = jnp.zeros((world.tree.dof_count, *batch), dtype)
-        return Swing(none, none)
-
-    def update(self, tally: Swing, transition: Transition) -> Swing:
-        """See `Measure.update`."""
-        angle, step = transition.after.state.q, transition.before.control_step
-        return Swing(tally.angle + step * angle, tally.square + step * angle * angle)
-
-    def finish(self, tally: Swing, trial: Trial) -> Float[Array, " *n"]:
-        """See `Measure.finish`."""
-        angle, square = (_of_angles(x, trial.world) for x in tally)
-        mean = angle / trial.duration
-        variance = jnp.maximum(square / trial.duration - mean * mean, 0.0)
-        return jnp.sqrt(variance).sum(0) / variance.shape[0]
+def _amplitude(tallies: dict[str, Any], trial: Trial) -> Float[Array, " *n"]:
+    """Return the standard deviation of the joints' angles, mean of all turning axes, rad."""
+    angle, square = (_of_angles(tallies[name], trial.world) for name in ("angle", "square"))
+    mean = angle / trial.duration
+    variance = jnp.maximum(square / trial.duration - mean * mean, 0.0)
+    return jnp.sqrt(variance).sum(0) / variance.shape[0]
 
 
 def _of_angles(each: Float[Array, "d *n"], world: World) -> Float[Array, "k *n"]:
@@ -270,104 +238,127 @@ def _of_angles(each: Float[Array, "d *n"], world: World) -> Float[Array, "k *n"]
     return each if slides.all() or not slides.any() else each[np.flatnonzero(~slides)]
 
 
-class Slid(NamedTuple):
-    """Sums of the slip so far, and displacement of the root."""
-
-    slip: Slip
-    displacement: Displacement
-
-
-class RelativeSlip(Measure):
-    """Slip speed of everything that touches the ground, divided by the speed."""
-
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Slid:
-        """See `Measure.begin`."""
-        return Slid(no_slip(batch, dtype), no_displacement(batch, dtype))
-
-    def update(self, tally: Slid, transition: Transition) -> Slid:
-        """See `Measure.update`."""
-        displacement = Speed().update(tally.displacement, transition)
-        return Slid(tally.slip.plus(slip_of_step(transition)), displacement)
-
-    def finish(self, tally: Slid, trial: Trial) -> Float[Array, " *n"]:
-        """See `Measure.finish`."""
-        moved = jnp.maximum(distance(tally.displacement, trial.world), _NOWHERE)
-        return tally.slip.speed() * trial.duration / moved
-
-
-class DutyFactor(Measure):
-    """Fraction of control steps on the ground, mean of all bodies but the root that ever touch it.
-
-    A control step with any contact of a body counts as a whole, however short the contact is.
-    """
-
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:
-        """Return zero as the time on the ground (s) of every body that can touch it."""
-        return jnp.zeros((len(_limbs(world)), *batch), dtype)
-
-    def update(self, tally: Array, transition: Transition) -> Array:
-        """See `Measure.update`."""
-        bodies = [(body,) for body in _limbs(transition.before.world)]
-        touched = _touched_groups(transition, bodies)
-        return tally + transition.before.control_step * touched.astype(tally.dtype)
-
-    def finish(self, tally: Array, trial: Trial) -> Float[Array, " *n"]:
-        """See `Measure.finish`."""
-        return _mean_of_touching(tally, trial)
+# Tallies that measures of gait share, by name. Each follows the control steps as the table says,
+# given the old tally, the step, and the groups of bodies whose contact counts.
+_TALLIES: dict[str, Callable[[Any, Transition, Sequence[tuple[int, ...]]], Any]] = {
+    "displacement": lambda old, seen, _: old.moved(
+        seen.step, seen.before.state.position, seen.after.state.position
+    ),
+    "slip": lambda old, seen, _: old.plus(slip_of_step(seen)),
+    # Energy of the motors, J.
+    "energy": lambda old, seen, _: old + seen.energy,
+    # Time in the air, s.
+    "airborne": lambda old, seen, _: old + seen.airborne * seen.before.control_step,
+    # Turn to the left, rad.
+    "turn": lambda old, seen, _: (
+        old + seen.after.state.angular_velocity[2] * seen.before.control_step
+    ),
+    "tilt": lambda old, seen, _: old + _tilt(seen) * seen.before.control_step,
+    # Time integrals of the joints' angles, and of their squares.
+    "angle": lambda old, seen, _: old + seen.before.control_step * seen.after.state.q,
+    "square": lambda old, seen, _: (
+        old + seen.before.control_step * seen.after.state.q * seen.after.state.q
+    ),
+    # For each joint axis: last sign of its velocity (0 at first), and number of sign changes.
+    "strides": lambda old, seen, _: _turned(old, seen.after.state.qd),
+    # Time on the ground of each group of bodies, s.
+    "contact": lambda old, seen, groups: (
+        old + seen.before.control_step * _touched(seen, groups).astype(old.dtype)
+    ),
+}
 
 
-class LimbDutyFactor(Measure):
-    """Fraction of control steps on the ground, mean of all limbs that ever touch it.
+class _Formula(NamedTuple):
+    """Tallies that a measure of gait needs, and the measure computed from them."""
 
-    A limb touches the ground if any of its bodies does. Trunk and tail are not limbs
-    (`evo_cpg.creature.limbs`).
-
-    Attributes:
-        limbs: indices in the tree of the bodies of each limb.
-    """
-
-    limbs: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())
-
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:
-        """Return zero as the time on the ground (s) of every limb."""
-        return jnp.zeros((len(self.limbs), *batch), dtype)
-
-    def update(self, tally: Array, transition: Transition) -> Array:
-        """See `Measure.update`."""
-        touched = _touched_groups(transition, self.limbs)
-        return tally + transition.before.control_step * touched.astype(tally.dtype)
-
-    def finish(self, tally: Array, trial: Trial) -> Float[Array, " *n"]:
-        """See `Measure.finish`."""
-        return _mean_of_touching(tally, trial)
+    tallies: tuple[str, ...]
+    of: Callable[[dict[str, Any], Trial], Array]
 
 
-MEASURES: dict[str, type[Measure]] = {
-    "airborne": Airborne,
-    "amplitude": Amplitude,
-    "cost_of_transport": CostOfTransport,
-    "duty_factor": DutyFactor,
-    "frequency": Frequency,
-    "limb_duty_factor": LimbDutyFactor,
-    "power": Power,
-    "relative_slip": RelativeSlip,
-    "speed": Speed,
-    "stride_length": StrideLength,
-    "tilt": Tilt,
-    "turning": Turning,
+MEASURES: dict[str, _Formula] = {
+    "airborne": _Formula(("airborne",), lambda x, trial: x["airborne"] / trial.duration),
+    "amplitude": _Formula(("angle", "square"), _amplitude),
+    "cost_of_transport": _Formula(
+        ("energy", "displacement"),
+        lambda x, trial: (
+            x["energy"] / (trial.world.weight * jnp.maximum(_distance(x, trial.world), _NOWHERE))
+        ),
+    ),
+    "duty_factor": _Formula(("contact",), _mean_of_touching),
+    "frequency": _Formula(("strides",), _frequency),
+    "limb_duty_factor": _Formula(("contact",), _mean_of_touching),
+    "power": _Formula(("energy",), lambda x, trial: x["energy"] / trial.duration),
+    "relative_slip": _Formula(
+        ("slip", "displacement"),
+        lambda x, trial: (
+            x["slip"].speed() * trial.duration / jnp.maximum(_distance(x, trial.world), _NOWHERE)
+        ),
+    ),
+    "speed": _Formula(
+        ("displacement",), lambda x, trial: _distance(x, trial.world) / trial.duration
+    ),
+    # Less than one stride counts as one.
+    "stride_length": _Formula(
+        ("strides", "displacement"),
+        lambda x, trial: (
+            _distance(x, trial.world) / jnp.maximum(_frequency(x, trial) * trial.duration, 1.0)
+        ),
+    ),
+    "tilt": _Formula(("tilt",), lambda x, trial: x["tilt"] / trial.duration),
+    "turning": _Formula(("turn",), lambda x, trial: x["turn"] / trial.duration),
 }
 
 # Measures that mean nothing without ground.
 GROUND_MEASURES = ("airborne", "duty_factor", "limb_duty_factor", "relative_slip")
 
 
-class Measures(eqx.Module):
-    """Several measures, by name.
+class GaitMeasure(Measure):
+    """A measure of the table `MEASURES`.
 
     Attributes:
-        names: name of each measure.
-        each: the measures.
+        name: key in the table.
+        limbs: indices in the tree of the bodies of each limb, for ``limb_duty_factor``. A limb
+            touches the ground if any of its bodies does. Trunk and tail are not limbs
+            (`evo_cpg.creature.limbs`).
     """
+
+    name: str = eqx.field(static=True)
+    limbs: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> dict[str, Any]:
+        """See `Measure.begin`."""
+        none = jnp.zeros(batch, dtype)
+        joints = jnp.zeros((world.tree.dof_count, *batch), dtype)
+        contact = jnp.zeros((len(self._groups(world)), *batch), dtype)
+        special = {
+            "displacement": no_displacement(batch, dtype),
+            "slip": Slip(none, none),
+            "angle": joints,
+            "square": joints,
+            "strides": (joints, joints),
+            "contact": contact,
+        }
+        return {name: special.get(name, none) for name in MEASURES[self.name].tallies}
+
+    def update(self, tally: dict[str, Any], transition: Transition) -> dict[str, Any]:
+        """See `Measure.update`."""
+        groups = self._groups(transition.before.world)
+        return {name: _TALLIES[name](old, transition, groups) for name, old in tally.items()}
+
+    def finish(self, tally: dict[str, Any], trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        return MEASURES[self.name].of(tally, trial)
+
+    def _groups(self, world: World) -> Sequence[tuple[int, ...]]:
+        """Return the limbs, or all bodies with contact points but the root, which is body 0."""
+        if self.name == "limb_duty_factor":
+            return self.limbs
+        owners = () if world.contact_model is None else world.contact_model.bodies
+        return [(int(body),) for body in np.unique(np.array(owners, int)) if body > 0]
+
+
+class Measures(eqx.Module):
+    """Several measures, by name."""
 
     names: tuple[str, ...] = eqx.field(static=True, default=())
     each: tuple[Measure, ...] = ()
@@ -375,65 +366,21 @@ class Measures(eqx.Module):
     def __or__(self, other: "Measures") -> "Measures":
         return Measures(self.names + other.names, self.each + other.each)
 
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> dict[str, PyTree]:
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> tuple[PyTree, ...]:
         """Return the tallies before a trial."""
-        return {name: one.begin(world, batch, dtype) for name, one in self._named()}
+        return tuple(one.begin(world, batch, dtype) for one in self.each)
 
-    def update(self, tallies: dict[str, PyTree], transition: Transition) -> dict[str, PyTree]:
+    def update(self, tallies: tuple[PyTree, ...], transition: Transition) -> tuple[PyTree, ...]:
         """Return the tallies after one more control step."""
-        return {name: one.update(tallies[name], transition) for name, one in self._named()}
+        pairs = zip(self.each, tallies, strict=True)
+        return tuple(one.update(tally, transition) for one, tally in pairs)
 
-    def finish(self, tallies: dict[str, PyTree], trial: Trial) -> dict[str, Float[Array, " *n"]]:
+    def finish(self, tallies: tuple[PyTree, ...], trial: Trial) -> dict[str, Float[Array, " *n"]]:
         """Return the numbers by name."""
-        return {name: one.finish(tallies[name], trial) for name, one in self._named()}
-
-    def _named(self) -> zip:
-        return zip(self.names, self.each, strict=True)
+        triples = zip(self.names, self.each, tallies, strict=True)
+        return {name: one.finish(tally, trial) for name, one, tally in triples}
 
 
 def measures(*names: str, limbs: tuple[tuple[int, ...], ...] = ()) -> Measures:
-    """Return measures by their keys in `MEASURES`.
-
-    Args:
-        names: keys of the measures.
-        limbs: indices in the tree of the bodies of each limb, for ``limb_duty_factor``.
-    """
-    return Measures(
-        names,
-        tuple(
-            LimbDutyFactor(limbs) if MEASURES[name] is LimbDutyFactor else MEASURES[name]()
-            for name in names
-        ),
-    )
-
-
-def distance(displacement: Displacement, world: World) -> Float[Array, " *n"]:
-    """Return the length of the displacement, m. If there is ground, z does not count."""
-    x, y, z = displacement.end - displacement.start
-    level = x * x + y * y
-    return jnp.sqrt(level if world.contact_model is not None else level + z * z)
-
-
-def _touched_groups(
-    transition: Transition, groups: Sequence[tuple[int, ...]]
-) -> Bool[Array, "g *n"]:
-    """Return whether any body of each group touches the ground in a control step."""
-    force = transition.forces.contact_force
-    # Every contact force has a normal component. So the force vector is not zero in any axes.
-    touched = (force * force).sum(0) > 0
-    owners = transition.before.contact_bodies
-    rows = [touched[np.flatnonzero(np.isin(owners, group))].any(0) for group in groups]
-    return jnp.stack(rows)
-
-
-def _mean_of_touching(time: Float[Array, "g *n"], trial: Trial) -> Float[Array, " *n"]:
-    """Return the mean fraction of time of the groups that ever touch, from their times, s."""
-    ever = (time > 0).astype(time.dtype).sum(0)
-    return time.sum(0) / (jnp.maximum(ever, 1.0) * trial.duration)
-
-
-def _limbs(world: World) -> list[int]:
-    """Return the bodies with contact points, without the root, which is body 0."""
-    contact_model = world.contact_model
-    owners = np.array(() if contact_model is None else contact_model.bodies, int)
-    return [int(body) for body in np.unique(owners) if body > 0]
+    """Return measures by their keys in `MEASURES`, with the bodies of each limb."""
+    return Measures(names, tuple(GaitMeasure(name, limbs) for name in names))

@@ -7,16 +7,16 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like
+from evo_cpg.creature.axis_kinds import kind_named
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.errors import UserError
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.simulation.control_step import Effects
-from evo_cpg.simulation.observer import Observer, Seen
+from evo_cpg.simulation.observers import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.snapshot import Snapshot
 
@@ -62,9 +62,8 @@ class Recording(NamedTuple):
 
     @property
     def slides(self) -> Bool[np.ndarray, " d"]:
-        """Degrees of freedom that are displacements, with the units m, m/s and N."""
-        axes = [body_and_axis(name)[1] for name in self.dof_names]
-        return np.array([axis.startswith("slide_") for axis in axes], bool)
+        """Degrees of freedom whose coordinate is a length, with the units m, m/s and N."""
+        return np.array([kind_named(name).unit == "m" for name in self.dof_names], bool)
 
     def __repr__(self) -> str:
         span = f" from {self.time[0]:.4g} to {self.time[-1]:.4g} s" if len(self.time) else ""
@@ -133,23 +132,37 @@ class Recorder(Observer):
         count: number of individuals that are recorded, or None for all.
         first: index of the first of them.
         full: True to add velocities, senses and the state of the controller.
+        names: names of the arrays that are kept, or None for all.
+        every: number of control steps between two that are kept.
     """
 
     every_step = True
     count: int | None = 1
     first: int = 0
     full: bool = False
+    names: tuple[str, ...] | None = None
+    every: int = 1
 
     def of_step(self, seen: Seen) -> dict[str, Array]:
         """Return the recorded arrays of a control step, by name."""
         frame = functools.partial(_frame, seen.simulation, self.full)
         frames = fuse(frame, seen.effects, batch_ndim=seen.effects.energy.ndim)
         if self.full:
-            frames |= _nerve_frames(seen.animal.nerves)
+            # Arrays in the controller's state have names such as ``nerve.potential``.
+            leaves, _ = jax.tree_util.tree_flatten_with_path(seen.animal.nerves)
+            frames |= {NERVE + jax.tree_util.keystr(path).strip("."): x for path, x in leaves}
+        frames = {name: frames[name] for name in self.names or frames}
         if self.count is None:
             return frames
-        recorded = slice(self.first, self.first + self.count)
-        return {name: values[..., recorded] for name, values in frames.items()}
+        chosen = slice(self.first, self.first + self.count)
+        return {name: values[..., chosen] for name, values in frames.items()}
+
+    def finish(
+        self, simulation: Simulation, tally: tuple, steps: dict[str, Array]
+    ) -> dict[str, Array]:
+        """Return the arrays with time on the first axis."""
+        del simulation, tally
+        return {name: values[:: self.every] for name, values in steps.items()}
 
 
 def as_recording(
@@ -228,9 +241,3 @@ def _frame(simulation: Simulation, full: bool, effects: Effects) -> dict[str, Ar
             **{SENSE + name: values for name, values in senses.items() if values is not None},
         }
     return frame
-
-
-def _nerve_frames(nerves: PyTree[Array]) -> dict[str, Array]:
-    """Return the arrays in a controller's state, with names such as ``nerve.potential``."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(nerves)
-    return {NERVE + jax.tree_util.keystr(path).strip("."): values for path, values in leaves}

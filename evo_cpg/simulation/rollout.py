@@ -18,7 +18,7 @@ from evo_cpg.simulation.backward import Backward
 from evo_cpg.simulation.batched import BatchedSimulation
 from evo_cpg.simulation.control_step import begin_episode, control_step
 from evo_cpg.simulation.judge import JUDGE
-from evo_cpg.simulation.observer import Observer, Seen
+from evo_cpg.simulation.observers import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
 
 # Leaves are observers.

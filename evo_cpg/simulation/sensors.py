@@ -1,20 +1,27 @@
-"""Readings of the sensors: light, pressure, attitude (Iwadate 2010, eq. 1 and Table 2), depth."""
+"""Sensors: light, pressure, attitude (Iwadate 2010, eq. 1 and Table 2), depth, and others.
 
+Eyes, pressure sensors and depth gauges are built in, and `Sensors` has their places. Any further
+kind of sensor is a subclass of `Sensor`. The config names the class in ``creature.sensors``, as a
+built-in kind or as ``my_module:MySensor``. Its readings go into `Observation.custom`.
+"""
+
+import abc
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import dot, expand_dims_like, matvec
-from evo_cpg.creature.algebra.mixed_array import MixedArray
-from evo_cpg.creature.algebra.numerics import Numbers, xp
+from evo_cpg.creature.algebra.linear import as_matrix_of, dot, expand_dims_like, matvec, matvec_t
+from evo_cpg.creature.algebra.numerics import MixedArray, Number, Numbers, xp
 from evo_cpg.creature.creature import Creature, DepthSensor, LightSensor
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.per_body import take
+from evo_cpg.simulation.snapshot import Forces, Snapshot
 
 # Added under square roots, so that a light at the sensor's own place gives a finite gradient.
 _DISTANCE_FLOOR = 1e-12
@@ -158,7 +165,7 @@ def _depth(
 ) -> Float[Array, "k *n"]:
     """Return the depth of points of bodies below the water's surface, m, negative above it."""
     own = take(kin.origin[2], bodies, 0)
-    lever = take(kin.rotation[2], bodies) * expand_dims_like(places, own, own.ndim + 1)
+    lever = take(kin.rotation[2], bodies) * as_matrix_of(places, own)
     return jnp.asarray(surface - own - lever.sum(0))
 
 
@@ -203,3 +210,60 @@ def light_readings(
         dot(axis, to_light) / distance, expand_dims_like(sensors.fields_of_view, distance)
     )
     return strength, cosine, sine
+
+
+class Sensor(eqx.Module):
+    """Readings that the animal senses at the start of every control step.
+
+    Subclass it to write your own sensor: declare the number of readings, and compute them in
+    `sense`. The sensor is built with the keyword arguments in the config's ``options``. It also
+    gets ``tree`` and ``control_step`` (s) if its constructor takes them. Readings from -1 to 1 suit
+    a neural network best.
+
+    Attributes:
+        count: number of readings.
+
+    Example:
+        Vertical speed of the animal::
+
+            class Variometer(Sensor):
+                count: int = eqx.field(static=True, default=1)
+                full_scale: float = 1.0
+
+                def sense(self, snapshot, forces):
+                    return snapshot.state.linear_velocity[2:] / self.full_scale
+    """
+
+    count: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def sense(self, snapshot: Snapshot, forces: Forces) -> Float[Array, "count *n"]:
+        """Return the readings.
+
+        Must be a pure JAX function of arrays whose trailing axes are individuals.
+
+        Args:
+            snapshot: the animal at this instant.
+            forces: forces of motors and ground in the last control step, zero at the start.
+        """
+
+
+class VelocitySensor(Sensor):
+    """Velocity of the centre of a body's shape in the world, along the body's own x, y and z axes.
+
+    Attributes:
+        body: name of the body that carries the sensor.
+        full_scale: velocity at which the reading is 1, m/s. Readings are clipped to -1 and 1.
+        count: 3.
+    """
+
+    body: str = eqx.field(static=True)
+    full_scale: Number = 1.0
+    count: int = eqx.field(static=True, default=3, init=False)
+
+    def sense(self, snapshot: Snapshot, forces: Forces) -> Float[Array, "3 *n"]:
+        """See `Sensor.sense`."""
+        del forces
+        i = snapshot.body(self.body)
+        own = matvec_t(snapshot.rotation[:, :, i], snapshot.velocity[:, i])
+        return jnp.clip(own / self.full_scale, -1.0, 1.0)

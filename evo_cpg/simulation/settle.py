@@ -195,7 +195,12 @@ class Settling:
         self.quiet = _QUIET * self.size * frequency + gravity * h / STIFFNESS
         self.frequency = frequency
         lock = _LOCK * tree.mass.sum() * self.size**2 * frequency
-        search, numbers = _searches.of(_in_still_water(world), self.free, h)
+        still = world
+        if world.water is not None:
+            # A current would carry the creature away.
+            water = dataclasses.replace(world.water, streams=(Current(),))
+            still = dataclasses.replace(world, water=water)
+        search, numbers = _searches.of(still, self.free, h)
         given = numbers, self.scale, moment
         self._fall = functools.partial(search.fall, numbers, (lock, self.size, self.quiet))
         self._evaluate = functools.partial(search.evaluate, given)
@@ -217,7 +222,7 @@ class Settling:
                 self.world.tree, (), jnp.float64, situation.start_position, situation.orientation
             )
             found = self.rest(start)
-            scale = np.zeros((root.size_of(self.world.tree.dof_count), len(self.free)))
+            scale = np.zeros((root.ROOT_DOFS + self.world.tree.dof_count, len(self.free)))
             scale[self.free, np.arange(len(self.free))] = self.scale
             give = scale @ found.give @ scale.T / (self.weight * self.size)
             friction = jax.tree.map(np.asarray, found.friction)
@@ -249,19 +254,19 @@ class Settling:
                 raise NoRestError(f"its fall diverges with physics steps of {self.h:.2g} s")
             self._require_upright(start, state)
             found = self._balanced(state)
-            if found is not None and self._stays(found.state):
+            if found is None:
+                continue
+            # Without damping, the creature has to stay in the pose.
+            steps = round(_RELEASE / self.h)
+            later, _ = self._fall(found.state, 1.0, steps, steps)
+            drift = np.linalg.norm(later.position - found.state.position)
+            if drift < self.quiet * _RELEASE:
                 self._require_upright(start, found.state)
                 if self.world.tree.hanging is None and _is_alike_everywhere(self.world):
                     state, friction = _put_back(start, found.state, found.friction)
                     found = found._replace(state=state, friction=friction)
                 return found
         raise NoRestError(f"it slides, rolls or drifts away (no rest within {seconds:.3g} s)")
-
-    def _stays(self, state: State) -> bool:
-        """Return whether the creature stays in a pose when it is released there."""
-        steps = round(_RELEASE / self.h)
-        later, _ = self._fall(state, 1.0, steps, steps)
-        return bool(np.linalg.norm(later.position - state.position) < self.quiet * _RELEASE)
 
     def _balanced(self, state: State) -> Rest | None:
         """Return the stable balance near a quiet pose, or None if there is none."""
@@ -277,7 +282,13 @@ class Settling:
             here = self._at(np.zeros(len(self.free)), state, friction)
             values, modes = np.linalg.eigh(here.stiffness)
             if values.min(initial=0.0) > -_UNSTABLE:
-                self._require_hold(here.total)
+                tree, torque = self.world.tree, np.abs(here.total[root.JOINTS])
+                # Motors without a spring have to hold their joints.
+                for i in np.flatnonzero(~_is_compliant(tree) & (torque > tree.torque_limit)):
+                    raise NoRestError(
+                        f"the motor of {tree.dof_names[i]} would have to hold {torque[i]:.3g} N m, "
+                        f"but its torque_limit is {tree.torque_limit[i]:.3g} N m"
+                    )
                 stiff = np.abs(values) > _SOFTEST
                 give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
                 return Rest(state, np.asarray(here.touch.normal_force), values, friction, give)
@@ -367,19 +378,11 @@ class Settling:
 
     def _require_upright(self, start: State, state: State) -> None:
         """Check that the creature has not fallen over."""
-        tilt = _tilt(start, state)
+        # Angle between the vertical and the initially vertical axis of the root.
+        before, after = (np.asarray(quaternion_to_matrix(s.orientation)) for s in (start, state))
+        tilt = float(np.arccos(np.clip((after @ before.T)[2, 2], -1.0, 1.0)))
         if tilt > _LARGEST_TILT:
             raise NoRestError(f"it falls over (its tilt reaches {np.rad2deg(tilt):.0f} degrees)")
-
-    def _require_hold(self, total: np.ndarray) -> None:
-        """Check that motors without a spring can hold their joints."""
-        tree = self.world.tree
-        torque = np.abs(total[root.JOINTS])
-        for i in np.flatnonzero(~_is_compliant(tree) & (torque > tree.torque_limit)):
-            raise NoRestError(
-                f"the motor of {tree.dof_names[i]} would have to hold {torque[i]:.3g} N m, but its "
-                f"torque_limit is {tree.torque_limit[i]:.3g} N m"
-            )
 
 
 class _Search:
@@ -423,7 +426,7 @@ class _Search:
                 moves = (quiet < _QUIET_STEPS) | (index < least)
                 return (index < most) & moves & jnp.isfinite(state.position).all()
 
-            mean = jnp.zeros(root.size_of(tree.dof_count))
+            mean = jnp.zeros(root.ROOT_DOFS + tree.dof_count)
             length = jnp.full_like(mean, radius).at[root.LENGTHS : root.ROOT_DOFS].set(1.0)
             start = state, first_warmstart(world, (), state.q.dtype), mean, 0, 0
             state, _, mean, taken, _ = jax.lax.while_loop(goes_on, advance, start)
@@ -437,7 +440,7 @@ class _Search:
         ) -> tuple[Array, tuple[Array, Array, Touch]]:
             numbers, length, moment = given
             world = plan.world(numbers)
-            x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
+            x = jnp.zeros(root.ROOT_DOFS + world.tree.dof_count).at[free].set(length * y)
             total, touch = static_forces(world, h, base, friction, x)
             scaled = total[free] * length / moment
             return scaled, (scaled, total, touch)
@@ -453,7 +456,7 @@ class _Search:
             if world.contact_model is not None:
                 slip = jnp.where(touch.normal_force > 0, touch.slip, 0.0)
                 friction = FrictionState(touch.point, touch.place, slip, friction.limit)
-            x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
+            x = jnp.zeros(root.ROOT_DOFS + world.tree.dof_count).at[free].set(length * y)
             return base.displaced(world.tree, x), friction
 
         self.fall, self.evaluate = quick_jit(fall), quick_jit(evaluate)
@@ -480,7 +483,14 @@ def settled(
     Raises:
         NoRestError: the creature finds no rest, or falls over.
     """
-    found = searched(lambda: settling().settle(situation), lambda _: _is_known(world, situation))
+
+    def known(_: Any) -> bool:
+        # With a traced number the search might end in another pose.
+        if is_traced((world, situation)):
+            raise Undecidable("the start is searched: start_pose is 'settled'")
+        return True
+
+    found = searched(lambda: settling().settle(situation), known)
     alike_everywhere = chosen(lambda: _is_alike_everywhere(world))
     state = found.state
     if is_traced(world, situation):
@@ -512,17 +522,6 @@ def settled(
     return situation._replace(
         start_position=position, start_orientation=orientation, start_angles=angles
     )
-
-
-def _is_known(*values: Any) -> bool:
-    """Return True if no number is traced. Otherwise the search might end in another pose.
-
-    Raises:
-        Undecidable: a number is traced.
-    """
-    if is_traced(values):
-        raise Undecidable("the start is searched: start_pose is 'settled'")
-    return True
 
 
 def _is_compliant(tree: Tree) -> np.ndarray:
@@ -557,13 +556,6 @@ def _require_support(world: World) -> None:
         raise NoRestError(f"it rises, because the water has no surface ({weights})")
 
 
-def _in_still_water(world: World) -> World:
-    """Return the world without a current, which would carry the creature away."""
-    if world.water is None:
-        return world
-    return dataclasses.replace(world, water=dataclasses.replace(world.water, streams=(Current(),)))
-
-
 def _is_alike_everywhere(world: World) -> bool:
     """Return whether all places and headings are equivalent: without ground, or on level ground."""
     return world.ground is None or world.ground.level is not None
@@ -571,7 +563,9 @@ def _is_alike_everywhere(world: World) -> bool:
 
 def _put_back(start: State, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
     """Move the pose back to the initial place and heading."""
-    turn = _heading(start) - _heading(state)
+    ahead = [quaternion_to_matrix(each.orientation)[:, 0] for each in (start, state)]
+    before, after = (jnp.arctan2(y, x) for x, y, _ in ahead)
+    turn = before - after
     return _carried(state, friction, start.position[:2] - state.position[:2], turn)
 
 
@@ -596,15 +590,3 @@ def _carried(
         orientation=integrate_quaternion(state.orientation, about_z, 1.0),
     )
     return carried, friction._replace(place=place, slip=rotation @ friction.slip)
-
-
-def _heading(state: State) -> Array:
-    """Return the heading of the root's x axis, rad."""
-    ahead = quaternion_to_matrix(state.orientation)[:, 0]
-    return jnp.arctan2(ahead[1], ahead[0])
-
-
-def _tilt(start: State, state: State) -> float:
-    """Return the angle between the vertical and the initially vertical axis of the root, rad."""
-    before, after = (np.asarray(quaternion_to_matrix(s.orientation)) for s in (start, state))
-    return float(np.arccos(np.clip((after @ before.T)[2, 2], -1.0, 1.0)))

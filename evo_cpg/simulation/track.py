@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.physics.tree.state import State
-from evo_cpg.simulation.observer import States
+from evo_cpg.simulation.observers import States
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 

@@ -8,9 +8,9 @@ from types import ModuleType
 
 import evo_cpg
 from evo_cpg.errors import UserError
-from evo_cpg.installation import command_for
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.studies.workshop import Workshop
+from evo_cpg.system import command_for
 
 # Cases that simulate an animal. Their rates are also drawn as a picture.
 _MOVING = (

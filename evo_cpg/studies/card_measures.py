@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.analysis.allometry import running_cost
+from evo_cpg.analysis.animals import running_cost
+from evo_cpg.analysis.cycles import mean_phase, upward_crossings
 from evo_cpg.analysis.gait import fourier_component
 from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.analysis.laboratory.settings import Setting
-from evo_cpg.analysis.rhythm import mean_phase, upward_crossings
 from evo_cpg.simulation.recording import Recording
 
 Measure = Callable[[Sequence[Answer]], Sequence[float]]
@@ -27,7 +27,7 @@ _LAST = 0.5
 _BURST = 0.1
 # Largest difference from the lag of the intact animal at which the lag has returned, cycles.
 _RETURNED = 0.1
-# Reynolds number where the two laws of Gazzola et al. 2014 meet (`analysis.allometry`).
+# Reynolds number where the two laws of Gazzola et al. 2014 meet (`analysis.animals`).
 _TURBULENT = 3600.0
 # Least Reynolds number of the laminar law in its source: larvae.
 _LARVAE = 10.0

@@ -20,15 +20,15 @@ from scipy import stats
 
 from evo_cpg.control.postures import one_posture
 from evo_cpg.physics.tree.state import State
-from evo_cpg.simulation.observer import States
+from evo_cpg.simulation.observers import States
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.parts import audit_part, pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle
 from evo_cpg.studies.workshop import Workshop
+from evo_cpg.training.conditions import finer
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import compile_trials
-from evo_cpg.training.variations import finer
+from evo_cpg.training.evaluate import compile_trials
 
 TORSO = 0.6  # m
 # Indices of the leg boxes among the bodies of Model 1: upper and lower boxes alternate.

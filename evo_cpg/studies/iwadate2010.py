@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from evo_cpg.analysis.chains import axis_signs, joint_rows
-from evo_cpg.analysis.gait import Gait, gait
+from evo_cpg.analysis.gait import JointGait, gait
 from evo_cpg.simulation.recording import Recorder, Recording, as_recording
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
@@ -123,7 +123,7 @@ def _untrained(workshop: Workshop) -> dict[str, int]:
     return {"animals": count, "waves": int(waves)}
 
 
-def _gait(simulation: Simulation, recording: Recording) -> Gait:
+def _gait(simulation: Simulation, recording: Recording) -> JointGait:
     signs = axis_signs(simulation.world.tree, joint_rows(simulation.world.tree))
     return gait(recording, signs=signs)
 

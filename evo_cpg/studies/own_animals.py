@@ -11,7 +11,7 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies.parts import audit_part, evaluate, pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle, tabled
 from evo_cpg.studies.workshop import Workshop
-from evo_cpg.training.probe import around
+from evo_cpg.training.conditions import around
 
 _HEXAPOD_RUNS = {"hexapod": Runs("hexapod", (), 5)}
 

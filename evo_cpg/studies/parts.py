@@ -13,7 +13,7 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.study import Part, Table, beside, middle, percent, tabled
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import compile_trials
+from evo_cpg.training.evaluate import compile_trials
 
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
@@ -174,7 +174,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
         shown: names of the runs, by their captions in the picture.
         picture: name of the picture within the part, or empty for the part's own name.
     """
-    from evo_cpg.training.replay import compile_replay
+    from evo_cpg.training.evaluate import compile_replay
     from evo_cpg.view.film import Film, side_by_side
     from evo_cpg.view.scene import panel_of
 
@@ -184,7 +184,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
         if champion is None:
             rows.append({"": title, "seed": "no champion"})
             continue
-        _, _, recording = compile_replay(experiment, workshop.devices)(champion)
+        recording = compile_replay(experiment, workshop.devices)(champion).recording
         panels.append(panel_of(experiment, recording, title))
         instants = np.linspace(recording.time[0], recording.time[-1], _MOMENTS)
         rows.append(

@@ -10,7 +10,7 @@ from evo_cpg.simulation.measures import measures
 from evo_cpg.studies.parts import audit_part, evaluate, light_table, pictures_part, still
 from evo_cpg.studies.study import Part, Runs, Study, Table, middle, percent, tabled
 from evo_cpg.studies.workshop import Workshop
-from evo_cpg.training.probe import around, blinded, probe
+from evo_cpg.training.conditions import around, blinded, probe
 
 _REACHED = 0.2  # largest fraction of the distance left
 _BELLY_DOWN = 60  # largest tilt, from the mean cosine, degrees

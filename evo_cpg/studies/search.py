@@ -65,7 +65,7 @@ def searches(workshop: Workshop, part: str) -> list[Table]:
 
 def maps(workshop: Workshop, part: str) -> list[Table]:
     """Compare the fractions of a map that the searches fill."""
-    from evo_cpg.training.elites import gait_map
+    from evo_cpg.io.run import gait_map
     from evo_cpg.view.search_plots import map_figure
 
     rows = []

@@ -22,14 +22,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.api.display import Work, working
-from evo_cpg.api.machine import machine_fingerprint
+from evo_cpg.api.machine import machine_fingerprint, program_commit
+from evo_cpg.api.progress import Work, working
+from evo_cpg.api.run_start import now
 from evo_cpg.api.sweep import Member, evolve
-from evo_cpg.api.training import now
-from evo_cpg.api.version import program_commit
 from evo_cpg.creature.creature import length_of
 from evo_cpg.files import make_folder, read_json, write_text
-from evo_cpg.installation import version_of
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import dump_config, load_config
 from evo_cpg.io.schema.experiment import ExperimentConfig
@@ -39,6 +37,7 @@ from evo_cpg.native.engine import Engine
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table
+from evo_cpg.system import version_of
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -160,11 +159,11 @@ class Workshop:
 
     def recordings(self, name: str) -> Iterator[tuple[Champion, Recording]]:
         """Replay the champions, and yield each with its recording."""
-        from evo_cpg.training.replay import compile_replay
+        from evo_cpg.training.evaluate import compile_replay
 
         live = compile_replay(self.experiment(name), self.devices)
         for champion in self.champions(name):
-            yield champion, live(champion)[2]
+            yield champion, live(champion).recording
 
     def picture(self, name: str = "") -> Path:
         """Return the path of a picture of the current part, and note it for the provenance."""
@@ -217,7 +216,7 @@ class Workshop:
                 member.folder.update_meta(commits=[*commits, here])
 
         if members:
-            evolve(members, self.devices, f"{self.study.name} {part}", note_program)
+            evolve(members, f"{self.study.name} {part}", note_program)
 
     def _write(self, part: str, declared: Part, tables: list[Table], seconds: float) -> list[Path]:
         runs = declared.runs

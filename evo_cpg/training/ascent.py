@@ -4,6 +4,9 @@ The fitness of a whole trial is rough: its gradient may change sign within a hun
 range. A solver that must improve at every step soon stops on a small bump (L-BFGS with a line
 search did). Adam's steps pass over bumps, and the best visited point is kept. No single step size
 or gradient horizon (see `evo_cpg.simulation.backward`) suits all, so each individual draws its own.
+
+Evolution may learn in addition: every few generations the elites take gradient steps, and the
+improved genomes replace them in the population (Lamarckian learning, as in memetic algorithms).
 """
 
 from collections.abc import Callable
@@ -23,7 +26,7 @@ from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
-from evo_cpg.training.experiment import ExperimentParts, judge, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, judge, situation_numbers, trial_keys
 
 # Range of step sizes in water, in units of genes. They are drawn evenly on a logarithmic scale.
 _STEP_SIZES = 3e-4, 1e-2
@@ -284,11 +287,7 @@ def compile_ascent(
         lengths, *_ = memory.transformed
         return memory.best, -memory.least, lengths.finite
 
-    def climb_all(*lanes: Any) -> tuple[Array, Array, Array]:
-        best, value, finite = jax.vmap(climb, in_axes=-1, out_axes=-1)(*lanes)
-        return best, value[None], finite[None]
-
-    program = sharded(climb_all, mesh, (2, 1, 1, 3), 2)
+    program = sharded(jax.vmap(climb, in_axes=-1, out_axes=-1), mesh, (2, 1, 1, 3))
 
     def run(
         genes: Float[np.ndarray, "g n"],
@@ -305,7 +304,7 @@ def compile_ascent(
         if bound is not None:
             bounded = np.clip(best[:gene_count], -bound, bound)
             best = np.concatenate([bounded, best[gene_count:]])
-        return Climbed(best, value[0], finite[0])
+        return Climbed(best, value, finite)
 
     return run
 
@@ -313,3 +312,58 @@ def compile_ascent(
 def _is_rough(simulation: Simulation) -> bool:
     """Return whether gradients pass through ground contact (`evo_cpg.simulation.backward`)."""
     return simulation.world.contact_model is not None
+
+
+# Tag that keeps the draws of the ascents apart from other draws of the same seed.
+_CLIMB = 3
+
+
+def compile_learning(
+    experiment: ExperimentParts, mesh: Mesh
+) -> Callable[..., Float[np.ndarray, "g all"]]:
+    """Return a function that runs the elites' gradient ascent on the devices of the mesh.
+
+    Returns:
+        A function of the population, the number of its generation, and the task's scales in each
+        run, compiled at its first call. Every run's part of the population begins with its elites.
+        The result is the population with improved elites. Each run draws from its own seed.
+    """
+    learning = experiment.learning
+    assert learning is not None
+    elites, runs = learning.elites, experiment.runs
+    climb = compile_ascent(experiment, mesh, learning.steps)
+
+    def learn(
+        genes: Float[np.ndarray, "g all"], generation: int, scales: dict[str, tuple[float, ...]]
+    ) -> Float[np.ndarray, "g all"]:
+        population = genes.shape[1] // runs
+        places = (population * np.arange(runs)[:, None] + np.arange(elites)).ravel()
+        draws = [
+            draw_settings(
+                np.random.default_rng((experiment.seed + run, generation, _CLIMB)),
+                experiment.simulation,
+                elites,
+            )
+            for run in range(runs)
+        ]
+        settings = jax.tree.map(lambda *x: np.concatenate(x), *draws)
+        own_scales = {
+            name: np.repeat(np.array(values, np.float32), elites) for name, values in scales.items()
+        }
+        climbed = climb(genes[:, places], settings, own_scales, _keys(experiment, generation))
+        genes = genes.copy()
+        genes[:, places] = climbed.genes
+        return genes
+
+    return learn
+
+
+def _keys(experiment: ExperimentParts, generation: int) -> np.ndarray | None:
+    """Return random keys of all elites' trials, ``(w, trials, n)``, or None without noise."""
+    assert experiment.learning is not None
+    shape = experiment.runs, experiment.learning.elites, experiment.trials
+    run, individual, trial = np.indices(shape).reshape(3, -1)
+    keys = jax.device_get(trial_keys(experiment, generation, run, individual, trial))
+    if keys is None:
+        return None
+    return np.moveaxis(keys.reshape(len(keys), -1, experiment.trials), 1, 2)

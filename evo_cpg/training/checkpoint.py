@@ -1,12 +1,29 @@
-"""Champions and checkpoints of a run, as named arrays."""
+"""Champions and checkpoints of a run, as named arrays in .npz files.
+
+Files hold NumPy's own number types directly. They hold the bits of other types, such as bfloat16,
+and the raw data of random keys. The type is then part of the name, as in ``best.bfloat16``.
+
+A file from elsewhere may be damaged or malicious. It must neither run code nor fill all memory. So
+`read_arrays` refuses pickles, and arrays that claim to be larger than their part of the file.
+"""
 
 import hashlib
 import json
-from collections.abc import Mapping
+import math
+import os
+import struct
+import zipfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
+
+from evo_cpg.errors import UserError
 
 TERM_PREFIX, SCALE_PREFIX = "term.", "scale."
 """Prefixes of the names of arrays with a champion's terms and scales."""
@@ -151,8 +168,8 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
         arrays["genes"],
         arrays["fitness"].item(),
         arrays["generation"].item(),
-        _numbers(arrays, TERM_PREFIX),
-        _numbers(arrays, SCALE_PREFIX),
+        {name: value.item() for name, value in _below(arrays, TERM_PREFIX).items()},
+        {name: value.item() for name, value in _below(arrays, SCALE_PREFIX).items()},
         arrays["run"].item(),
         arrays["index"].item(),
         arrays["lives"].item(),
@@ -205,7 +222,10 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         raise ValueError("the columns of its table of generations are empty or differ in length")
     runs = int(arrays["runs"])
     records, chosen = (
-        tuple(_champion_or_none(_below(arrays, f"{kind}{run}.")) for run in range(runs))
+        tuple(
+            read_champion(own) if (own := _below(arrays, f"{kind}{run}.")) else None
+            for run in range(runs)
+        )
         for kind in ("champion", "chosen")
     )
     if any(one and len(one.genes) != len(arrays["genes"]) for one in (*records, *chosen)):
@@ -221,17 +241,150 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     )
 
 
-def _champion_or_none(arrays: Mapping[str, np.ndarray]) -> Champion | None:
-    return read_champion(arrays) if arrays else None
-
-
-def _numbers(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, float]:
-    return {name: value.item() for name, value in _below(arrays, prefix).items()}
-
-
 def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
     return {
         name.removeprefix(prefix): value
         for name, value in arrays.items()
         if name.startswith(prefix)
     }
+
+
+class StrategyError(UserError):
+    """Error of a strategy that breaks its contract. The message is for the user."""
+
+
+def state_arrays(state: PyTree) -> dict[str, np.ndarray]:
+    """Return the arrays of a state as NumPy arrays. Names are paths, such as ``archive.genes``.
+
+    If two arrays have the same path, the later name ends with an apostrophe.
+    """
+    arrays = {}
+    for name, leaf in _named(jax.tree.flatten_with_path(jax.device_get(state))[0]).items():
+        if _is_key(leaf):
+            arrays[name] = np.asarray(jax.random.key_data(leaf))
+        else:
+            array = np.asarray(leaf)
+            arrays[name] = array.view(_bits(array)) if _is_foreign(array) else array
+    return arrays
+
+
+def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
+    """Return the state that `state_arrays` converted to arrays.
+
+    Args:
+        arrays: arrays by name.
+        like: state of equal structure. Only its shapes and types are used.
+
+    Raises:
+        StrategyError: the arrays come from another strategy or from other settings.
+    """
+    leaves, structure = jax.tree.flatten_with_path(like)
+    named, expected, restored = _named(leaves), {}, []
+    for name, leaf in named.items():
+        if _is_key(leaf):
+            expected[name] = jax.eval_shape(jax.random.key_data, leaf)
+        else:
+            stored = _bits(leaf) if _is_foreign(leaf) else leaf.dtype
+            expected[name] = jax.ShapeDtypeStruct(leaf.shape, stored)
+    shapes, needed = (
+        {name: (leaf.shape, np.dtype(leaf.dtype)) for name, leaf in given.items()}
+        for given in (arrays, expected)
+    )
+    if shapes != needed:
+        found, described = (
+            ", ".join(f"{name} {shape}" for name, (shape, _) in given.items()) or "nothing"
+            for given in (shapes, needed)
+        )
+        raise StrategyError(
+            f"the checkpoint holds the state of another strategy ({found}). This strategy needs "
+            f"{described}. Was the section `evolution` changed?"
+        )
+    for name, leaf in named.items():
+        if _is_key(leaf):
+            made = []
+            jax.eval_shape(lambda key, made=made: made.append(jax.random.key_impl(key)), leaf)
+            restored.append(jax.random.wrap_key_data(jnp.asarray(arrays[name]), impl=made[0]))
+        else:
+            restored.append(arrays[name].view(leaf.dtype) if _is_foreign(leaf) else arrays[name])
+    return jax.tree.unflatten(structure, restored)
+
+
+def _named(leaves: Iterable[tuple[tuple, Any]]) -> dict[str, Any]:
+    named: dict[str, Any] = {}
+    for path, leaf in leaves:
+        name = jax.tree_util.keystr(path, simple=True, separator=".") or "value"
+        if _is_key(leaf) or _is_foreign(leaf):
+            name = f"{name}.{leaf.dtype}"
+        while name in named:
+            name += "'"
+        named[name] = leaf
+    return named
+
+
+def _is_key(leaf: Any) -> bool:
+    return jnp.issubdtype(getattr(leaf, "dtype", bool), jax.dtypes.prng_key)
+
+
+def _is_foreign(leaf: Any) -> bool:
+    """Return whether a leaf's type is not NumPy's own, so that files would lose the type."""
+    return np.dtype(getattr(leaf, "dtype", bool)).isbuiltin == 2
+
+
+def _bits(leaf: Any) -> np.dtype:
+    return np.dtype(f"u{np.dtype(leaf.dtype).itemsize}")
+
+
+DAMAGED = (
+    EOFError,
+    KeyError,
+    NotImplementedError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    struct.error,
+    zipfile.BadZipFile,
+)
+"""Errors that were observed when truncated or overwritten .npz files were read."""
+
+# Last record of a zip archive without a comment: signature, two disk numbers, number of entries (on
+# this disk and in all), size and offset of the central directory, length of the comment.
+_END = struct.Struct("<4s4H2LH")
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of a file by name. Any error of `DAMAGED` means a damaged file."""
+    # Given a path, np.load would leave a damaged file open.
+    with path.open("rb") as file:
+        _require_honest(file)
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+
+
+def _require_honest(file: IO[bytes]) -> None:
+    """Check that an .npz file is uncompressed and holds all entries and bytes that it lists.
+
+    Raises:
+        ValueError: a check fails. Other errors of `DAMAGED`: the file is no .npz file.
+    """
+    with zipfile.ZipFile(file) as archive:
+        # A flipped byte may let one entry swallow later ones. The module zipfile does not notice.
+        file.seek(-_END.size, os.SEEK_END)
+        mark, *_, entries, _, _, _ = _END.unpack(file.read(_END.size))
+        if mark != b"PK\5\6" or entries != len(archive.infolist()):
+            raise ValueError("the list of its arrays is incomplete")
+        for member in archive.infolist():
+            # The package writes uncompressed files.
+            if member.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(
+                    f"{member.filename} is compressed and may need more than the file holds"
+                )
+            with archive.open(member) as array:
+                version = np.lib.format.read_magic(array)
+                if version == (1, 0):
+                    shape, _, kind = np.lib.format.read_array_header_1_0(array)
+                else:
+                    shape, _, kind = np.lib.format.read_array_header_2_0(array)
+            if math.prod(shape) * kind.itemsize > member.file_size:
+                raise ValueError(f"{member.filename} declares more than the file holds")
+    file.seek(0)

@@ -1,4 +1,4 @@
-"""CPU cores as JAX devices, and the population in chunks on the devices.
+"""CPU cores as JAX devices, the population in chunks on them, and the disk cache of programs.
 
 Each core becomes a device, the population is sharded over the devices, and XLA keeps to one thread
 per device. These settings are process-wide. So the program (the command line, a benchmark) makes
@@ -8,21 +8,34 @@ A device computes a *chunk* of the population at a time, for a whole trial. The 
 devices are a *block*. The host feeds one block after the other to a program that is compiled for
 one block. So compile time and memory of the physics do not depend on the number of individuals.
 If individuals have several trials, each trial counts as an individual here.
+
+Every later command that needs an already compiled program loads it from the cache: `train` with
+another seed, `resume`, `render` or `verify`. JAX keeps XLA's programs under a key of program,
+options and version. Native code is kept next to them (`evo_cpg.native.backend.machine`). Machine
+code for one processor may not run on another. A cluster may share the home folder, so each kind of
+processor has a folder of its own. `JAX_COMPILATION_CACHE_DIR` names another folder.
+`JAX_ENABLE_COMPILATION_CACHE=false` switches the cache off.
 """
 
 import contextlib
+import functools
+import hashlib
 import os
+import platform
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int
 
 from evo_cpg.native import machine_constants
+from evo_cpg.native.backend.machine import keep_code_in
 from evo_cpg.native.machine_constants import LANES
-from evo_cpg.training.compile_cache import keep_compiled_programs
+from evo_cpg.system import described_by, home_folder, is_writable
 
 Tree = TypeVar("Tree")
 
@@ -119,27 +132,34 @@ def chunk_width(count: int, devices: int) -> int:
 
 
 def sharded(
-    function: Callable[..., Tree], mesh: Mesh, ranks: tuple[Any, ...], result_rank: Any
+    function: Callable[..., Tree], mesh: Mesh, ranks: tuple[Any, ...]
 ) -> jax.stages.Wrapped:
-    """Return a function of one block, compiled at its first call. Devices never communicate.
+    """Return a function of one block for `run_in_blocks`, compiled at its first call.
+
+    Devices never communicate. The results have the population on the first axis, because then
+    arrays of all ranks are split alike.
 
     Args:
         function: function of one chunk. Arguments are arrays with the population on the last axis,
             numbers, or None. Results are arrays with the population on the last axis.
         mesh: the devices.
         ranks: number of axes of each argument, or of each of its arrays if they differ.
-        result_rank: number of axes of each array of the result, or of each of its arrays if they
-            differ.
     """
+
+    @functools.wraps(function)
+    def of_chunk(*arguments: Any) -> Any:
+        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), function(*arguments))
+
+    results = PartitionSpec(POPULATION_AXIS)
+    given = jax.tree.map(_spec, ranks)
     return jax.jit(
-        jax.shard_map(
-            function,
-            mesh=mesh,
-            in_specs=jax.tree.map(_spec, ranks),
-            out_specs=jax.tree.map(_spec, result_rank),
-            check_vma=False,
-        )
+        jax.shard_map(of_chunk, mesh=mesh, in_specs=given, out_specs=results, check_vma=False)
     )
+
+
+def placed(block: Tree, mesh: Mesh) -> Tree:
+    """Return the host arrays of a block on the devices, split on the population axis."""
+    return jax.tree.map(lambda x: jax.device_put(x, NamedSharding(mesh, _spec(np.ndim(x)))), block)
 
 
 def run_in_blocks(
@@ -157,22 +177,19 @@ def run_in_blocks(
         pick: function that returns the program's host arguments, given individuals' indices.
 
     Returns:
-        Host arrays of all individuals.
+        Host arrays of all individuals, with the population on the last axis.
     """
-
-    def placed(x: np.ndarray) -> jax.Array:
-        return jax.device_put(x, NamedSharding(spread.mesh, _spec(x.ndim)))
-
     results: list = []
     for first in range(0, count, spread.block):
         numbers = np.minimum(np.arange(first, first + spread.block), count - 1)
-        results.append(program(*jax.tree.map(placed, pick(numbers))))
+        results.append(program(*placed(pick(numbers), spread.mesh)))
         # Only one block waits while another is computed, to limit memory.
         if len(results) > 1:
             jax.block_until_ready(results[-2])
 
     def join(*parts: jax.Array) -> np.ndarray:
-        return np.concatenate([np.asarray(part) for part in parts], axis=-1)[..., :count]
+        whole = np.concatenate([np.asarray(part) for part in parts])[:count]
+        return np.moveaxis(whole, 0, -1)
 
     return jax.tree.map(join, *results)
 
@@ -180,3 +197,70 @@ def run_in_blocks(
 def _spec(rank: int) -> PartitionSpec:
     """Return the sharding: arrays are split on the last axis, numbers are copied to all devices."""
     return PartitionSpec(*(None,) * (rank - 1), POPULATION_AXIS) if rank else PartitionSpec()
+
+
+# Largest size of the cache, bytes. The oldest programs are deleted. A program has 1 to 4 MB.
+_MOST = 1 << 30
+
+# Programs that compile faster are not kept, s.
+_LEAST_SECONDS = 0.5
+
+
+def keep_compiled_programs() -> Path | None:
+    """Make JAX keep compiled programs. Call this before JAX runs anything.
+
+    Returns:
+        The folder, or None if none can be made, the cache is off, or the user has chosen one.
+    """
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_SECONDS)
+    if not jax.config.values["jax_enable_compilation_cache"]:
+        return None
+    folder = compiled_folder()
+    if folder is None:
+        return None
+    if jax.config.values["jax_compilation_cache_dir"]:
+        keep_code_in(folder)
+        return None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _prune(folder, _MOST)
+    except OSError:
+        return None
+    # In a read-only folder JAX would warn about each program.
+    if not is_writable(folder):
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    keep_code_in(folder)
+    return folder
+
+
+def compiled_folder() -> Path | None:
+    """Return the folder for compiled programs, which may not exist yet. None without a home."""
+    own = jax.config.values["jax_compilation_cache_dir"]
+    if own:
+        return Path(own)
+    home = home_folder()
+    cache = os.environ.get("XDG_CACHE_HOME") or (home and home / ".cache")
+    return Path(cache) / "evo_cpg" / "compiled" / _processor() if cache else None
+
+
+def _processor() -> str:
+    """Return a short name of the kind of processor, equal for compatible processors."""
+    kind = [platform.system(), platform.machine(), platform.processor()]
+    lines = described_by(Path("/proc/cpuinfo")).splitlines()
+    kind += sorted({line for line in lines if line.startswith(("flags", "Features", "model"))})
+    return hashlib.sha256("\n".join(kind).encode()).hexdigest()[:16]
+
+
+def _prune(folder: Path, most: int) -> None:
+    """Delete the oldest files until the rest take up at most ``most`` bytes."""
+    found = []
+    for file in folder.iterdir():
+        # Another process may have renamed or deleted the file.
+        with contextlib.suppress(FileNotFoundError):
+            found.append((file, file.stat()))
+    total = 0
+    for file, status in sorted(found, key=lambda pair: pair[1].st_mtime, reverse=True):
+        total += status.st_size
+        if total > most:
+            file.unlink(missing_ok=True)

@@ -5,30 +5,24 @@ The population axis is ordered by run, then by individual, then by trial. Run ``
 numbers that a single run with the seed ``seed + r`` would draw.
 """
 
-import functools
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped, UInt32
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation, Strategy
-from evo_cpg.simulation.batched import BatchedSimulation, Inputs
 from evo_cpg.simulation.judge import Outcome, no_terms, score
-from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.devices import Layout, layout, run_in_blocks, sharded
 
 # Tags that keep the random streams of one seed apart.
 _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
-# Tag 3 belongs to `evo_cpg.training.memetic`.
+# Tag 3 belongs to `evo_cpg.training.ascent`.
 _STRATEGY, _ASKS = 4, 5
 
 
@@ -48,7 +42,7 @@ TABLE_COLUMNS = (
 
 
 class Learning(NamedTuple):
-    """Settings of the elites' gradient ascent (see `evo_cpg.training.memetic`).
+    """Settings of the elites' gradient ascent (see `evo_cpg.training.ascent`).
 
     Attributes:
         every: number of generations between two ascents.
@@ -201,61 +195,6 @@ def placeholder_scales(experiment: ExperimentParts) -> dict[str, tuple[float, ..
     simulation = experiment.simulation
     shapes = jax.eval_shape(lambda: simulation.task.scales(no_terms(simulation)))
     return dict.fromkeys(shapes, (1.0,) * experiment.runs)
-
-
-def compile_trials(
-    simulation: Simulation, mesh: Mesh, width: int | None = None, inputs: Inputs | None = None
-) -> Callable[..., Outcome]:
-    """Return a function that runs the trials of a population, in chunks on the mesh's devices.
-
-    The host feeds the devices block by block. The devices do not loop over chunks. So their memory
-    and the compiled program do not depend on the size of the population. A device never holds
-    more than two chunks.
-
-    The devices never communicate: each gets its part of a block from the host and returns its
-    results. A program in which devices exchange results deadlocked with two programs in flight.
-    XLA also ends the process when one device keeps another waiting for 40 s.
-
-    Args:
-        simulation: simulation of a trial.
-        mesh: the devices.
-        width: number of trials in a chunk, or None to choose it from the number of all trials.
-        inputs: numbers of the simulation in which individuals differ.
-
-    Returns:
-        A function of the host arrays that `rollout` takes, compiled at its first call. The next
-        argument is the number of trials of each individual. Keys, numbers and results have one
-        entry for each trial. The trials of an individual are next to each other. The last argument
-        holds the values of the inputs.
-    """
-
-    def rollouts(values: Any, genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
-        own = BatchedSimulation(simulation, inputs, values) if inputs else simulation
-        return rollout(own, genes, keys, trial)
-
-    @functools.cache
-    def program(busy: Mesh) -> Callable[..., Outcome]:
-        return sharded(rollouts, busy, (2, 2, 2, 1), 1)
-
-    def run(
-        genes: Float[np.ndarray, "g individuals"],
-        keys: UInt32[np.ndarray, "w n"] | None = None,
-        trial: Int[np.ndarray, " n"] | None = None,
-        trials: int = 1,
-        values: tuple[Float[np.ndarray, "_ individuals"], ...] | None = None,
-    ) -> Outcome:
-        # The host's values may have another precision than the genes.
-        own = jax.tree.map(lambda x: x.astype(genes.dtype), values)
-
-        def pick(numbers: Int[np.ndarray, " block"]) -> tuple:
-            of_individuals = jax.tree.map(lambda x: x[:, numbers // trials], (own, genes))
-            return *of_individuals, *jax.tree.map(lambda x: x[..., numbers], (keys, trial))
-
-        count = genes.shape[1] * trials
-        spread = Layout(mesh, width) if width else layout(count, mesh)
-        return run_in_blocks(program(spread.mesh), spread, count, pick)
-
-    return run
 
 
 def breed(

@@ -10,7 +10,6 @@ A round has the size of a generation and uses its programs, so nothing is compil
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt32
@@ -33,18 +32,6 @@ def is_finished(experiment: ExperimentParts, checkpoint: Checkpoint) -> bool:
     """Return whether the last generation is done and the champion is known."""
     evolved = checkpoint.generation >= experiment.generations
     return evolved and (experiment.simulation.noise.silent or bool(checkpoint.chosen))
-
-
-class Places(NamedTuple):
-    """Assignment of candidates to places in a round.
-
-    Attributes:
-        candidates: number of the candidate in each place of a run's population.
-        draws: place of the population whose random numbers are used in each place.
-    """
-
-    candidates: Int[np.ndarray, " population"]
-    draws: Int[np.ndarray, " population"]
 
 
 class Contest:
@@ -77,13 +64,15 @@ class Contest:
             results[0] and (len(results) == 1 or results[0] >= EVALUATIONS)
         )
 
-    def places(self) -> Places:
-        """Return the places of the next round. Spare places repeat the last evaluation."""
+    def places(self) -> Int[np.ndarray, "2 population"]:
+        """Return the number of the candidate in each place of a run's population.
+
+        The second row has the place of the population whose random numbers are used there. Spare
+        places repeat the last evaluation.
+        """
         each = self._population // len(self._left)
-        candidates = np.repeat(self._left, each)
-        draws = np.tile(np.arange(each), len(self._left))
-        over = self._population - len(candidates)
-        return Places(*(np.pad(x, (0, over), mode="edge") for x in (candidates, draws)))
+        rows = np.stack([np.repeat(self._left, each), np.tile(np.arange(each), len(self._left))])
+        return np.pad(rows, ((0, 0), (0, self._population - rows.shape[1])), mode="edge")
 
     def take(self, fitness: Float[np.ndarray, " population"]) -> None:
         """Take the results of a round and drop the worse half.
@@ -105,7 +94,13 @@ class Contest:
         """Return the best candidate with its results, or None without any candidate."""
         if not len(self._left):
             return None
-        return self._result(int(self._left[0]))
+        number = int(self._left[0])
+        mean = float(self._means()[number])
+        return self.candidates[number]._replace(
+            lives=int(self._evaluations[number]),
+            expected=mean if np.isfinite(mean) else None,
+            ended_early=int(self._failures[number]),
+        )
 
     def rows(self) -> list[dict[str, float]]:
         """Return the rows of candidates.csv, one for each candidate."""
@@ -117,14 +112,6 @@ class Contest:
             row |= {"expected": float(self._means()[number])}
             rows.append(row | {"chosen": int(number == self._left[0])})
         return rows
-
-    def _result(self, number: int) -> Champion:
-        mean = float(self._means()[number])
-        return self.candidates[number]._replace(
-            lives=int(self._evaluations[number]),
-            expected=mean if np.isfinite(mean) else None,
-            ended_early=int(self._failures[number]),
-        )
 
     def _means(self) -> Float[np.ndarray, " candidates"]:
         """Return the mean fitness of evaluations that did not end early, or -inf if all did."""
@@ -163,7 +150,7 @@ class Choice:
             if not contest.done:
                 given = np.stack([one.genes for one in contest.candidates], axis=1)
                 own = slice(run * population, (run + 1) * population)
-                population_genes[:, own] = given[:, contest.places().candidates]
+                population_genes[:, own] = given[:, contest.places()[0]]
         return population_genes
 
     def keys(self, keys: UInt32[np.ndarray, "w n"], trials: int) -> UInt32[np.ndarray, "w n"]:
@@ -176,7 +163,7 @@ class Choice:
         by_place = keys.reshape(len(keys), len(self._contests), -1, trials).copy()
         for run, contest in enumerate(self._contests):
             if not contest.done:
-                by_place[:, run] = by_place[:, run, contest.places().draws]
+                by_place[:, run] = by_place[:, run, contest.places()[1]]
         return by_place.reshape(keys.shape)
 
     def take(self, fitness: Float[np.ndarray, "runs population"]) -> None:

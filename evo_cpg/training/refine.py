@@ -19,14 +19,9 @@ from jaxtyping import Float
 from evo_cpg.native.machine_constants import LANES
 from evo_cpg.training.ascent import Free, compile_ascent, draw_settings, log_uniform, reach
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.devices import chunk_width, population_mesh
-from evo_cpg.training.experiment import (
-    ExperimentParts,
-    champion_keys,
-    compile_trials,
-    judge,
-    situation_numbers,
-)
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_evaluation
+from evo_cpg.training.experiment import ExperimentParts, champion_keys
 
 # Number of individuals from which the lanes of the next round start.
 _PARENTS = 4
@@ -113,7 +108,7 @@ def compile_refinement(
     lanes = settings.lanes or mesh.size * max(1, LANES // experiment.trials)
     climb = compile_ascent(experiment, mesh, settings.steps, free)
     devices = devices or mesh.size
-    evaluate = compile_evaluation(experiment, mesh, devices)
+    evaluate = _compile_judging(experiment, mesh, devices)
     count = 0 if free is None else len(free.values)
 
     def try_out(found: Float[np.ndarray, "p n"], champion: Champion) -> list[_Parent]:
@@ -125,14 +120,17 @@ def compile_refinement(
         for genes, shifts in zip(found[:-count].T, found[-count:].T, strict=True):
             world = free.rebuild(np.asarray(free.at(shifts), float))
             if world is not None:
-                tried = compile_evaluation(world, mesh, devices)(genes[:, None], champion)
+                tried = _compile_judging(world, mesh, devices)(genes[:, None], champion)
                 return [_Parent(one, shifts) for one in tried]
         return []
 
     def refine(
         champion: Champion, on_round: Callable[[Round], None] = lambda done: None
     ) -> Champion:
-        keys = _keys_of(experiment, champion, lanes)
+        keys = jax.device_get(champion_keys(experiment, champion))
+        if keys is not None:
+            # All lanes have equal keys: words of a key, trials, and lanes.
+            keys = np.repeat(keys[..., None], lanes, -1)
         scales = {name: np.full(lanes, x, np.float32) for name, x in champion.scales.items()}
         alive = evaluate(champion.genes[:, None], champion)
         champion = alive[0] if alive else champion._replace(fitness=-np.inf)
@@ -161,38 +159,14 @@ def compile_refinement(
     return refine
 
 
-def compile_evaluation(
+def _compile_judging(
     experiment: ExperimentParts, mesh: Mesh, devices: int
 ) -> Callable[[Float[np.ndarray, "g n"], Champion], list[Champion]]:
-    """Return a function that evaluates genomes under the noise of a champion.
+    """Return `compile_evaluation` with individuals as results, if their fitness is finite."""
+    evaluate = compile_evaluation(experiment, mesh, devices)
 
-    The function also uses the champion's normalisation constants (`Champion.scales`), so that a
-    genome's fitness can be compared with the champion's.
-
-    Args:
-        experiment: experiment of the genomes.
-        mesh: the devices.
-        devices: number of devices that shared the population in training.
-
-    Returns:
-        A function of genomes and the champion. It returns the evaluated individuals, without those
-        whose fitness is not finite.
-    """
-    count = experiment.runs * experiment.strategy.population * experiment.trials
-    width = chunk_width(count, devices)
-    run_trials = compile_trials(experiment.simulation, mesh, width)
-    assess = jax.jit(lambda *given: judge(experiment.simulation.task, *given))
-
-    def evaluate(genes: Float[np.ndarray, "g n"], champion: Champion) -> list[Champion]:
-        count, trials = genes.shape[1], experiment.trials
-        keys, numbers = jax.tree.map(
-            lambda x: np.tile(x, count),
-            (jax.device_get(champion_keys(experiment, champion)), situation_numbers(experiment)),
-        )
-        outcome = run_trials(genes, keys, numbers, trials)
-        outcome = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
-        scales = {name: np.float32(value) for name, value in champion.scales.items()}
-        fitness, mean = jax.device_get(assess(outcome, scales))
+    def judged(genes: Float[np.ndarray, "g n"], champion: Champion) -> list[Champion]:
+        fitness, mean, _ = evaluate(genes, champion)
         return [
             champion._replace(
                 genes=np.ascontiguousarray(genes[:, i]),
@@ -205,7 +179,7 @@ def compile_evaluation(
             for i in np.flatnonzero(np.isfinite(fitness))
         ]
 
-    return evaluate
+    return judged
 
 
 def _starts(
@@ -224,12 +198,3 @@ def _starts(
     )
     kick = scale * kicked * log_uniform(rng, *_KICKS, count)
     return (genes + kick * rng.standard_normal(genes.shape)).astype(np.float32)
-
-
-def _keys_of(experiment: ExperimentParts, champion: Champion, lanes: int) -> np.ndarray | None:
-    """Return the random keys of the champion's trials, or None without noise.
-
-    Their shape is ``(w, trials, n)``: words of a key, trials, and lanes, which have equal keys.
-    """
-    keys = jax.device_get(champion_keys(experiment, champion))
-    return None if keys is None else np.repeat(keys[..., None], lanes, -1)

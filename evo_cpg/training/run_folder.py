@@ -42,13 +42,14 @@ from evo_cpg import locks
 from evo_cpg.errors import UserError
 from evo_cpg.files import cannot_write, read_json, write_table, write_text, write_whole
 from evo_cpg.simulation.recording import Recording, require_shapes
-from evo_cpg.training.array_files import DAMAGED, read_arrays
 from evo_cpg.training.checkpoint import (
+    DAMAGED,
     Champion,
     Checkpoint,
     champion_arrays,
     checkpoint_arrays,
     history_columns,
+    read_arrays,
     read_champion,
     read_checkpoint,
 )

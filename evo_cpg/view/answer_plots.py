@@ -19,7 +19,7 @@ from matplotlib.transforms import Affine2D
 from evo_cpg.analysis.energy import Ledger
 from evo_cpg.analysis.sensitivity import CHANGE, Sensitivity
 from evo_cpg.analysis.verdict import Check
-from evo_cpg.training.probe import Probe, seen_from_start
+from evo_cpg.training.conditions import Probe, seen_from_start
 from evo_cpg.view.figure import (
     BLUE,
     GREEN,

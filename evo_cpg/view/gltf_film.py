@@ -13,10 +13,10 @@ import pyvista as pv
 from scipy.spatial.transform import Rotation
 
 from evo_cpg.creature.creature import Creature, neutral_pose
-from evo_cpg.installation import version_of
 from evo_cpg.io.models.glb import Glb, Node
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.system import version_of
 from evo_cpg.view.look import Look, sun_direction
 from evo_cpg.view.meshes import pieces
 from evo_cpg.view.offscreen import floor_texture

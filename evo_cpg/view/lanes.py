@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.training.crowd_motion import CrowdMotion
+from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import BodyBoxes, course, overview, project
 from evo_cpg.view.look import STYLES
 from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing, sample

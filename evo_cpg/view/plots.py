@@ -12,7 +12,7 @@ from matplotlib.patches import ConnectionPatch
 from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.analysis.gait import bending_axis, dominant_frequency, fourier_component
-from evo_cpg.creature.tree import body_and_axis
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.figure import (
     BLUE,

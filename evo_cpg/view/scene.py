@@ -9,7 +9,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording, require_whole
-from evo_cpg.training.crowd_motion import CrowdMotion
+from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.view.camera import course
 from evo_cpg.view.look import SHORE, STYLES, Look

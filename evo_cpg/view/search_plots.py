@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize, to_hex
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from evo_cpg.evolution.archive import Axis
+from evo_cpg.evolution.strategy import Axis
 from evo_cpg.view.figure import (
     PALETTE,
     RED,

@@ -13,9 +13,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from evo_cpg.analysis import footfalls
+from evo_cpg.analysis.feet import stances, touch_downs
 from evo_cpg.analysis.gait import bending_axis
-from evo_cpg.creature.tree import body_and_axis
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.figure import draw_stances, framed
 from evo_cpg.view.legible import legible
@@ -207,8 +207,8 @@ class Strip:
         for i, touched in enumerate(signals.touched.T):
             middle = len(signals.names) + (i + 0.5) * high
             places.append(middle)
-            stances = signals.time[0] + footfalls.stances(touched, step)
-            draw_stances(axes, stances, (start, end), middle, 0.64 * high, colours[2])
+            begins = signals.time[0] + stances(touched, step)
+            draw_stances(axes, begins, (start, end), middle, 0.64 * high, colours[2])
         axes.set_ylim(len(signals.names) + len(signals.feet) * high, 0.0)
         return places
 
@@ -239,7 +239,7 @@ class Strip:
 
 def _shown(signals: Signals, room: float) -> Signals:
     """Return the signals of those joints and feet for which the strip has room (pixels)."""
-    steps = [len(footfalls.touch_downs(foot, 1.0)) for foot in signals.touched.T]
+    steps = [len(touch_downs(foot, 1.0)) for foot in signals.touched.T]
     # A foot that hardly ever touches down would leave its row empty.
     often = [i for i, count in enumerate(steps) if count >= _SELDOM * max(steps)]
     most = max(int(0.45 * room / _FOOT), 1)

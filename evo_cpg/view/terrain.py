@@ -13,7 +13,7 @@ import numpy as np
 import pyvista as pv
 from jaxtyping import Array, Float
 
-from evo_cpg.physics.contact.terrain import Block, Boulder, Part, Plane, Relief, Shore
+from evo_cpg.physics.contact.terrain import Block, Boulder, GroundPart, Plane, Relief, Shore
 from evo_cpg.view.offscreen import grid_triangles, placed
 
 # Distance between the grid's lines near the path, and the margin with this distance, in radii of
@@ -83,7 +83,7 @@ class Terrain(NamedTuple):
         return a + (more - less) * (corner - a) + less * (c - a)
 
 
-def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+def heights(floor: GroundPart, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
     """Return the height of the ground above the world's origin, m, at places x and y, m.
 
     The surface lies ``gap / n_z`` straight below a point at z = 0. This is exact for planes, and
@@ -104,7 +104,9 @@ def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, 
     return high[: len(flat)].reshape(place.shape[:-1])
 
 
-def make_terrain(floor: Part, path: Float[np.ndarray, "n 2"], radius: float, far: float) -> Terrain:
+def make_terrain(
+    floor: GroundPart, path: Float[np.ndarray, "n 2"], radius: float, far: float
+) -> Terrain:
     """Mesh the ground around a path.
 
     Args:
@@ -120,7 +122,7 @@ def make_terrain(floor: Part, path: Float[np.ndarray, "n 2"], radius: float, far
 
 
 @jax.jit
-def _heights(floor: Part, point: Float[Array, "3 n"]) -> Float[Array, " n"]:
+def _heights(floor: GroundPart, point: Float[Array, "3 n"]) -> Float[Array, " n"]:
     gap, normal = floor.distance(point)
     return jnp.broadcast_to(-gap / normal[2], gap.shape)
 
@@ -149,7 +151,7 @@ def _lines(
     return np.sort(np.concatenate([even[clear], inside]))
 
 
-def _creases(floor: Part, axis: str) -> np.ndarray:
+def _creases(floor: GroundPart, axis: str) -> np.ndarray:
     """Return the coordinates along an axis where the slope of the ground jumps, m."""
     if isinstance(floor, Shore) and floor.axis == axis:
         return np.array([floor.start, floor.stop], float)
@@ -182,7 +184,7 @@ _SUNK = 0.02
 
 
 def obstacle_mesh(
-    obstacle: Part, *, shade: bool = False
+    obstacle: GroundPart, *, shade: bool = False
 ) -> tuple[pv.PolyData, np.ndarray, np.ndarray]:
     """Return an obstacle's surface in its frame, its place ``(3,)``, m, and rotation ``(3, 3)``.
 
@@ -207,7 +209,7 @@ def obstacle_mesh(
     raise TypeError(_NO_STONE.format(type(obstacle).__name__))
 
 
-def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
+def obstacle_top(obstacle: GroundPart, place: np.ndarray) -> np.ndarray:
     """Return the height of an obstacle's upper side at x and y, m, or -inf outside of it.
 
     Raises:
@@ -226,7 +228,7 @@ def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
 
 def add_obstacles(
     plotter: pv.Plotter,
-    obstacles: Sequence[Part],
+    obstacles: Sequence[GroundPart],
     ambient: float,
     height: Callable[[np.ndarray], np.ndarray],
 ) -> None:

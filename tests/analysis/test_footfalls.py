@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evo_cpg.analysis import footfalls
+from evo_cpg.analysis import feet as footfalls
 
 STEP = 1 / 60
 

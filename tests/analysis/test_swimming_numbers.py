@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from evo_cpg.analysis.swim_quantities import drift
+from evo_cpg.analysis.gait_quantities import drift
 from evo_cpg.physics.water.water import Current, Water
 
 STEP = 0.1

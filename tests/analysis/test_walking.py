@@ -5,9 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.allometry import reynolds_of_swimmers, running_cost, swimming_cost
-from evo_cpg.analysis.animals import ANIMALS, animals_of
-from evo_cpg.analysis.walking import froude_number, recovery, relative_slip, tripod_strength
+from evo_cpg.analysis.animals import (
+    ANIMALS,
+    animals_of,
+    reynolds_of_swimmers,
+    running_cost,
+    swimming_cost,
+)
+from evo_cpg.analysis.stride import froude_number, recovery, relative_slip, tripod_strength
 
 BEAT = np.linspace(0.0, 10 * 2 * np.pi, 10 * 720 + 1)
 

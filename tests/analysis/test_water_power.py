@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from creatures import box_chain, in_water
-from evo_cpg.analysis.water_power import water_power
+from evo_cpg.analysis.energy import water_power
 from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
 

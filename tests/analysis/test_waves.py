@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evo_cpg.analysis.body_wave import body_wave
-from evo_cpg.analysis.phase_lags import phase_lags
+from evo_cpg.analysis.gait import phase_lags
 
 STEP = 1 / 60
 TIME = np.arange(1200)[:, None] * STEP

@@ -16,35 +16,34 @@ from evo_cpg.analysis.energy import ledger, mechanical_energy
 from evo_cpg.analysis.excursions import excursions
 from evo_cpg.analysis.second_opinion import Opinion
 from evo_cpg.analysis.verdict import Verdict
-from evo_cpg.api.audit import (
-    Trial,
-    _carried,
-    _kept,
-    _seconds,
+from evo_cpg.api.audit import compile_steps, draws_of
+from evo_cpg.api.audit_checks import (
+    AuditedTrial,
     books,
-    compile_steps,
-    draws_of,
+    carried_by_flow,
+    displacement_checks,
+    opinion_checks,
 )
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Ellipsoid
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.models.mujoco_state import load_state
-from evo_cpg.io.schema.limits import Limits
+from evo_cpg.io.schema.audit import Limits
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
 from evo_cpg.physics.contact.pairs import make_pairs
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.water.water import Current, Water
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.physics_steps import EachPhysicsStep
+from evo_cpg.simulation.observers import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Snapshot
-from evo_cpg.simulation.walk import Distance
+from evo_cpg.simulation.tasks import Distance
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.variations import (
+from evo_cpg.training.conditions import (
     Variation,
     Varied,
     compile_variation,
@@ -263,7 +262,7 @@ def test_the_limp_motor_check_subtracts_the_current(swimming, own, limp_way, car
             Varied(np.array([limp_way]), one, one > 0, {}),
         ),
     }
-    checks = {c.key: c for c in _kept(own, kept, Limits(), made.creature, carried)}
+    checks = {c.key: c for c in displacement_checks(own, kept, Limits(), made.creature, carried)}
     assert checks["limp_way"].measured == pytest.approx(share)
 
 
@@ -274,7 +273,7 @@ def test_an_animal_that_stays_in_fresh_draws_keeps_no_displacement(swimming):
     fresh = Variation("new draws of the noise", (made.simulation,), 2)
     both = Varied(none, none, none == 0, {})
     kept = {"pose": (fresh, both), "limp_way": (limp_ones, both)}
-    checks = {c.key: c for c in _kept(3.0, kept, Limits(), made.creature)}
+    checks = {c.key: c for c in displacement_checks(3.0, kept, Limits(), made.creature)}
     assert checks["pose"].measured == checks["limp_way"].measured == 0.0
 
 
@@ -289,7 +288,7 @@ def test_the_current_carries_an_animal_by_speed_times_duration(swimming, surface
     situation = made.simulation.situations[0]._replace(light=place)
     simulation = dataclasses.replace(made.simulation, world=world, situations=(situation,))
     made = made._replace(simulation=simulation)
-    assert _carried(made, (trial,)) == pytest.approx(carried, abs=1e-6)
+    assert carried_by_flow(made, (trial,)) == pytest.approx(carried, abs=1e-6)
 
 
 def opinion(end, upright=1.0, program="evo_cpg") -> Opinion:
@@ -328,14 +327,14 @@ def test_second_opinions_confirm_a_champion(others, diverged, changed, confirmed
     task = Distance(heading=changed.get("heading", "any"))
     made = made._replace(simulation=dataclasses.replace(made.simulation, task=task))
     opinions = (OWN, *others) if others else ()
-    verdict = Verdict(tuple(_seconds(made, opinions, diverged)))
+    verdict = Verdict(tuple(opinion_checks(made, opinions, diverged)))
     assert verdict.passed and verdict.confirmed is confirmed
     assert verdict.confirmation.endswith(words) and bool(words) == bool(verdict.confirmation)
 
 
 def test_second_opinions_of_a_still_animal_say_nothing():
     made = walker()
-    checks = _seconds(made, (opinion((0.01, 0)), opinion((0.0, 0), program=SOFT)), [])
+    checks = opinion_checks(made, (opinion((0.01, 0)), opinion((0.0, 0), program=SOFT)), [])
     assert Verdict(tuple(checks)).confirmed is None
 
 
@@ -348,7 +347,7 @@ def test_torque_above_the_limit_is_flagged(honest):
     assert "overload" in failed((weaker, judged(weaker, trials)))
 
 
-def judged(made, trials) -> tuple[Trial, ...]:
+def judged(made, trials) -> tuple[AuditedTrial, ...]:
     """Return the trials, with excursions computed in another simulation."""
     found = [(t, excursions(made.simulation, made.creature, t.steps)) for t in trials]
     return tuple(trial._replace(excursions=each) for trial, each in found)

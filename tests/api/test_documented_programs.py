@@ -11,12 +11,11 @@ import pytest
 import yaml
 
 import evo_cpg as evo
-from evo_cpg.analysis.limit_cycle import limit_cycle
+from evo_cpg.analysis.limit_cycle import limit_cycle, resting
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import uncoupled
-from evo_cpg.control.rest import resting
-from evo_cpg.training.loop import train
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 
 ROOT = Path(__file__).parents[2]
 

@@ -129,8 +129,7 @@ def shell(*arguments: object) -> object:
     """
     devices = len(jax.devices())
     with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
-        for module in ("cli.champions", "training.devices"):
-            patch.setattr(f"evo_cpg.{module}.use_cores", lambda count=None: devices)
+        patch.setattr("evo_cpg.training.devices.use_cores", lambda count=None: devices)
         patch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
         main()
     return stopped.value.code
@@ -140,11 +139,11 @@ def test_train_equals_the_command(experiment, tmp_path):
     seen = []
     trained = evo.train(experiment, tmp_path / "python", seen.extend)
     assert shell("train", CONFIG, *TINY, "--out", tmp_path / "shell") == 0
-    champion, motion, digests = RunFolder(tmp_path / "shell").load_champion()
+    champion, motion, digests = RunFolder(tmp_path / "shell").with_champion()
     np.testing.assert_array_equal(trained.genome, champion.genes)
     assert (trained.fitness, trained.terms) == (champion.fitness, champion.terms)
     assert motion is not None and seen == trained.history and len(seen) == 4
-    assert RunFolder(trained.folder).load_champion()[2] == digests
+    assert RunFolder(trained.folder).with_champion()[2] == digests
     # Scales are as in training, so the fitness is, too.
     again = evo.load(trained.folder).evaluate(0, trained.genome[None])
     assert float(again.fitness[0]) == pytest.approx(trained.fitness, rel=1e-5)
@@ -158,15 +157,11 @@ def test_commands_refuse_a_run_with_a_fitness_from_python(tmp_path, capsys, monk
     assert trained.fitness == pytest.approx(trained.terms["energy"])
     for command in ("resume", "verify", "refine"):
         assert shell(command, trained.folder) == 2
-        said = capsys.readouterr().err
-        assert "began in Python with a task or fitness that its config.yaml does not" in said
-        assert "In Python, `Experiment.evaluate` evaluates genomes, and `evo.train(..." in said
+        assert "began in Python with a task" in capsys.readouterr().err
     # Do this as the message and the API page say.
     again = mine.evaluate(0, trained.genome[None]).fitness
     assert float(again[0]) == pytest.approx(trained.fitness, rel=1e-5)
-    with pytest.raises(
-        RunFolderError, match=r"It began in Python\. To continue, start a new run from its"
-    ):
+    with pytest.raises(RunFolderError, match="It began in Python"):
         evo.train(mine, trained.folder)
     (program,) = re.findall(
         r"  ```python\n(.+?)  ```", (REPOSITORY / "docs/api.md").read_text(), re.S
@@ -323,40 +318,32 @@ def test_rewards_of_an_episode_add_up_to_the_fitness(experiment, genomes):
     np.testing.assert_allclose(many.obs, jnp.stack([seen[0]] * 3), rtol=1e-5, atol=1e-6)
 
 
-def test_wrong_arguments_are_named(experiment, genomes):
-    with pytest.raises(
-        ValueError, match=r"shape \(n, 135\), one row per individual, got \(135, 5\)"
-    ):
-        experiment.evaluate(0, genomes.T)
-    with pytest.raises(ValueError, match="Transpose them: individuals come first"):
-        experiment.rollout(0, genomes.T)
-    with pytest.raises(ValueError, match="genomes must be numbers, got <U1"):
-        experiment.evaluate(0, np.full((2, 135), "x"))
-    with pytest.raises(ValueError, match=r"genome must have the shape \(135,\), got \(134,\)"):
-        experiment.fitness_function()(genomes[0, 1:])
-    for call in (
-        lambda: experiment.record(0, genomes[0], 1),
-        lambda: experiment.environment(trial=1),
-    ):
-        with pytest.raises(ValueError, match="trial must be from 0 to 0, got 1"):
-            call()
-    with pytest.raises(
-        ValueError, match="must be 'rates', 'angles', 'activations' or 'torques', g"
-    ):
-        experiment.environment("powers")
-    with pytest.raises(ValueError, match="needs torque motors, but no joint has one"):
-        experiment.environment("torques")
-    with pytest.raises(ValueError, match="needs muscles, but no joint has muscles"):
-        experiment.environment("activations")
-    with pytest.raises(ValueError, match="needs motors with a stiffness, but no motor has one"):
-        experiment.environment("angles")
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda e, g: e.evaluate(0, g.T), r"shape \(n, 135\)"),
+        (lambda e, g: e.rollout(0, g.T), "Transpose them"),
+        (lambda e, g: e.evaluate(0, np.full((2, 135), "x")), "must be numbers"),
+        (lambda e, g: e.fitness_function()(g[0, 1:]), r"shape \(135,\)"),
+        (lambda e, g: e.record(0, g[0], 1), "from 0 to 0, got 1"),
+        (lambda e, g: e.environment(trial=1), "from 0 to 0, got 1"),
+        (lambda e, g: e.environment("powers"), "'activations' or 'torques', got"),
+        (lambda e, g: e.environment("torques"), "no joint has one"),
+        (lambda e, g: e.environment("activations"), "no joint has muscles"),
+        (lambda e, g: e.environment("angles"), "no motor has one"),
+        (lambda e, g: evo.load(CONFIG, "seed=3"), "list of settings"),
+        (lambda e, g: evo.load(CONFIG, {"world.gravty": 1.6}), "did you mean 'gravity'"),
+    ],
+)
+def test_wrong_arguments_are_named(experiment, genomes, call, words):
+    with pytest.raises((ValueError, TypeError, evo.ConfigError), match=words):
+        call(experiment, genomes)
+
+
+def test_an_action_of_the_wrong_size_is_refused(experiment):
     environment = experiment.environment()
     with pytest.raises(ValueError, match=r"action must have the shape \(6,\), got \(5,\)"):
         environment.step(environment.reset(jax.random.key(0)), jnp.zeros(5))
-    with pytest.raises(TypeError, match=r"must be a list of settings, such as \['seed=3'\]"):
-        evo.load(CONFIG, "seed=3")
-    with pytest.raises(evo.ConfigError, match=r"world.gravty: unknown key: did you mean 'gravity'"):
-        evo.load(CONFIG, {"world.gravty": 1.6})
 
 
 def test_overrides_work_as_on_the_command_line():

@@ -13,7 +13,7 @@ from test_documented_programs import configs, here, programs, run
 import evo_cpg as evo
 from creatures import box_chain, coast, in_water, quick_jit, random_state
 from evo_cpg.analysis.energy import ledger
-from evo_cpg.cli.export import export
+from evo_cpg.cli.exchange import export
 from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.io.errors import ConfigError
@@ -25,7 +25,7 @@ from evo_cpg.physics.step.statics import FrictionState, static_forces
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.physics.water.fluid import Drag
-from evo_cpg.simulation.physics_steps import EachPhysicsStep
+from evo_cpg.simulation.observers import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 
 __all__ = ["here"]
@@ -268,7 +268,7 @@ def test_lint_reports_no_falling_if_a_law_may_hold_the_creature(glider):
         ),
         (
             {"type": "plate:Wrong", "options": {"body": "fluke", "area": 1}},
-            r"Wrong.wrench must return 6 x 2 numbers, shape \(6, 2, 7\)",
+            r"Wrong.wrench must return float32\[6, 2, 7\]",
         ),
         (
             {"type": "plate:Broken", "options": {"body": "fluke", "area": 1}},

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
-from evo_cpg.api.training import begin_run
-from evo_cpg.api.warm_start import warm_start
-from evo_cpg.io.opened import Opened
+from evo_cpg.api.run_start import begin_run, warm_start
+from evo_cpg.io.run import Run
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from tiny_run import CONFIG, PAIR
 
@@ -72,10 +71,10 @@ def test_the_start_is_the_first_population_even_after_a_kill(earlier, tmp_path):
     experiment, given = start(earlier, "population", "seed=3")
     folder = RunFolder(tmp_path / "run")
     config = evo.load(CONFIG, (*SHORT, "seed=3"))
-    begin_run(Opened(folder, config.config, experiment), 2, CONFIG, given)
+    begin_run(Run(folder, config.config, experiment), 2, CONFIG, given)
     assert json.loads(folder.meta.read_text())["start"] == given.provenance
     np.testing.assert_array_equal(RunFolder(folder.path).load_start(), given.genes)
-    from evo_cpg.training.loop import train
+    from evo_cpg.training.train import train
 
     train(experiment._replace(generations=1), RunFolder(folder.path))
     resumed = train(experiment, RunFolder(folder.path))

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg.api import display
-from evo_cpg.cli import champions
+from evo_cpg.api import progress
 from evo_cpg.cli.main import main
 from evo_cpg.training import devices
 from shared_programs import programs_of_its_own, remember_programs
@@ -42,11 +41,10 @@ def called(*arguments: object, folder: Path | None = None) -> Called:
     """
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
-        for module in (champions, devices):
-            patch.setattr(module, "use_cores", lambda count=None: 2)
+        patch.setattr(devices, "use_cores", lambda count=None: 2)
         # Durations on a busy machine mean nothing, so print none.
-        patch.setattr(display, "FIRST", math.inf)
-        patch.setattr(display, "BETWEEN", math.inf)
+        patch.setattr(progress, "FIRST", math.inf)
+        patch.setattr(progress, "BETWEEN", math.inf)
         patch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
         if folder is not None:
             patch.chdir(folder)

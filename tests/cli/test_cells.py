@@ -1,19 +1,22 @@
 """`--cell`: film and audit the elite of any cell of a map of gaits."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import evo_cpg as evo
+from evo_cpg.analysis.energy import Ledger
 from evo_cpg.analysis.verdict import Check, Verdict
 from evo_cpg.api import audit
 from evo_cpg.api.audit import Audit
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.training.elites import gait_map
+from evo_cpg.io.run import gait_map
+from evo_cpg.training.conditions import Variation, compile_variation
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.variations import Variation, compile_variation
-from evo_cpg.view import film
+from evo_cpg.view import answer_plots, figure, film
 from evo_cpg.view.legible import terms_text
 from tiny_run import CONFIG, PAIR
 
@@ -22,6 +25,9 @@ MAPPED = (
     "evolution={type: map_elites, generations: 2, population: 8, axes: [{name: speed, range: [0, "
     "0.1], cells: 3}, {name: frequency, range: [0, 9], cells: 2}]}",
 )
+
+# The only trial of an audit that does not run.
+STILL = SimpleNamespace(ledger=Ledger(*[np.zeros(1)] * len(Ledger._fields)))
 
 
 @pytest.fixture(scope="module")
@@ -70,14 +76,16 @@ def test_cell_selects_the_elite_to_audit(cli, mapped, monkeypatch):
     def audits(experiment, champions, *_):
         audited.extend(champions)
         check = Check("half_step", "way kept: half the step", 0.5, 0.9, True, "%")
-        return [Audit(Verdict((check,)), (), 0.01, missing="a test")]
+        return [Audit(champions[0], Verdict((check,)), (STILL,), 0.01, missing="a test")]
 
     monkeypatch.setattr(audit, "audits", audits)
-    monkeypatch.setattr("evo_cpg.cli.audited.draw_audit", lambda *_: None)
+    monkeypatch.setattr(answer_plots, "audit_figure", lambda *_: None)
+    monkeypatch.setattr(figure, "save_figure", lambda _, path: path)
     code, out, err = cli("audit", run, "--cell", name)
     assert code == 3 and f"the elite of cell {name} does not pass its audit" in out, err
     place = np.ravel_multi_index(cell, found.fitness.shape)
     np.testing.assert_array_equal(audited[0].genes, found.archive.genes[:, place])
+    assert not evo.audit(run, cell=name).passed
     kept = json.loads((run / f"audit_cell_{'_'.join(map(str, cell))}.json").read_text())
     assert kept["fitness"] == audited[0].fitness and kept["passed"] is False
     assert not (run / "audit.json").exists()
@@ -96,6 +104,6 @@ def test_an_elite_is_audited_with_all_its_terms(mapped):
     champion = checkpoint.champion
     outcome = compile_variation(experiment, Variation("", (experiment.simulation,)))(champion)
     only = {name: champion.terms[name] for name in ("speed", "frequency")}
-    whole = audit._complete(champion._replace(terms=only), outcome)
+    whole = audit.with_all_terms(champion._replace(terms=only), outcome)
     assert set(whole.terms) == set(champion.terms) > set(only)
     assert whole.terms == pytest.approx(champion.terms, rel=1e-5)

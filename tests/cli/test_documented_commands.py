@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from evo_cpg.cli import run_names
+from evo_cpg.cli import options
 from evo_cpg.cli.main import app
 from evo_cpg.studies import find_study
 from tiny_run import PAIR
@@ -45,7 +45,7 @@ def test_commands_are_found_in_the_pages():
 @pytest.mark.parametrize(("page", "words"), OURS, ids=lambda x: x if isinstance(x, str) else x[1])
 def test_the_program_accepts_every_command(monkeypatch, page, words):
     # The runs of the pages do not exist.
-    monkeypatch.setattr(run_names, "find_run", lambda given: given)
+    monkeypatch.setattr(options, "find_run", lambda given: given)
     _, name, *arguments = words
     program = typer.main.get_command(app)
     assert name in program.commands, page

@@ -11,8 +11,8 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
-from evo_cpg.cli import building
-from evo_cpg.cli.measured_motion import read_motion
+from evo_cpg.api import runs
+from evo_cpg.api.fit import read_motion
 from evo_cpg.io.load import load_config
 from evo_cpg.simulation.situation import Situation, starting_pose
 from evo_cpg.training.run_folder import RunFolder
@@ -80,7 +80,7 @@ def test_an_imported_model_trains_at_once(cli, tmp_path, monkeypatch):
 
 def test_a_settled_start_is_exported_as_a_keyframe(cli, tmp_path, monkeypatch):
     """The root leans and the joints are bent. All bodies have the same positions in MuJoCo."""
-    built, lean = building.build, Rotation.from_euler("xyz", (0.1, -0.2, 0.7))
+    built, lean = runs.build, Rotation.from_euler("xyz", (0.1, -0.2, 0.7))
     orientation = tuple(lean.as_quat(scalar_first=True).tolist())
     angles = tuple(np.linspace(-0.3, 0.3, 12).tolist())
     rest = Situation((1.0, 2.0, 0.2), 0.7, None, orientation, angles)
@@ -90,7 +90,7 @@ def test_a_settled_start_is_exported_as_a_keyframe(cli, tmp_path, monkeypatch):
         simulation = eqx.tree_at(lambda s: s.situations, experiment.simulation, (rest,))
         return experiment._replace(simulation=simulation)
 
-    monkeypatch.setattr(building, "build", settled)
+    monkeypatch.setattr(runs, "build", settled)
     assert cli("export", WALKER, tmp_path / "hexapod.xml")[0] == 0
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "hexapod.xml"))
     data = mujoco.MjData(model)
@@ -115,61 +115,45 @@ def test_export_of_a_run_names_the_parts_left_out(cli, tmp_path):
     run.mkdir()
     code, out, err = cli("export", run, tmp_path / "other.xml")
     assert (code, out) == (2, "")
-    assert err == f"evo-cpg: {run} is not a run folder (it has no config.yaml)\n"
+    assert "is not a run folder" in err
 
 
 @pytest.mark.parametrize("command", ["export", "import"])
-def test_a_file_is_replaced_only_with_overwrite(cli, tmp_path, command):
+def test_wrong_places_are_refused(cli, tmp_path, command):
+    """A file is replaced only with `--overwrite`, and no file can have the long name."""
     name = "out.xml" if command == "export" else "out.yaml"
-    model, used = tmp_path / "in.xml", tmp_path / name
+    model, used, long = tmp_path / "in.xml", tmp_path / name, 300 * "a"
     assert cli("export", WALKER, model)[0] == 0
     source = WALKER if command == "export" else model
     used.write_text("years of work")
-    assert cli(command, source, used) == (
-        2,
-        "",
-        f"evo-cpg: {used} exists. Choose another name, or replace it with --overwrite\n",
-    )
+    for given, place, words in (
+        (source, used, "--overwrite"),
+        (source, tmp_path / "no" / name, "there is no folder"),
+        (source, tmp_path / f"{long}{used.suffix}", "(File name too long)"),
+        (f"{long}{source.suffix}", tmp_path / f"new{used.suffix}", "(File name too long)"),
+    ):
+        code, out, err = cli(command, given, place)
+        assert (code, out) == (2, "") and words in err and err.count("\n") == 1
     assert used.read_text() == "years of work"
     assert cli(command, source, used, "--overwrite")[0] == 0
     assert "hexapod" in used.read_text()
-    code, out, err = cli(command, source, tmp_path / "no" / name)
-    assert (code, out) == (2, "")
-    assert err == (
-        f"evo-cpg: cannot write {tmp_path / 'no' / name}: there is no folder {tmp_path / 'no'}. "
-        "Create it first\n"
-    )
 
 
-@pytest.mark.parametrize("command", ["export", "import"])
-def test_a_name_that_no_file_can_have_is_refused(cli, tmp_path, command):
-    long, model = 300 * "a", tmp_path / "in.xml"
-    assert cli("export", WALKER, model)[0] == 0
-    source, suffix = (WALKER, ".xml") if command == "export" else (model, ".yaml")
-    code, out, err = cli(command, source, tmp_path / (long + suffix))
-    assert (code, out) == (2, "")
-    assert err == f"evo-cpg: cannot write {tmp_path / (long + suffix)} (File name too long)\n"
-    code, out, err = cli(command, f"{long}{source.suffix}", tmp_path / f"out{suffix}")
-    assert (code, out) == (2, "")
-    assert err.endswith(f"{source.suffix}: cannot be read (File name too long)\n")
-
-
-def test_a_refused_import_writes_nothing(cli, tmp_path):
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), "no body of the file moves"),
+        (("--motor-gain", 0), "must be greater than 0"),
+        (("--motor-gain", "1e13"), "must be at most 1e+12"),
+        (("--motor-gain", "inf"), "must be at most 1e+12"),
+    ],
+)
+def test_a_refused_import_writes_nothing(cli, tmp_path, options, words):
     model, animal = tmp_path / "model.xml", tmp_path / "animal.yaml"
-    model.write_text(
-        '<mujoco><worldbody><body name="b"><geom size="1"/></body></worldbody></mujoco>'
-    )
-    code, out, err = cli("import", model, animal)
-    assert (code, out) == (2, "")
-    assert err == (
-        f"evo-cpg: {model}: body 'b': no body of the file moves. Allowed: joints, or the option "
-        "--free\n"
-    )
-    code, out, err = cli("import", model, animal, "--motor-gain", 0)
-    assert (code, err) == (2, "evo-cpg: --motor-gain: must be greater than 0, got 0\n")
-    for gain in ("1e13", "inf"):
-        code, out, err = cli("import", model, animal, "--motor-gain", gain)
-        assert (code, err[:46]) == (2, "evo-cpg: --motor-gain: must be at most 1e+12, ")
+    body = '<body name="b"><geom size="1"/></body>'
+    model.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    code, out, err = cli("import", model, animal, *options)
+    assert (code, out) == (2, "") and words in err
     assert not animal.exists()
 
 
@@ -185,7 +169,7 @@ def exported(cli, finished_run, tmp_path_factory):
 
 @pytest.mark.slow
 def test_an_exported_motion_has_names_and_units(finished_run, exported):
-    _, motion, _ = RunFolder(finished_run).load_champion()
+    _, motion, _ = RunFolder(finished_run).with_champion()
     with (exported / "motion.csv").open() as file:
         names = next(csv.reader(file))
     table = np.loadtxt(exported / "motion.csv", delimiter=",", skiprows=1)
@@ -210,11 +194,11 @@ def test_an_exported_table_is_a_measured_motion(exported):
         arrays = dict(file)
     measured = read_motion(exported / "motion.csv")
     assert measured.columns == ("x", "y", "z", "roll", "pitch", "yaw", "segment1.z")
-    assert list(measured.targets) == ["segment1.z"]
+    assert list(measured.commands) == ["segment1.z"]
     seen = dict(zip(measured.columns, measured.data.T, strict=True))
     np.testing.assert_allclose(seen["segment1.z"], arrays["segment1.z.angle"], atol=1e-7)
     np.testing.assert_allclose(
-        measured.targets["segment1.z"], arrays["segment1.z.target_rate"], atol=1e-6
+        measured.commands["segment1.z"], arrays["segment1.z.target_rate"], atol=1e-6
     )
     turn = Rotation.from_euler("ZYX", np.stack([seen[n] for n in ("yaw", "pitch", "roll")], 1))
     given = np.stack([[arrays[f"head.rotation_{a}{b}"] for b in "xyz"] for a in "xyz"])
@@ -222,34 +206,20 @@ def test_an_exported_table_is_a_measured_motion(exported):
 
 
 @pytest.mark.parametrize(
-    ("source", "name", "options", "words"),
+    ("name", "options", "words"),
     [
-        (
-            WALKER,
-            "a.obj",
-            (),
-            "cannot write {out}: the name ends in '.obj'. Use .xml, .glb, .csv or .npz",
-        ),
-        (
-            WALKER,
-            "a",
-            (),
-            "cannot write {out}: the name has no suffix. Use .xml, .glb, .csv or .npz",
-        ),
-        (WALKER, "a.glb", (), f"{WALKER} is not a run folder: only a run has a motion for a.glb"),
-        (WALKER, "a.xml", ("--trial", 1), "{out}: has no motion. Leave out --run, --trial and"),
+        ("a.obj", (), "the name ends in '.obj'"),
+        ("a", (), "the name has no suffix"),
+        ("a.glb", (), "is not a run folder"),
+        ("a.xml", ("--trial", 1), "has no motion"),
     ],
 )
-def test_impossible_exports_are_refused(cli, tmp_path, source, name, options, words):
-    code, out, err = cli("export", source, tmp_path / name, *options)
-    assert (code, out) == (2, "")
-    assert words.format(out=tmp_path / name) in err
+def test_impossible_exports_are_refused(cli, tmp_path, name, options, words):
+    code, out, err = cli("export", WALKER, tmp_path / name, *options)
+    assert (code, out) == (2, "") and words in err
     assert not (tmp_path / name).exists()
 
 
 def test_a_missing_trial_is_not_exported(cli, finished_run, tmp_path):
-    for name in ("a.csv", "a.glb"):
-        code, _, err = cli("export", finished_run, tmp_path / name, "--trial", 1)
-        assert code == 2 and "has 1 trial(s) per individual, counted from 0" in err
-    code, _, err = cli("export", finished_run, tmp_path / "none" / "a.csv")
-    assert code == 2 and "cannot write" in err
+    code, _, err = cli("export", finished_run, tmp_path / "a.glb", "--trial", 1)
+    assert code == 2 and "has 1 trial(s)" in err

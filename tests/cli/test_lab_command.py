@@ -5,7 +5,7 @@ import csv
 import pytest
 import yaml
 
-from evo_cpg.cli.answers import short_heads
+from evo_cpg.cli.ask import short_heads
 from pictures import ink
 from tiny_run import PAIR
 
@@ -70,8 +70,8 @@ def test_champion_of_a_run_keeps_its_brain(finished_run, cli, tmp_path):
     [
         (("u",), "'u' is not KNOB=VALUES, such as u=0.2,0.6 or u=0.2:1:9"),
         (("u=1", "u=2"), "u is given twice"),
-        (("u=0:1",), "u=0:1: expected START:STOP:COUNT"),
-        (("u=0:1:3:lin",), "u=0:1:3:lin: expected START:STOP:COUNT"),
+        (("u=0:1",), "is neither START:STOP:COUNT"),
+        (("u=0:1:3:lin",), "is neither START:STOP:COUNT"),
         (("tow=0.1", "w=3"), "'w' is no knob"),
         (("u=1", "--run", "1"), "is a configuration, not a run folder"),
         (("u=1", "--out", "{animal}"), "tiny.yaml is a file. --out is a folder"),

@@ -23,27 +23,21 @@ def run(finished_run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("command", "option"),
+    "command",
     [
-        (("resume", "--generations", 90), ""),
-        (("refine", "--rounds", 1), ""),
-        (("render",), "--output"),
-        (("plot",), "--output"),
-        (("analyse",), "--out"),
-        (("probe",), "--out"),
-        (("sensitivity",), "--out"),
-        (("audit",), ""),
+        ("resume", "--generations", 90),
+        ("refine", "--rounds", 1),
+        *((name,) for name in ("render", "plot", "analyse", "probe", "sensitivity", "audit")),
     ],
 )
-def test_a_command_that_writes_is_refused(cli, run, command, option):
+def test_a_command_that_writes_is_refused(cli, run, command):
     with RunFolder(run).locked():
         before = contents(run)
         code, out, err = cli(command[0], run, *command[1:])
         assert contents(run) == before
     assert (code, out) == (2, "")
     assert err.startswith(f"evo-cpg: {run} is in use by process {os.getpid()} on ")
-    end = f", or write elsewhere with {option}\n" if option else ", or end it\n"
-    assert err.endswith(end) and err.count("\n") == 1
+    assert err.count("\n") == 1
 
 
 def test_no_option_opens_a_locked_run(cli, run):
@@ -57,9 +51,8 @@ def test_a_command_that_only_reads_is_allowed(cli, run, tmp_path):
         before = contents(run)
         assert cli("watch", run, "--once")[0] == 0
         assert cli("export", run, tmp_path / "model.xml")[0] == 0
-        assert cli("analyse", run, "--out", tmp_path / "x.html", "--trial", 7)[2].startswith(
-            f"evo-cpg: --trial: {run} has 1 trial(s)"
-        )
+        elsewhere = "--out", tmp_path / "x.html", "--trial", 7
+        assert "has 1 trial(s)" in cli("analyse", run, *elsewhere)[2]
         assert contents(run) == before
 
 

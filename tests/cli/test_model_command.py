@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 import pytest
 
 from evo_cpg.view.drawing_page.document import Document
-from evo_cpg.view.drawing_page.page.server import DrawingServer
 from evo_cpg.view.run_page import server as page_server
+from evo_cpg.view.run_page.server import PageServer
 from tiny_run import REPOSITORY
 
 
@@ -46,11 +46,11 @@ def opened(monkeypatch) -> list[Document]:
     """Documents of servers that end at once."""
     found = []
 
-    def serve(self: DrawingServer) -> None:
-        found.append(self.session.document)
+    def serve(self: PageServer) -> None:
+        found.append(self.upload.__self__.document)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(DrawingServer, "serve_forever", serve)
+    monkeypatch.setattr(PageServer, "serve_forever", serve)
     monkeypatch.setattr(page_server, "opened", lambda address: True)
     return found
 
@@ -68,12 +68,12 @@ def test_a_shipped_configuration_is_copied(cli, opened, tmp_path):
 
 
 def test_edits_that_are_not_saved_are_mentioned(cli, opened, monkeypatch, tmp_path):
-    def serve(self: DrawingServer) -> None:
+    def serve(self: PageServer) -> None:
         given = {"key": ["seed"], "value": 3}
-        self.session.answer("edit", {"command": "set_value", "given": given})
+        self.upload.__self__.answer("edit", {"command": "set_value", "given": given})
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(DrawingServer, "serve_forever", serve)
+    monkeypatch.setattr(PageServer, "serve_forever", serve)
     code, out, _ = cli("model", "new.yaml", folder=tmp_path)
     assert code == 0 and out.endswith("`evo-cpg model` offers them again.\n")
     assert [path.name for path in tmp_path.iterdir()] == [".new.yaml.autosave"]

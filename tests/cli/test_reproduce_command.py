@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from evo_cpg.api import sweep, version
-from evo_cpg.cli import reproduce
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.reproduce import default_folder, make
+from evo_cpg.api import machine, sweep
+from evo_cpg.cli import repeat as reproduce
+from evo_cpg.cli.repeat import default_folder, make
+from evo_cpg.errors import UsageError
 from evo_cpg.files import OutputError
 from evo_cpg.studies import NAMES, find_study, provenance, workshop
 from evo_cpg.studies.parts import pictures_part, stills
@@ -85,42 +85,35 @@ def test_finished_runs_are_not_evolved_again(made, tmp_path, monkeypatch):
     assert "at commit 0ther on" in text and f", of runs evolved at {first}.*" in text
 
 
-@pytest.mark.parametrize(
-    ("quick", "fresh", "words"),
-    [
-        (False, False, "interrupted. Continue with the same command\n"),
-        (False, True, "interrupted. Continue with `evo-cpg reproduce twin ends --out {}`\n"),
-        (True, True, "interrupted. Continue with `evo-cpg reproduce twin ends --out {} --quick`\n"),
-    ],
-)
+@pytest.mark.parametrize(("fresh", "words"), [(False, "parts ends\n"), (True, "without --fresh\n")])
 def test_an_interrupt_prints_a_command_that_keeps_finished_runs(
-    tmp_path, monkeypatch, capsys, quick, fresh, words
+    tmp_path, monkeypatch, capsys, fresh, words
 ):
     def stop(*arguments):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(sweep, "run_group", stop)
     with pytest.raises(KeyboardInterrupt):
-        make(TWIN, ["ends"], tmp_path / "twin", quick, fresh, 2)
-    assert capsys.readouterr().err.endswith(words.format(tmp_path / "twin"))
+        make(TWIN, ["ends"], tmp_path / "twin", False, fresh, 2)
+    assert capsys.readouterr().err.endswith(words)
 
 
 @pytest.mark.slow
 def test_a_continued_study_equals_an_uninterrupted_one(made, tmp_path, monkeypatch, capsys):
     folder, group = tmp_path / "stopped", sweep.run_group
 
-    def stopping(members, devices, tell, warn):
+    def stopping(members, tell):
         def stop(member, rows):
             tell(member, rows)
             if member.setting.name == "few" and rows[0]["generation"] == 1:
                 raise KeyboardInterrupt
 
-        group(members, devices, stop, warn)
+        group(members, stop)
 
     monkeypatch.setattr(sweep, "run_group", stopping)
     with pytest.raises(KeyboardInterrupt):
         make(TWIN, ["ends"], folder, False, False, 2)
-    assert "Continue with the same command" in capsys.readouterr().err
+    assert "Continue with the parts ends" in capsys.readouterr().err
     assert not (folder / "ends.md").exists()
     monkeypatch.setattr(sweep, "run_group", group)
     make(TWIN, ["ends"], folder, False, False, 2)
@@ -242,10 +235,10 @@ def test_the_list_has_all_studies_and_parts(capsys):
 
 
 def test_files_go_next_to_the_pages_of_a_clone(monkeypatch, tmp_path):
-    monkeypatch.setattr(version, "checkout", lambda: tmp_path)
+    monkeypatch.setattr(machine, "checkout", lambda: tmp_path)
     assert default_folder("starfish", False) == tmp_path / "docs" / "reproduction" / "starfish"
     assert default_folder("starfish", True).parts == ("reproduction", "starfish_quick")
-    monkeypatch.setattr(version, "checkout", lambda: None)
+    monkeypatch.setattr(machine, "checkout", lambda: None)
     assert default_folder("starfish", False).parts == ("reproduction", "starfish")
 
 

@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 
-from evo_cpg.cli import champions
-from evo_cpg.cli.champions import champion_motion
+import evo_cpg as evo
+from evo_cpg.api import runs
 from evo_cpg.training.run_folder import RunFolder
 from pictures import ink
 from tiny_run import CONFIG, PAIR
@@ -56,8 +56,7 @@ def test_resume_chooses_a_champion_that_is_not_yet_chosen(noisy_run, cli, tmp_pa
     done = folder.load()
     assert done is not None
     folder.save(done._replace(chosen=()))
-    code, _, err = cli("resume", folder.path)
-    assert code == 0 and " new draws (" in err
+    assert evo.resume(folder.path).expected is not None
     again = folder.load()
     assert again is not None
     assert [one and one.expected for one in again.chosen] == [
@@ -67,7 +66,7 @@ def test_resume_chooses_a_champion_that_is_not_yet_chosen(noisy_run, cli, tmp_pa
 
 @pytest.mark.slow
 def test_the_champion_of_any_run_is_filmed(noisy_run, cli, tmp_path):
-    kept, _, _ = RunFolder(noisy_run).load_champion()
+    kept, _, _ = RunFolder(noisy_run).with_champion()
     picture = tmp_path / "other.png"
     options = ("--run", 1 - kept.run, "--size", "64x48", "-o", picture)
     code, out, err = cli("render", noisy_run, *options)
@@ -76,22 +75,21 @@ def test_the_champion_of_any_run_is_filmed(noisy_run, cli, tmp_path):
 
 
 def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path, monkeypatch):
-    kept, _, _ = RunFolder(noisy_run).load_champion()
+    kept, _, _ = RunFolder(noisy_run).with_champion()
     other = 1 - kept.run
-    runs = []
+    motion_of, plotted = runs.motion_of, []
 
-    def seen(run, which):
-        opened, recording = champion_motion(run, which)
-        runs.append(opened.champion.run)
-        return opened, recording
+    def seen(opened, trial):
+        plotted.append(opened.champion.run)
+        return motion_of(opened, trial)
 
-    monkeypatch.setattr(champions, "champion_motion", seen)
+    monkeypatch.setattr(runs, "motion_of", seen)
     code, out, err = cli("plot", noisy_run, "--run", other, "-o", tmp_path)
     drawn = [f"joint_signals_run{other}.png", f"path_run{other}.png"]
-    assert code == 0 and runs == [other], err
+    assert code == 0 and plotted == [other], err
     assert out.splitlines() == [str(tmp_path / name) for name in ("fitness.png", *drawn)]
     code, _, err = cli("plot", noisy_run, "--run", 2, "-o", tmp_path)
-    assert code == 2 and f"--run: {noisy_run} has 2 run(s), counted from 0" in err
+    assert code == 2 and "has 2 run(s)" in err
 
 
 @pytest.mark.slow
@@ -100,12 +98,6 @@ def test_the_lineage_of_a_noisy_run_ends_with_its_champion(noisy_run, cli, tmp_p
     options = ("--lineage", "auto", "--size", "64x48", "--seconds", "0.2", "-o", picture)
     code, out, err = cli("render", noisy_run, *options)
     assert (code, out) == (0, f"{picture}\n"), err
-
-
-def test_a_missing_run_is_refused(noisy_run, cli):
-    code, out, err = cli("render", noisy_run, "--run", 2)
-    assert (code, out) == (2, "")
-    assert err == f"evo-cpg: --run: {noisy_run} has 2 run(s), counted from 0\n"
 
 
 def test_resume_refuses_another_number_of_runs(noisy_run, cli, tmp_path):

@@ -108,7 +108,7 @@ def test_training_never_loads_vtk(finished_run, compiled, tmp_path):
         2,
         compiled=compiled,
     )
-    assert "evo_cpg.training.loop" in loaded.split()
+    assert "evo_cpg.training.train" in loaded.split()
     assert not {"vtk", "vtkmodules", "pyvista", "matplotlib", "imageio_ffmpeg"} & set(
         loaded.split()
     )

@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from evo_cpg.cli.advice import is_light_in_water
+from evo_cpg.api.advice import is_light_in_water
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from tiny_run import REPOSITORY

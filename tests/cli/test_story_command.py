@@ -9,9 +9,11 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
+import evo_cpg as evo
 from evo_cpg.api.story import generations_of
-from evo_cpg.io.opened import open_run
-from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
+from evo_cpg.errors import Advice
+from evo_cpg.io.run import open_run
+from evo_cpg.training.crowd import compile_crowd_motion, populations_at
 from evo_cpg.training.run_folder import RunFolderError
 from tiny_run import CONFIG, PAIR
 
@@ -43,17 +45,17 @@ def test_a_story_shows_early_generations(done, champion, shown):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--sheet", "2x2"), "--story and --sheet exclude each other. Leave out one of them"),
-        (("--crowd", "0"), "--story and --crowd exclude each other. Leave out one of them"),
-        (("--speed", "2"), "--story and --speed exclude each other. Leave out one of them"),
-        (("--title", "a", "--title", "b"), "--title: 2 titles for one story. Give one"),
-        (("-o", "a.png"), "cannot write a.png: the name ends in '.png'. Use .mp4"),
-        (("--size", "4x4"), "size is 4 x 4 pixels, but the smallest is 16 x 16"),
+        (("--sheet", "2x2"), "--story and --sheet exclude"),
+        (("--crowd", "0"), "--story and --crowd exclude"),
+        (("--speed", "2"), "--story and --speed exclude"),
+        (("--title", "a", "--title", "b"), "2 titles for one story"),
+        (("-o", "a.png"), "Use .mp4"),
+        (("--size", "4x4"), "the smallest is 16 x 16"),
     ],
 )
 def test_options_that_do_not_fit_a_story_are_refused(cli, run_folder, options, words):
     code, out, err = cli("render", run_folder, "--story", *options)
-    assert (code, out, err) == (2, "", f"evo-cpg: {words}\n")
+    assert (code, out) == (2, "") and words in err
 
 
 @pytest.fixture(scope="module")
@@ -83,10 +85,7 @@ def test_a_crowd_is_filmed(cli, run, tmp_path):
     code, out, err = cli("render", run, "--crowd", 3, *size, "-o", place)
     assert (code, out, err) == (0, f"{place}\n", "")
     code, _, err = cli("render", run, "--crowd", 7, *size, "-o", place)
-    assert (code, err) == (
-        2,
-        f"evo-cpg: --crowd: {run} has 6 generations. The next one is 6\n",
-    )
+    assert code == 2 and "has 6 generations" in err
 
 
 @pytest.mark.slow
@@ -101,22 +100,18 @@ def test_a_crowd_is_on_the_page_of_its_run(cli, run, tmp_path):
     title = f"Generation 3: {crowd['count'] + 1} animals"
     assert f'data-scene="crowd">{title}</button>' in page
     code, _, err = cli("analyse", run, "--crowd", 7, "-o", tmp_path / "b.html")
-    assert (code, err) == (
-        2,
-        f"evo-cpg: --crowd: {run} has 6 generations. The next one is 6\n",
-    )
+    assert code == 2 and "has 6 generations" in err
 
 
 @pytest.mark.slow
-def test_a_story_without_crowds_says_so(cli, run, tmp_path):
+def test_a_story_without_crowds_says_so(run, tmp_path):
     """The recorded results are not those of the configuration."""
     other = shutil.copytree(run, tmp_path / "other")
     text = (other / "config.yaml").read_text()
     (other / "config.yaml").write_text(text.replace("seed: 0", "seed: 1", 1))
     film = tmp_path / "a.mp4"
-    code, out, err = cli("render", other, "--story", "--size", "96x54", "-o", film)
-    assert code == 0 and out.endswith(f"{film}\n")
-    assert "the story leaves out the first generations" in err and "cannot be made anew" in err
+    with pytest.warns(Advice, match="cannot be made anew"):
+        assert evo.story(other, film, (96, 54)) == film
 
 
 @pytest.mark.slow

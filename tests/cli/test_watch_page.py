@@ -47,7 +47,7 @@ def test_a_wrong_use_is_one_line(cli, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     for arguments, words in (
         ((tmp_path, "--page"), "is not a run folder (it has no config.yaml)"),
-        ((tmp_path / "run", "--page", "--once"), "--once and --page exclude each other"),
+        ((tmp_path / "run", "--page", "--once"), "--page and --once exclude"),
         ((tmp_path / "run",), "there is no such folder"),
     ):
         code, out, err = cli("watch", *arguments)

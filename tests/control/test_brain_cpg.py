@@ -11,14 +11,12 @@ import pytest
 
 from evo_cpg.control import controller as protocol
 from evo_cpg.control import matsuoka
-from evo_cpg.control.brain import BrainSettings
 from evo_cpg.control.brain_cpg import AxisSettings, BrainCpgSettings, build_brain_cpg, max_amplitude
 from evo_cpg.control.controller import Observation
 from evo_cpg.control.couplings import UnfitError
 from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.creature import Muscle, TorqueMotor
-from evo_cpg.creature.muscles import muscles_of
-from evo_cpg.creature.torque_motors import torque_motors_of
+from evo_cpg.creature.laws import muscles_of, torque_motors_of
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.build import build_creature
 from evo_cpg.io.load import load_config
@@ -279,16 +277,6 @@ def test_gradient_flows_through_brain_and_cord(chain):
     assert jax.jit(jax.grad(late_signal))(0.0) == pytest.approx(float(difference), rel=1e-6)
 
 
-def test_controller_passes_through_jit_as_an_argument(chain):
-    grown = build_brain_cpg(chain(3, "yz"), 1, 10, BrainCpgSettings(axes={"y": AxisSettings(0.5)}))
-    sense = observe(np.random.default_rng(7), 4)
-    genes = grown.random_genes(jax.random.key(0), (), float)
-    state = grown.initial_state((), float)
-    expected = eqx.filter_jit(grown.act)(grown.decode(genes), state, sense)[1].target_rate
-    found = eqx.filter_jit(lambda c: c.act(c.decode(genes), state, sense)[1].target_rate)(grown)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
-
-
 def test_largest_amplitude_counts_steering_and_feedback():
     settings = BrainCpgSettings(
         cpg=CpgSettings(max_tonic_input=2.0, constant_input=0.5), steering_range=0.25
@@ -362,12 +350,6 @@ def test_settings_out_of_range_are_refused(changes, words):
     if "max_rate" not in changes:
         with pytest.raises(ValueError, match=words):
             AxisSettings(**changes)
-
-
-def test_settings_serve_as_a_static_field():
-    # Equal settings share one compiled function.
-    assert BrainCpgSettings(brain=BrainSettings()) == BrainCpgSettings()
-    assert hash(BrainCpgSettings(axes={"z": AxisSettings()})) == hash(BrainCpgSettings())
 
 
 def test_example_in_the_protocol_works():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from evo_cpg.analysis.rhythm import frequency_of, upward_crossings
+from evo_cpg.analysis.cycles import frequency_of, upward_crossings
 from evo_cpg.control import matsuoka
 from evo_cpg.control.brain_cpg import (
     BrainCpgSettings,
@@ -17,10 +17,15 @@ from evo_cpg.control.brain_cpg import (
 )
 from evo_cpg.control.controller import Observation
 from evo_cpg.control.couplings import CouplingError
-from evo_cpg.control.feedback import FeedbackSettings, build_feedback, feel, first_memory
-from evo_cpg.control.limb_load import LoadFeedback
+from evo_cpg.control.feedback import (
+    FeedbackSettings,
+    LoadFeedback,
+    StretchFeedback,
+    build_feedback,
+    feel,
+    first_memory,
+)
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaState
-from evo_cpg.control.stretch import StretchFeedback
 
 H = 1 / 60
 FREE = 100.0  # A limit that no test reaches.

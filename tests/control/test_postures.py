@@ -19,8 +19,7 @@ from evo_cpg.control.postures import (
     build_posture_controller,
 )
 from evo_cpg.creature.creature import Muscle, TorqueMotor
-from evo_cpg.creature.muscles import muscles_of
-from evo_cpg.creature.torque_motors import torque_motors_of
+from evo_cpg.creature.laws import muscles_of, torque_motors_of
 
 ANGLES = [110, 130, 150, 170, 190, 210, 230, 250]  # degrees: Fukui 2003, 2.5
 LEGS = ("front_left", "front_right", "hind_left", "hind_right")
@@ -262,13 +261,6 @@ def test_single_precision_is_kept(quadruped, wide):
         number = 4 * number[:, 0] + 2 * number[:, 1] + number[:, 2]
         angle = np.deg2rad(20.0 * number - 70.0)
         np.testing.assert_allclose(command.target_angle, angle, rtol=0, atol=3e-7)
-
-
-def test_controller_passes_through_jit_as_an_argument(quadruped):
-    genes = quadruped.random_genes(jax.random.key(4), (), float)
-    found = eqx.filter_jit(lambda c: c.decode(genes))(quadruped)
-    np.testing.assert_array_equal(found, quadruped.decode(genes))
-    assert hash(PostureSettings()) == hash(PostureSettings(period=1 / 3))
 
 
 def test_creature_without_joints_is_refused(grow):

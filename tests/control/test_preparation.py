@@ -12,10 +12,9 @@ from evo_cpg.control import matsuoka
 from evo_cpg.control.brain import BrainSettings
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Observation
-from evo_cpg.control.feedback import FeedbackSettings
+from evo_cpg.control.feedback import FeedbackSettings, StretchFeedback
 from evo_cpg.control.matsuoka import CpgSettings, sub_network
 from evo_cpg.control.preparation import SENSES, Preparation
-from evo_cpg.control.stretch import StretchFeedback
 
 STEPS = 240
 FEEDBACK = FeedbackSettings((StretchFeedback(angle_weight=0.5, from_parents=2, from_children=1),))

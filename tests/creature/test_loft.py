@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evo_cpg.creature.cylinder import Cylinder
-from evo_cpg.creature.loft import LoftSection, Piece, loft
+from evo_cpg.creature.loft import LoftPiece, LoftSection, loft
 from evo_cpg.creature.mesh import MeshError
 from evo_cpg.creature.shapes import Box, Ellipsoid
 from evo_cpg.creature.tree import build_tree
@@ -14,12 +14,14 @@ from evo_cpg.io.load import complete_config
 from evo_cpg.io.schema.shape import LoftConfig
 
 
-def straight(*sizes: tuple[float, float, float], corners: int | None = None) -> tuple[Piece, ...]:
+def straight(
+    *sizes: tuple[float, float, float], corners: int | None = None
+) -> tuple[LoftPiece, ...]:
     """Return a loft along x, of (x, width, height)."""
     return loft(tuple(LoftSection((x, 0.0, 0.0), w, h) for x, w, h in sizes), corners)
 
 
-def total(pieces: tuple[Piece, ...]) -> tuple[float, np.ndarray, np.ndarray]:
+def total(pieces: tuple[LoftPiece, ...]) -> tuple[float, np.ndarray, np.ndarray]:
     """Return volume, centre, and inertia about the centre at a density of 1."""
     volumes = np.array([piece.shape.volume for piece in pieces])
     centre = volumes @ np.array([piece.centre for piece in pieces]) / volumes.sum()
@@ -31,7 +33,7 @@ def total(pieces: tuple[Piece, ...]) -> tuple[float, np.ndarray, np.ndarray]:
     return float(volumes.sum()), centre, inertia
 
 
-def ellipsoid(count: int) -> tuple[Piece, ...]:
+def ellipsoid(count: int) -> tuple[LoftPiece, ...]:
     """Return a loft inscribed in an ellipsoid with semi-axes 0.2, 0.1 and 0.05 m."""
     angles = np.linspace(0, np.pi, count + 1)
     sizes = np.sin(angles)
@@ -159,8 +161,8 @@ def test_the_mirror_image_of_a_loft_is_mirrored(axis):
         np.testing.assert_allclose(ours.shape.inertia_tensor(1.0), tensor, atol=1e-12)
 
 
-def _pieces(given: LoftConfig) -> list[Piece]:
-    return [Piece(given.build(), given.centre), *given.further_pieces]  # pyright: ignore
+def _pieces(given: LoftConfig) -> list[LoftPiece]:
+    return [LoftPiece(given.build(), given.centre), *given.further_pieces]  # pyright: ignore
 
 
 def test_a_round_side_looks_smooth_and_an_edge_sharp():
@@ -191,14 +193,14 @@ def test_sections_that_make_no_body_are_refused():
         loft(tuple(LoftSection(at, 0.5, 0.1) for at in bent))
 
 
-def around(degrees: float, radius: float = 0.3, rise: float = 0.0) -> tuple[Piece, ...]:
+def around(degrees: float, radius: float = 0.3, rise: float = 0.0) -> tuple[LoftPiece, ...]:
     """Return a loft of 28 slices along an arc or a helix, 0.04 m wide and 0.06 m high."""
     angles = np.radians(np.linspace(0, degrees, 29))
     rows = np.column_stack([radius * np.sin(angles), -radius * np.cos(angles), rise * angles])
     return loft(tuple(LoftSection(tuple(row), 0.04, 0.06) for row in rows.tolist()))
 
 
-def hairpin(apart: float) -> tuple[Piece, ...]:
+def hairpin(apart: float) -> tuple[LoftPiece, ...]:
     """Return two parallel beams of 0.04 m that are joined at one end."""
     x, y = [0.0, 0.1, 0.2, 0.2 + apart / 2, 0.2, 0.1, 0.0], [0, 0, 0, 0.5, 1, 1, 1]
     rows = zip(x, np.multiply(y, apart).tolist(), strict=True)

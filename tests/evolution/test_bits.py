@@ -11,13 +11,8 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest, chisquare
 
 from creatures import quick_jit
-from evo_cpg.evolution.bits import (
-    MUTATIONS,
-    BitGenetics,
-    bit_mutation,
-    different_places,
-    random_bits,
-)
+from evo_cpg.evolution.genetics import BitGenetics
+from evo_cpg.evolution.operators import MUTATIONS, bit_mutation, different_places, random_bits
 
 POPULATION, ELITES, GENES = 15, 7, 192
 RANKS = np.array([0.30, 0.20, 0.20, 0.10, 0.10, 0.05, 0.03, 0.02])

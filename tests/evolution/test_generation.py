@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from creatures import quick_jit
-from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.genetics import RealGenetics
 
 POPULATION, ELITES, GENES = 9, 3, 6
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chisquare
 
-from evo_cpg.evolution.selection import (
+from evo_cpg.evolution.operators import (
     draw_by_lexicase,
     draw_parents,
     linear_rank_probabilities,

@@ -10,14 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.evolution.archive import Axis
-from evo_cpg.evolution.bits import BitGenetics
-from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.genetics import BitGenetics, RealGenetics
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, Mapped, OfBits
-from evo_cpg.evolution.random_search import RandomSearch
-from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
-from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
+from evo_cpg.evolution.strategy import Axis, Evaluation, RandomSearch, Strategy, worst_finite
+from evo_cpg.training.checkpoint import StrategyError, state_arrays, state_from
 
 GENES, SIZE = 6, 24
 GENETICS = RealGenetics(SIZE, 3, 0.5, 0.2, 0.3, 0.3, 8.0)
@@ -48,7 +45,7 @@ class Climber(Strategy):
 
 def evosax(name, genes=GENES, **settings):
     pytest.importorskip("evosax")
-    kind = importlib.import_module("evo_cpg.evolution.from_evosax").Evosax
+    kind = importlib.import_module("evo_cpg.evolution.evosax").Evosax
     return kind(name, SIZE, genes, **settings)
 
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.stats import binom, chi2, chisquare, kstest, norm
 
 from creatures import quick_jit
-from evo_cpg.evolution import variation
-from evo_cpg.evolution.variation import gaussian_mutation, one_point_crossover, random_places
+from evo_cpg.evolution import operators
+from evo_cpg.evolution.operators import gaussian_mutation, one_point_crossover, random_places
 
 SEEDS = st.integers(0, 2**31 - 1)
 GENES, PAIRS = 7, 50
@@ -118,7 +118,7 @@ def test_the_array_is_long_enough_for_all_places(rate):
 
 
 def test_a_population_mutates_in_parts_as_in_one(monkeypatch):
-    monkeypatch.setattr(variation, "_MOST_AT_ONCE", 30_000)
+    monkeypatch.setattr(operators, "_MOST_AT_ONCE", 30_000)
     genes = jnp.zeros((101, 1000))
     in_parts = quick_jit(gaussian_mutation, static_argnums=(2, 3, 4))
     mutated = np.asarray(in_parts(jax.random.key(11), genes, 0.05, 0.5, 8.0))

@@ -2,8 +2,8 @@
 
 import pytest
 
-from evo_cpg.io.fingerprint import changes, changes_of_fitness, fingerprint
 from evo_cpg.io.load import load_config
+from evo_cpg.io.run import changes, changes_of_fitness, fingerprint
 from tiny_run import CONFIG
 
 

@@ -10,7 +10,7 @@ from evo_cpg.simulation.judge import no_terms
 from tiny_run import CONFIG, TINY
 
 TASK = """
-from evo_cpg.simulation.walk import Distance
+from evo_cpg.simulation.tasks import Distance
 
 class Mine(Distance):
     where: str = {where!r}
@@ -47,7 +47,7 @@ def test_module_of_the_same_name_in_another_folder_is_not_used(folders):
 def test_own_task_may_use_measures(folders):
     (folders / "a" / "mine_of_this_test.py").write_text(
         """
-from evo_cpg.simulation.walk import Distance
+from evo_cpg.simulation.tasks import Distance
 
 class Mine(Distance):
     def scales(self, terms):

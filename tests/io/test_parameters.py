@@ -131,8 +131,8 @@ def check_derivatives(config, keys):
 
     def rebuilt(values):
         parameters.require(values)
-        layout = parameters.building.layout
-        return inputs.of(build_simulation(parameters.config_at(values), layout)[1])
+        plan = parameters.building.plan
+        return inputs.of(build_simulation(parameters.config_at(values), plan)[1])
 
     with_elements = quick_jit(lambda elements: terms(inputs.put(simulation, elements)))
     values = parameters.values

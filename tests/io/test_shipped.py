@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg.api.load import load
+from evo_cpg.api.experiment import load
 from evo_cpg.io import shipped as module
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.load import load_config

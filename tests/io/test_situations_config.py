@@ -149,94 +149,75 @@ def test_settled_start_floats_at_its_place_and_heading():
         assert found.light[2] - given.light[2] == pytest.approx(rise)
 
 
+SETTLED = "simulation.start_pose=settled"
 STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2000]}]"
 
 
 @pytest.mark.parametrize(
-    ("overrides", "words"),
+    ("overrides", "key", "word"),
     [
+        (["simulation.start_pose=setled"], "", "'settled'"),
+        (["world.water={surface: 0, density: 900}", SETTLED], "simulation.start_pose", "sinks"),
+        (["simulation.trials=[]"], "", "at least 1"),
+        (["simulation.trials={}"], "", "list"),
+        (["simulation.trials=[3]"], "simulation.trials.0", "section"),
+        (["simulation.trials=[{}, {strat: [1, 2]}]"], "simulation.trials.1.strat", "'start'"),
         (
-            ["simulation.start_pose=setled"],
-            "simulation.start_pose: 'setled': must be 'neutral' or 'settled'. Did you mean 'se",
-        ),
-        (
-            ["simulation.start_pose=settled", "world.water.surface=0", "world.water.density=900"],
-            "simulation.start_pose: 'settled': no rest from the start at (0, 0), it sinks",
-        ),
-        (["simulation.trials=[]"], "simulation.trials: []: must have at least 1, has 0"),
-        (["simulation.trials={}"], "simulation.trials: must be a number, or a list of situations"),
-        (
-            ["simulation.trials=[3]"],
-            "simulation.trials.0: 3: must be a section with the keys start",
-        ),
-        (
-            ["simulation.trials=[{}, {strat: [1, 2]}]"],
-            "simulation.trials.1.strat: unknown key: did you mean 'start'?",
-        ),
-        (
-            ["simulation.trials=[{}, {light: {bearing: 3}}]"],
-            "simulation.trials.1.light.bearing: unknown key: did you mean 'bearing_deg'?",
+            ["simulation.trials=[{light: {bearing: 3}}]"],
+            "simulation.trials.0.light.bearing",
+            "_deg",
         ),
         (
             ["simulation.trials=[{light: {distance: -1}}]"],
-            "simulation.trials.0.light.distance: -1: must be greater than 0",
+            "simulation.trials.0.light.distance",
+            "-1",
         ),
-        (
-            ["simulation.trials=[{light: {distance: '5'}}]"],
-            "simulation.trials.0.light.distance: '5': must be a number",
-        ),
+        (["simulation.trials=[{light: {distance: '5'}}]"], "simulation.trials.0.light", "a number"),
         (
             ["simulation.trials=[{light: {at: [0, 0, 1], bearing_deg: 0}}]"],
-            "simulation.trials.0.light: at is a position in the world. "
-            "Leave out bearing_deg, or at",
+            "simulation.trials.0.light",
+            "bearing_deg",
         ),
-        (
-            ["task.light.at=[0, 0, 1]"],
-            "task.light: at is a position in the world. Leave out distance, bearing_deg",
-        ),
+        (["task.light.at=[0, 0, 1]"], "task.light", "distance, bearing_deg"),
         (
             ["task={type: distance}", "simulation.trials=[{}, {light: {distance: 3}}]"],
-            "simulation.trials.1.light: a task of type 'distance' has no light",
+            "simulation.trials.1.light",
+            "no light",
         ),
         (
             ["simulation.trials=[{light: {distance: 10000}}]"],
-            "simulation.trials.0.light: the light at (8660.25, 5000, 0) would be 1e+04 m from the "
-            "start. Allowed: up to 1000 times the creature's length, 2.22e+03 m",
+            "simulation.trials.0.light",
+            "1000 times",
         ),
-        (["task.light={at: [9e9, 0, 0]}"], "task.light: the light at (9e+09, 0, 0) would be"),
-        (["task.light={at: [0, 0, 0]}"], "the light at (0, 0, 0) would be where the animal starts"),
+        (["task.light={at: [9e9, 0, 0]}"], "task.light", "9e+09"),
+        (["task.light={at: [0, 0, 0]}"], "task.light", "starts"),
         (
             ["world.ground={}", "simulation.trials=[{}, {light: {elevation_deg: -60}}]"],
-            "simulation.trials.1.light: the light at (3.4641, 2, -6.8",
+            "simulation.trials.1.light",
+            "deep",
         ),
-        (["world.ground={}", "task.light={at: [1, 0, -0.5]}"], "would be 0.5 m deep in the ground"),
-        (
-            ["world.ground={}", STONE, "task.light={at: [4, 0, 2]}"],
-            "task.light: the light at (4, 0, 2) would be 1 m deep in the ground",
-        ),
+        (["world.ground={}", "task.light={at: [1, 0, -0.5]}"], "task.light", "0.5 m deep"),
+        (["world.ground={}", STONE, "task.light={at: [4, 0, 2]}"], "task.light", "1 m deep"),
         (
             ["world.ground={}", STONE, "simulation.trials=[{}, {start: [4, 0]}]"],
-            "simulation.trials.1.start: no place to stand at (4, 0). Is it inside an obstacle?",
+            "simulation.trials.1.start",
+            "stand",
         ),
         (
-            ["world.ground={}", STONE, "simulation.start=[4, 0]", "simulation.trials=[{}]"],
-            "simulation.start: no place to stand at (4, 0). Is it inside an obstacle?",
+            ["world.ground={}", STONE, "simulation.trials=[{}]", "simulation.start=[4, 0]"],
+            "simulation.start",
+            "stand",
         ),
-        (
-            ["simulation.start=[0, -1e5]"],
-            "simulation.start: the animal of 2.18 m would start at y = -100000 m, where float32 "
-            "resolves only 0.0078 m. It would stand still or move wrongly in steps of 0.0083 s. "
-            "Allowed: less than 1024 m from the origin. Subtract about -100000 m from the world's "
-            "y coordinates",
-        ),
-        (["simulation.trials=[{}, {start: [5e5, 5e6]}]"], "simulation.trials.1.start: the animal"),
-        (["world.ground={floor: {height: 3e4}}"], "world.ground.floor: the animal of 2.18 m would"),
+        (["simulation.start=[0, -1e5]"], "simulation.start", "float32"),
+        (["simulation.trials=[{}, {start: [5e5, 5e6]}]"], "simulation.trials.1.start", "float32"),
+        (["world.ground={floor: {height: 3e4}}"], "world.ground.floor", "float32"),
     ],
 )
-def test_invalid_situations_and_lights_are_rejected(overrides, words):
+def test_invalid_situations_and_lights_are_rejected(overrides, key, word):
+    key = key or overrides[-1].partition("=")[0]
     with pytest.raises(ConfigError) as refused:
         built(*overrides)
-    assert words in str(refused.value)
+    assert f": {key}" in str(refused.value) and word in str(refused.value)
 
 
 @pytest.mark.parametrize("height", [300, pytest.param(3000, marks=pytest.mark.slow)])

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from creatures import quick_jit
-from evo_cpg.creature.algebra.mixed_array import MixedArray
+from evo_cpg.creature.algebra.numerics import MixedArray
 from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.load import check_config, load_config
 from evo_cpg.io.parameters import all_parameters, parametrise
@@ -225,7 +225,7 @@ def test_elements_of_every_shape_on_a_slope():
 def test_elements_of_bodies_at_a_water_surface():
     water = {"surface": 0.0, "added_mass": True}
     keys = ["creature.bodies.1.shape.radius", "creature.bodies.2.shape.size.0"]
-    assert check_elements(shapes(water=water), keys).building.layout == "merged"
+    assert check_elements(shapes(water=water), keys).building.plan.layout == "merged"
 
 
 @pytest.mark.usefixtures("x64")
@@ -238,7 +238,7 @@ def test_bodies_that_become_different_get_separate_surfaces():
         body["joint"] = body["joint"] | {"at": [0.0, 0.4 * side, 0.0]}
     config = shapes(water={"sheltered": False}).model_dump(mode="json") | {"creature": creature}
     parameters = check_elements(check_config(config, CONFIG), ["creature.bodies.1.shape.radius"])
-    assert parameters.building.layout == "separate"
+    assert parameters.building.plan.layout == "separate"
 
 
 @pytest.mark.slow

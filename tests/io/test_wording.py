@@ -1,4 +1,4 @@
-"""Messages for values of the wrong type: the allowed values, the fix, and the line."""
+"""Wrong values of a configuration: the key, the allowed type, the nearest key, and the line."""
 
 import copy
 from collections.abc import Iterator
@@ -11,122 +11,230 @@ from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.load import check_config, dump_config, load_config
 from evo_cpg.io.yaml_text import parse_yaml, to_yaml
 from tiny_run import CONFIG, REPOSITORY
+from wrong_values import problem, small
 
-BOX = {"shape": {"type": "box", "size": [0.2, 0.1, 0.1]}, "material": "flesh"}
-JOINT = {"parent": "head", "at": [-0.11, 0, 0], "child_at": [0.11, 0, 0], "axes": ["z"]}
-SMALL = {
-    "name": "small",
-    "creature": {
-        "name": "pair",
-        "materials": {"flesh": {"density": 1000}},
-        "bodies": [{"name": "head", **BOX}, {"name": "tail", **BOX, "joint": JOINT}],
-        "light_sensors": [{"body": "head"}],
-    },
-}
-TRUTHS = "YAML reads yes, no, on, off, true and false as booleans. Put text in quotes"
+# Key, value, and a word of the message.
+VALUES = [
+    ("evolutoin", {}, "evolution"),
+    ("generations", 3, "evolution.generations"),
+    ("evolution.elite", 3, "elites"),
+    ("evolution", {"type": "random", "population": 8, "islands": {"count": 2}}, ".islands"),
+    ("evolution.sigm", 0.5, "valid here"),
+    ("evolution.population", 8, "default"),
+    ("evolution.mutation_rate", 1.5, "1"),
+    ("evolution", "random", "'random', module:Class"),
+    ("world.water.densty", 1, "'density'"),
+    ("world.water.surfce", 0, "'surface'"),
+    ("world.water.sheltered", 1, "true or false"),
+    ("world.water.law", "newton", "'isotropic' or null"),
+    ("world.water.viscosity", 0, "greater"),
+    ("world.water.current_gradient", [[0.2, 0, 0], [0, 0.1, 0], [0, 0, 0]], "diagonal"),
+    ("world.water.vortices", [{"circulation": 1, "core": 0}], ".0.core: 0"),
+    ("world.water.reactive_thrust", True, "no chain"),
+    ("world.water", {"viscosity": 0.001, "skin_drag": 0.1}, "skin_drag (0.1)"),
+    ("world.water", {"viscosity": 0.001, "skin_drag": 0.02}, "skin_drag (0.02)"),
+    ("world.water", {"viscosity": 0.001, "law": "normal"}, "law ('normal')"),
+    ("world.water", {"viscosity": 0.001, "law": "isotropic"}, "law ('isotropic')"),
+    ("world.water", False, "a section"),
+    ("world.gravity", -9.81, "greater"),
+    ("world.gravity", False, "a number"),
+    ("world.ground", True, "null"),
+    ("world.ground", {True: 1}, "True must be text"),
+    ("task.slip_wieght", 1.0, "valid here"),
+    ("task.type", "win", "'walk', or module:Class"),
+    ("task", "walk", "'walk', module:Class"),
+    ("task", {"type": "distance", "heading": "up"}, "'forward'"),
+    ("task", {"type": "walk", "tilt_weight": -1}, "tilt_weight: -1"),
+    ("task.light.bearing", 1, "'bearing_deg'"),
+    ("task.light.distance", 0, "greater"),
+    ("task.energy_weight", 0.7, "distance_weight > light_weight"),
+    ("controller.cpg.time_scal", 1, "'time_scale'"),
+    ("controller.cpg.time_scale", 0, "positive"),
+    ("controller.cpg.pair_weight", float("nan"), "nan"),
+    ("controller.cpg.opposite", "tail", "a list of texts"),
+    ("controller.cpg.opposite", ["fin"], "opposite.0: 'fin'"),
+    ("controller.cpg.couplings", None, "a list of sections"),
+    ("controller.cpg", {"couplings": [{"source": "tail.y", "target": "tail.z"}]}, "'tail.z'"),
+    ("controller.cpg", {"couplings": [{"source": "tail.z", "wieght": 1}]}, ".wieght"),
+    ("controller.cpg", {"rings": [{"oscillators": ["tail.z"], "lag_deg": 0}]}, "two"),
+    ("controller.cpg", {"rings": [{"oscillators": ["tail.z"]}]}, "lag_deg: is missing"),
+    (
+        "controller.cpg",
+        {"rings": [{"oscillators": ["tail.z"], "lag_deg": 0, "weight": -1}]},
+        "weight",
+    ),
+    ("controller.brain.hiden", [4], "'hidden'"),
+    ("controller.brain.hidden", 3, "a list of whole numbers"),
+    ("controller.brain.hidden", [0], "one unit"),
+    ("controller.drives", 1, "'drive'"),
+    ("controller.type", "spline", "'brain_cpg'"),
+    ("controller.rate_gain", float("inf"), "finite"),
+    ("controller.rate_gain", True, "a number"),
+    ("controller.groups", {"legs": "x*"}, "legs: 'x*': must be a list of texts"),
+    ("controller.groups", {"fins": ["fin*"]}, "fins.0: 'fin*'"),
+    ("controller.axes", {"q": {"gain": 2}}, "z"),
+    ("controller.axes", {"z": {"gian": 2}}, "'gain'"),
+    ("creature.self_collision", {"exclude": [["head", "tial"]]}, "exclude.0.1: 'tial'"),
+    ("creature.self_collision", {"exclude": ["head", "tail"]}, "exclude.0"),
+    ("creature.pressure_sensors", "tail", "'all' or a list of texts"),
+    ("creature.pressure_sensors", ["fin"], ".0: 'fin'"),
+    ("creature.pressure_sensors", ["*ail"], "*"),
+    ("creature.depth_sensors", [{"body": "fin"}], ".0.body: 'fin'"),
+    ("creature.light_sensors", {"body": "head"}, "a list of sections"),
+    ("creature.light_sensors", ["head"], ".0: 'head': must be a section"),
+    ("creature.light_sensors.0.bodie", 1, "'body'"),
+    ("creature.light_sensors.0.body", "tial", "'tail'"),
+    ("creature.light_sensors.0.axis", [0, 0, 0], "zero"),
+    ("creature.materials.flesh", 1000, "a section"),
+    ("creature.materials", {False: {"density": 1}}, "False must be text"),
+    ("creature.materials", {1: {"density": 1}}, "'1'"),
+    ("creature.materials.flesh.densiti", 1, "'density'"),
+    ("creature.materials.flesh.density", -1, "greater"),
+    ("creature.materials.flesh.density", "heavy", "a number"),
+    ("creature.materials.flesh.density", "1000", "a number"),
+    ("creature.materials.flesh.density", True, "a number"),
+    ("creature.materials.flesh.density", float("nan"), "finite"),
+    ("creature.materials.flesh.density", float("inf"), "finite"),
+    ("creature.materials.flesh.restitution", float("nan"), "nan"),
+    ("creature.bodies", [], "at least 1"),
+    ("creature.bodies", {"head": 1}, "a list of sections"),
+    ("creature.bodies.0.material", "bone", "'bone'"),
+    ("creature.bodies.0.color", "red", "hexadecimal"),
+    ("creature.bodies.0.repeat", 3, "{i}"),
+    ("creature.bodies.0.shape.size", [0.2, 0, 0.1], ".1: 0"),
+    ("creature.bodies.0.shape.type", "cube", "'box'"),
+    ("creature.bodies.1.shape", "box", "'sphere'"),
+    ("creature.bodies.1.shape.sise", 1, "'size'"),
+    ("creature.bodies.1.name", True, "text"),
+    ("creature.bodies.1.name", 12, "text"),
+    ("creature.bodies.1.name", {"side": None}, "text"),
+    ("creature.bodies.1.name", "head", "creature.bodies.0"),
+    ("creature.bodies.1.repeat", 100_000, "less"),
+    ("creature.bodies.1.repeat", 3, "{i}"),
+    ("creature.bodies.1.joint.parent", "haed", "'head'"),
+    ("creature.bodies.1.joint.at", 3, "a list of 3 numbers"),
+    ("creature.bodies.1.joint.at.0", "-0,11", "a number"),
+    ("creature.bodies.1.joint.axes", "x", "'ball' or a list"),
+    ("creature.bodies.1.joint.axes", [0, 0, 1], ".0: 0"),
+    ("creature.bodies.1.joint.axes", ["z", "z"], "independent"),
+    ("creature.bodies.1.joint.axes", [[0, 0, 0]], "independent"),
+    ("creature.bodies.1.joint.axes", [{"slide": "x"}, {"slide": "-x"}], "independent"),
+    ("creature.bodies.1.joint.axes", ["x", {"turn": "x"}], "independent"),
+    ("creature.bodies.1.joint.axes", [{"slid": "x"}], "slid"),
+    ("creature.bodies.1.joint.axes", [{"slide": "x", "limits_m": [0.1, 0]}], "limits_m"),
+    ("creature.bodies.1.joint.limits_deg", 60, "a list of 2 numbers"),
+    ("creature.bodies.1.joint.limits_deg", [[-60, "a"]], "'a'"),
+    ("creature.bodies.1.joint.limits_deg", [30, -30], "below"),
+    ("creature.bodies.1.joint.limits_deg", [[-30, 30], [-30, 30]], "2 pairs"),
+    ("creature.bodies.1.joint.damping", "1.5 N m s", "a number or a list of numbers"),
+    ("creature.bodies.1.joint.damping", [-1.0], ".0: -1.0"),
+    ("creature.bodies.1.joint.stiffness", [1.0, 2.0, 3.0, 4.0], "4 values"),
+    ("creature.bodies.1.joint.actuator", {"gian": 2}, "'gain'"),
+    ("creature.bodies.1.joint.actuator", [{"gian": 2}], ".0.gian"),
+    ("creature.bodies.1.joint.actuator", {"type": "musle"}, "'musle'"),
+    ("creature.bodies.1.joint.actuator", {"type": "torque", "gear": 0}, "gear"),
+    ("simulation.steps", 300, "valid here"),
+    ("simulation.seconds", 0, "greater"),
+    ("simulation.seconds", [10], "a number"),
+    ("simulation.seconds", "12 s", "a number"),
+    ("simulation.seconds", 1e6, "60000000"),
+    ("simulation.control_rate_hz", 1e6, "33333333"),
+    ("simulation.control_rate_hz", "fast", "a number"),
+    ("simulation.substeps", [10], "a whole number"),
+    ("simulation.start_clearance", -0.1, "greater"),
+    ("simulation.trials", 0, "greater"),
+    ("noise.push", -1, "greater"),
+    ("noise.tilt", 1, "'tilt_deg'"),
+    ("noise.joint_angle_deg", 181, "less"),
+    ("measures", "speed", "a list of texts"),
+    ("audit.disqualify", "speed", "'penetration'"),
+    ("runs", 0, "greater"),
+    ("seed", -1, "greater"),
+    ("seed", True, "a number"),
+    ("name", "../elsewhere", "folder"),
+]
 
 
-def changed(key: str, value: object) -> dict:
-    """Return the small configuration with one value changed, as if read from YAML."""
-    data = copy.deepcopy(SMALL)
-    *parents, last = (int(part) if part.isdigit() else part for part in key.split("."))
-    place: dict = data
-    for part in parents:
-        place = place[part] if isinstance(part, int) else place.setdefault(part, {})
-    place[last] = value
-    return data
+@pytest.mark.parametrize(("key", "value", "word"), VALUES)
+def test_a_wrong_value_gets_its_key_and_the_allowed_values(key, value, word):
+    message = problem(small({key: value}))
+    assert message.partition(".")[0].partition(":")[0] == key.partition(".")[0]
+    assert word in message
 
 
-def problem(data: dict) -> str:
-    """Return the error message for a configuration without a file."""
-    with pytest.raises(ConfigError) as caught:
-        check_config(data, "x.yaml")
-    assert "\n" not in str(caught.value)
-    return str(caught.value).removeprefix("x.yaml: ")
+MUSCLE = {"type": "muscle", "area": 1, "arm": 1, "fibre_length": 1}
+POSTURES = {"controller.type": "postures", "evolution.type": "bits"}
+FEW = {**POSTURES, "evolution.mutated_genes": [2, 10]}
+HUNG = {"parent": "world", "at": [0, 0, 0], "child_at": [0, 0, 0], "axes": ["z"]}
+HANGING = {"creature.bodies.0.joint": HUNG}
+SPRING = {"creature.bodies.1.joint.actuator": {"gain": 1, "stiffness": 5}}
+LIMITS = "creature.bodies.1.joint.limits_deg"
+SLIDE = {"creature.bodies.1.joint.axes": [{"slide": "x"}]}
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "expected"),
+    ("changes", "word"),
     [
-        # One value in place of a list, and the reverse.
-        (
-            "creature.bodies.1.joint.axes",
-            "x",
-            "'x': must be 'ball' or a list of entries, each 'x', 'y', 'z', '-x', '-y', '-z', a "
-            "list of 3 numbers, a section with the keys turn, at or a section with the keys slide, "
-            "limits_m, rest_m. Write [x]",
-        ),
-        ("creature.bodies.1.joint.axes", "x, y", "Write [x, y]"),
-        ("creature.bodies.1.joint.axes", [0, 0, 1], "Write [[0, 0, 1]]"),
-        (
-            "creature.bodies.1.joint.limits_deg",
-            60,
-            "null, a list of 2 numbers or a list of entries, each null or a list of 2 numbers",
-        ),
-        ("creature.bodies.1.joint.limits_deg", [[-60, "a"]], "must be a number"),
-        ("creature.bodies.1.joint.at", 3, "3: must be a list of 3 numbers"),
-        ("creature.pressure_sensors", "tail", "must be 'all' or a list of texts. Write [tail]"),
-        ("creature.self_collision", {"exclude": ["head", "tail"]}, "Write [[head, tail]]"),
-        ("controller.groups", {"legs": "x*"}, "must be a list of texts. Write ['x*']"),
-        ("controller.cpg.opposite", "tail", "must be a list of texts. Write [tail]"),
-        ("controller.brain.hidden", 3, "must be a list of whole numbers. Write [3]"),
-        ("measures", "speed", "must be a list of texts. Write [speed]"),
-        ("audit.disqualify", "speed", "'penetration' or 'overlap'. Write [speed]"),
-        ("simulation.seconds", [10], "[10]: must be a number. Write 10"),
-        ("simulation.seconds", "12 s", "'12 s': must be a number. Write 12"),
-        ("simulation.substeps", [10], "[10]: must be a whole number. Write 10"),
-        # A section in place of a list, and a single value in place of a section.
-        ("creature.light_sensors", {"body": "head"}, "Write [{body: head}]"),
-        ("creature.light_sensors", ["head"], "Write {body: head}"),
-        ("creature.materials.flesh", 1000, "Write {density: 1000}"),
-        ("creature.bodies.1.shape", "box", "a section whose type is 'box', 'sphere', "),
-        ("creature.bodies.1.shape", "box", "Write {type: box}"),
-        ("creature.bodies", {"head": 1}, "Begin each entry with '- '"),
-        ("task", "walk", "'walk' or module:Class. Write {type: walk}"),
-        ("evolution", "random", "Write {type: random}"),
-        ("world.ground", True, "must be null or a section with the keys restitution, "),
-        ("world.ground", True, "Write {}"),
-        ("world.water", False, "Write null"),
-        ("world.water", "None", "Write null"),
-        ("controller.cpg", None, "null: must be a section with the keys constants, "),
-        ("controller.cpg", None, "The key has no value. Leave it out, or give it one"),
-        ("controller.cpg.couplings", None, "Leave it out, write [] for none, or give it one"),
-        # Text, numbers and booleans.
-        ("creature.bodies.1.name", True, f"True: must be text. {TRUTHS}"),
-        ("creature.bodies.1.name", 12, "12: must be text. Write '12'"),
-        ("creature.bodies.1.name", {"side": None}, "must be text. Write '{side}'"),
-        (
-            "creature.bodies.1.joint.damping",
-            "1.5 N m s",
-            "a number or a list of numbers. Write 1.5",
-        ),
-        (
-            "creature.bodies.1.joint.damping",
-            "0,5",
-            "must be a number or a list of numbers. Write 0.5",
-        ),
-        ("creature.bodies.1.joint.damping", "1, 2", "a list of numbers. Write [1, 2]"),
-        ("creature.bodies.1.joint.at.0", "\N{MINUS SIGN}0.11", "must be a number. Write -0.11"),
-        (
-            "world.water.law",
-            "isotropc",
-            "must be 'normal', 'isotropic' or null. Did you mean 'isotropic'?",
-        ),
-        # Keys.
-        ("world.ground", {True: 1}, f"the key True must be text. {TRUTHS}"),
-        ("creature.materials", {False: {"density": 1}}, f"the key False must be text. {TRUTHS}"),
-        (
-            "creature.materials",
-            {1: {"density": 1}},
-            "the key 1 must be text. Write it in quotes: '1'",
-        ),
-        ("world.water", {"density": 1, 5: None}, "If it follows a decimal comma, write a point"),
+        ({"axes": "ball", "limits_deg": [-10, 60]}, "limits_deg"),
+        ({"axes": "ball", "limits_deg": [[0, 60]] * 3}, "limits_deg"),
+        ({"axes": "ball", "rest_deg": 5}, "rest_deg"),
+        ({"axes": "ball", "damping": [1, 1, 1]}, "damping"),
+        ({"axes": [{"slide": "x"}], "limits_deg": [[-9, 9]]}, "limits_deg"),
+        ({"axes": [{"slide": "x"}], "rest_deg": [3]}, "rest_deg"),
+        ({"axes": [{"slide": "x"}], "actuator": MUSCLE}, "slides"),
     ],
 )
-def test_message_names_the_allowed_type_and_a_fix(key, value, expected):
-    message = problem(changed(key, value))
-    assert message.startswith(key)
-    assert expected in message
+def test_joints_with_unfit_values_are_rejected(changes, word):
+    joint = {"actuator": None, **changes}
+    message = problem(small({f"creature.bodies.1.joint.{key}": x for key, x in joint.items()}))
+    assert message.startswith("creature.bodies.1.joint") and word in message
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"controller.type": "postures"}, "'bits', not 'real'"),
+        ({"evolution.type": "bits"}, "'real', not 'bits'"),
+        ({**POSTURES, "evolution.elites": 15}, "elites"),
+        ({**POSTURES, "evolution.rank_probabilities": [0.5, 0.2]}, "add up to 1"),
+        (POSTURES, "24"),
+        ({**POSTURES, "evolution.mutation": "swap"}, "evolution.mutation"),
+        ({**POSTURES, "controller.postures": 0}, "1000"),
+        ({**POSTURES, "controller.postuers": 8}, "'postures'"),
+        # Postures from 110 to 250 degrees exceed limits of -60 to 60 only with a motor spring.
+        ({**FEW, **SPRING}, "-70 to 70"),
+        ({**FEW, **SPRING, LIMITS: [-75, 69]}, "-75 to 69"),
+        ({**FEW, **SPRING, "controller.lowest_angle": 120}, "-60 to 80"),
+        ({**FEW, **SPRING, **SLIDE}, "slides"),
+        ({**HANGING, "noise.tilt_deg": 5}, "tilt_deg: 'head'"),
+        ({**HANGING, "noise.push": 0.1}, "push: 'head'"),
+        ({**HANGING, "creature.bodies.1.name": "world"}, "fixed world"),
+        ({**HANGING, "creature.bodies.1.joint.parent": "word"}, "'world'"),
+        ({**HANGING, "creature.bodies.1.joint": HUNG}, "roots"),
+        ({"creature.bodies.1.joint": None}, "roots"),
+        ({"creature.bodies.0.joint": {**HUNG, "parent": "tail"}}, "ring"),
+        ({"seed": 2**31 - 1, "runs": 2}, "last"),
+        ({"task.type": "walk", "task.cost_weight": 1, "world.gravity": 0}, "task.cost_weight"),
+    ],
+)
+def test_values_that_do_not_fit_together_are_rejected(changes, word):
+    assert word in problem(small(changes))
+
+
+def test_missing_keys_are_named():
+    data = small({})
+    del data["creature"]["bodies"][0]["shape"]
+    assert problem(data).startswith("creature.bodies.0.shape: is missing")
+    assert problem({"name": "x"}).startswith("creature: is missing")
+    assert "creature" in problem({"name": "x", "creature": None})
+
+
+def test_error_about_a_repeated_body_names_its_entry():
+    data = small({"creature.bodies.1.name": "tail{i}", "creature.bodies.1.repeat": 3})
+    data["creature"]["bodies"].append(
+        data["creature"]["bodies"][1] | {"name": "tail2", "repeat": 1}
+    )
+    assert problem(data).startswith("creature.bodies.2.name: ")
 
 
 WRONG = ("x", 3, 0.5, True, None, [], ["x"], [1, 2], {}, {"x": 1})
@@ -170,24 +278,6 @@ def test_messages_contain_no_pydantic_terms(name, every):
     assert refused > 100
 
 
-def test_duplicate_body_name_reports_both_entries():
-    data = changed("creature.bodies.1.name", "head")
-    assert problem(data) == (
-        "creature.bodies.1.name: two bodies are called 'head', the other one in creature.bodies.0. "
-        "Every body needs a unique name"
-    )
-    # A row whose second body has the name of another entry.
-    row = {"name": "tail{i}", "repeat": 2, **BOX, "joint": JOINT | {"parent": "tail"}}
-    data = copy.deepcopy(SMALL)
-    data["creature"]["bodies"] += [row, {"name": "tail2", **BOX, "joint": JOINT}]
-    assert problem(data).startswith("creature.bodies.3.name: two bodies are called 'tail2', the")
-
-
-def test_star_in_a_body_name_is_rejected_with_a_hint():
-    data = changed("creature.pressure_sensors", ["*ail"])
-    assert problem(data).endswith("A name here may contain placeholders such as {i}, but no *")
-
-
 def line_of(path: Path, words: str) -> int:
     """Return the number of the first line of a file that contains a text."""
     return 1 + next(i for i, line in enumerate(path.read_text().splitlines()) if words in line)
@@ -206,7 +296,7 @@ def line_of(path: Path, words: str) -> int:
 )
 def test_error_names_the_line_of_the_value(tmp_path, key, value, words):
     path = tmp_path / "x.yaml"
-    path.write_text(to_yaml(changed(key, value)))
+    path.write_text(to_yaml(small({key: value})))
     with pytest.raises(ConfigError) as caught:
         build_experiment(load_config(path), path)
     expected = max(i + 1 for i, line in enumerate(path.read_text().splitlines()) if words in line)
@@ -216,7 +306,7 @@ def test_error_names_the_line_of_the_value(tmp_path, key, value, words):
 
 def test_error_in_a_creature_file_names_its_line(tmp_path):
     creature, path = tmp_path / "pair.yaml", tmp_path / "x.yaml"
-    creature.write_text(to_yaml(changed("creature.bodies.1.joint.axes", "x")["creature"]))
+    creature.write_text(to_yaml(small({"creature.bodies.1.joint.axes": "x"})["creature"]))
     path.write_text("name: small\ncreature: pair.yaml\n")
     with pytest.raises(ConfigError) as caught:
         load_config(path)
@@ -236,8 +326,7 @@ def test_error_in_a_section_with_defaults_names_its_line(tmp_path):
     with pytest.raises(ConfigError) as caught:
         build_experiment(load_config(path), path)
     line = line_of(path, "source: segment1.z")
-    words = f"{path}: line {line}: controller.cpg.couplings.0: couples 'segment1.z' to itself"
-    assert str(caught.value) == words
+    assert str(caught.value).startswith(f"{path}: line {line}: controller.cpg.couplings.0: ")
 
 
 def test_file_of_a_creature_is_no_configuration():
@@ -256,8 +345,5 @@ def test_error_in_an_override_has_no_line():
 def test_controller_for_another_creature_reports_the_creature(tmp_path):
     starfish = REPOSITORY / "configs" / "starfish.yaml"
     config = load_config(starfish, [f"creature={REPOSITORY}/configs/creatures/hexapod.yaml"])
-    with pytest.raises(
-        ConfigError, match=r"controller\.groups\.arm1\.0: 'arm1_\*' matches no"
-    ) as e:
+    with pytest.raises(ConfigError, match=r"controller\.groups\.arm1\.0: .*'hexapod'"):
         build_experiment(config, starfish)
-    assert str(e.value).endswith("The controller must name parts of creature 'hexapod'")

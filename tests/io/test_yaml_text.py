@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from evo_cpg.io.load import as_overrides
-from evo_cpg.io.yaml_text import parse_yaml, to_yaml
+from evo_cpg.io.yaml_text import lost_colour, parse_yaml, syntax_problem, to_yaml
 
 # Text from the characters of numbers.
 NUMBERLIKE = st.text("-+0123456789.eE_:x", min_size=1, max_size=8)
@@ -94,3 +94,24 @@ def test_only_mappings_are_merged(merged):
 def test_duplicate_key_is_rejected(text):
     with pytest.raises(yaml.YAMLError, match="the key 'a' is given twice"):
         parse_yaml(text)
+
+
+@given(st.text("ab{}[]:,-'\"*&!%@`#|>?\t\n\r \x85\u2028\x07", max_size=30))
+@example("name: x\nb: [\n")
+@example("a: {b: [\n\n")
+@example("a: '\n")
+@example("\r\r- [")
+def test_every_syntax_error_fits_on_one_line(text):
+    try:
+        parse_yaml(text)
+    except yaml.YAMLError as error:
+        place, problem = syntax_problem(text, error)
+        assert place.startswith("line ") and problem
+        assert not {"\n", "\r"} & set(problem)
+
+
+def test_a_colour_without_quotes_is_found():
+    """YAML reads it as a comment, which would silently select the default colour."""
+    assert "line 2" in (lost_colour("a: 1\n  color: #ffffff\n") or "")
+    for text in ("color: '#ffffff'", "# color: #ffffff", "color: red"):
+        assert lost_colour(text) is None

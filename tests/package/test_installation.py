@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg import installation
-from evo_cpg.installation import command_for, version_of
+from evo_cpg import system
+from evo_cpg.system import command_for, version_of
 
 
 class Installed:
@@ -73,7 +73,7 @@ def test_a_clone_stays_editable(installed, tmp_path, monkeypatch):
 def test_a_wheel_is_installed_by_name(installed, record):
     installed(record)
     assert command_for("mujoco").endswith(" -m pip install 'evo-cpg[mujoco]'")
-    assert shlex.split(command_for("mujoco"))[0] == installation._shown(sys.executable)
+    assert shlex.split(command_for("mujoco"))[0] == system._shown(sys.executable)
 
 
 def test_a_missing_package_has_no_version(monkeypatch):

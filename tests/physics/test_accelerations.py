@@ -16,7 +16,7 @@ from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.io.models.mujoco_state import dof_order, load_state
-from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.joint_torque import passive_torque

@@ -9,9 +9,9 @@ import pytest
 import scipy.integrate
 import scipy.special
 
-from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, random_state
-from evo_cpg.creature.creature import Body, Creature, Material
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, random_state, single
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
@@ -20,11 +20,6 @@ from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.physics.water.added_mass import AddedMass, added_inertia, ellipsoid
 
 GRAVITY, WATER = 9.81, 1000.0
-
-
-def single(shape: Shape, density: float) -> Creature:
-    """Return a creature of one body."""
-    return Creature("single", (Body("b", shape, Material(density)),))
 
 
 def ideal(creature: Creature, gravity: float = 0.0, **water) -> World:

@@ -21,12 +21,12 @@ from evo_cpg.io.models.mujoco_state import dof_order, load_state
 from evo_cpg.io.schema.creature import CreatureConfig
 from evo_cpg.native.engine import Engine, using
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
-from evo_cpg.physics.step.body_equations import body_equations, central_inertia
+from evo_cpg.physics.step.equations import body_equations, central_inertia
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.kinematics import kinematics
-from evo_cpg.physics.water.weight import weight
+from evo_cpg.physics.water.force_law import weight
 
 GRAVITY = 9.81
 SPHERE = {"shape": {"type": "sphere", "radius": 0.06}, "at": [0.1, 0.02, 0.08], "material": "light"}

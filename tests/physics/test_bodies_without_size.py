@@ -5,10 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import AXES, quick_jit
+from creatures import AXES, quick_jit, surfaces_of
 from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
-from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import kinematics
@@ -47,15 +46,7 @@ def creature(shape, sizes: tuple[float, ...], fin: float | None) -> Creature:
 def world(animal: Creature, surface: float | None) -> World:
     """Water with all laws and the common layout of a batch."""
     tree = build_tree(animal)
-    form, skin = (
-        {
-            body.name: points
-            for body, points in zip(
-                animal.bodies, outer_surfaces(animal, resolution, layout="complete"), strict=True
-            )
-        }
-        for resolution in (2, 1)
-    )
+    form, skin = surfaces_of(animal, 2, 1, layout="complete")
     found = reactive_water(animal, tree, WATER, added_inertia(animal, tree, WATER), True)
     lift = make_plate_lift(animal, tree, False, "complete")
     assert found is not None

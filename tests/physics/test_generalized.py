@@ -11,7 +11,7 @@ import pytest
 
 from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force, mass_matrix
@@ -24,10 +24,7 @@ GRAVITY = 9.81
 
 @pytest.fixture(
     scope="module",
-    params=[
-        *(pytest.param(STRUCTURES[i], marks=pytest.mark.slow) for i in (1, 3)),
-        STRUCTURES[5],
-    ],
+    params=[*(pytest.param(STRUCTURES[i], marks=pytest.mark.slow) for i in (1, 3)), STRUCTURES[5]],
     ids=str,
 )
 def found(request):

@@ -14,8 +14,9 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from creatures import accelerations, in_water, quick_jit, random_creature, random_state
+from creatures import accelerations, coast, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.algebra.rotation import euler_to_matrix, quaternion_to_matrix
+from evo_cpg.creature.axis_kinds import AxisKind, BallComponent, Slide, Turn
 from evo_cpg.creature.creature import NO_MASS, WORLD, Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box
@@ -44,11 +45,13 @@ LENGTH, MASS = SIZE[0] / 2, 4.0
 INERTIA = MASS * ((SIZE[0] ** 2 + SIZE[2] ** 2) / 12 + LENGTH**2)
 
 
-def hung(creature: Creature, kinds: tuple[str, ...], rng: np.random.Generator) -> Creature:
+def hung(creature: Creature, kinds: tuple[AxisKind, ...], rng: np.random.Generator) -> Creature:
     """Return a creature whose root hangs on the world by some axes."""
     count = len(kinds)
     # MuJoCo has the velocity of a ball in the child's own axes.
-    axes = np.eye(3) if "ball" in kinds else np.linalg.qr(rng.normal(size=(3, 3)))[0][:count]
+    axes = (
+        np.eye(3) if BallComponent() in kinds else np.linalg.qr(rng.normal(size=(3, 3)))[0][:count]
+    )
     joint = Joint(
         WORLD,
         tuple(rng.normal(scale=0.2, size=3)),
@@ -95,10 +98,10 @@ def test_a_massless_fixed_root_stops_limbs():
     "kinds",
     [
         pytest.param((), id="fixed", marks=pytest.mark.slow),
-        pytest.param(("turn",), id="hinge", marks=pytest.mark.slow),
-        pytest.param(("turn",) * 3, id="three hinges", marks=pytest.mark.slow),
-        pytest.param(("slide", "slide", "turn"), id="planar"),
-        pytest.param(("ball",) * 3, id="ball", marks=pytest.mark.slow),
+        pytest.param((Turn(),), id="hinge", marks=pytest.mark.slow),
+        pytest.param((Turn(),) * 3, id="three hinges", marks=pytest.mark.slow),
+        pytest.param((Slide(), Slide(), Turn()), id="planar"),
+        pytest.param((BallComponent(),) * 3, id="ball", marks=pytest.mark.slow),
     ],
 )
 def test_hanging_trees_accelerate_as_in_mujoco(kinds):
@@ -166,15 +169,8 @@ def test_pendulum_swings_with_its_period():
     # The box points down at -90 degrees.
     start = resting_state(world.tree, (), jnp.float64, angles=[amplitude - np.pi / 2])
 
-    @quick_jit
-    def motion(state):
-        def advance(state, _):
-            state, _ = step(world, state, jnp.zeros(1), h)
-            return state, (state.q[0] + np.pi / 2, state.position)
-
-        return jax.lax.scan(advance, state, None, 2500)[1]
-
-    angle, place = map(np.asarray, motion(start))
+    states = coast(world, start, 2500 * h, h)
+    angle, place = states.q[:, 0] + np.pi / 2, states.position
     down = np.flatnonzero((angle[:-1] > 0) & (angle[1:] <= 0))
     crossing = down + angle[down] / (angle[down] - angle[down + 1])
     period = 4 * ellipk(np.sin(amplitude / 2) ** 2) * np.sqrt(INERTIA / (MASS * GRAVITY * LENGTH))
@@ -217,7 +213,7 @@ def planar(hangs: bool) -> Creature:
         ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), y),
         wide * 3,
         (9.0,) * 3,
-        kinds=("slide", "slide", "turn"),
+        kinds=(Slide(), Slide(), Turn()),
     )
     return Creature("planar", tuple(bodies), root_joint=joint)
 

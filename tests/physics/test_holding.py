@@ -10,12 +10,11 @@ import pytest
 from creatures import STRUCTURES, box_chain, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.step.body_equations import body_equations
-from evo_cpg.physics.step.step import step
+from evo_cpg.physics.step.equations import body_equations
+from evo_cpg.physics.step.step import holding_wrench, step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree import root
 from evo_cpg.physics.tree.articulated import solve
-from evo_cpg.physics.tree.holding import holding_wrench
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import State, resting_state
 

@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from creatures import accelerations, quick_jit, random_shape, random_state
+from creatures import accelerations, coast, last, quick_jit, random_shape, random_state
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
+from evo_cpg.creature.axis_kinds import BallComponent, Slide, Turn
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, TorqueMotor
 from evo_cpg.creature.reach import keeps_apart
 from evo_cpg.creature.shapes import Box
@@ -19,11 +20,11 @@ from evo_cpg.io.models.mujoco_state import dof_order, joint_state, load_state
 from evo_cpg.native.engine import Engine, using
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
-from evo_cpg.physics.tree import joints
+from evo_cpg.physics.tree import joint_kinds
 from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.state import State, resting_state
 
-TURN, SLIDE, BALL = ("turn",), ("slide",), ("ball",) * 3
+TURN, SLIDE, BALL = (Turn(),), (Slide(),), (BallComponent(),) * 3
 # Parent, kinds of the axes, and whether turning axes have places of their own.
 CASES = {
     "everything": (
@@ -56,7 +57,7 @@ def jointed(name: str, rotor: float = 0.0, passive: float = 1.0) -> Creature:
         directions = rng.normal(size=(len(kinds), 3))
         axes = directions / np.linalg.norm(directions, axis=1)[:, None]
         places = [
-            tuple(rng.normal(scale=0.2, size=3)) if own and kind == "turn" else None
+            tuple(rng.normal(scale=0.2, size=3)) if own and kind == Turn() else None
             for kind in kinds
         ]
         joint = Joint(
@@ -116,7 +117,7 @@ def test_joints_of_every_kind_accelerate_as_in_mujoco(name):
 def _in_our_axes(tree: Tree, tau: np.ndarray) -> np.ndarray:
     """Return torques in our axes of balls, from torques in their bodies' axes."""
     tau = tau.copy()
-    balls = np.flatnonzero(np.array(tree.dof_kinds) == "ball").reshape(-1, 3)
+    balls = np.array(tree.balls, int)[:, None] + np.arange(3)
     for ball in balls:
         tau[ball] = tree.joint_axes[:, ball].T @ tau[ball]
     return tau
@@ -138,21 +139,14 @@ def drifting():
     with jax.enable_x64(True):
         creature = jointed("a few", passive=0.0)
         world = World(build_tree(creature), 0.0)
-        tree, rest = world.tree, jnp.zeros(build_tree(creature).dof_count)
+        tree = world.tree
         start = random_state(tree, np.random.default_rng(2), speed=0.5)
         ends = []
         for h in (1 / 1000, 1 / 2000):
             # Velocities are half a step behind the poses.
             moving = start.moved(tree, h / 2)
-
-            @quick_jit
-            def run(state, h=h):
-                def advance(s, _):
-                    return step(world, s, rest, h)[0], None
-
-                return jax.lax.scan(advance, state, None, round(0.1 / h))[0]
-
-            ends.append(run(moving).moved(tree, -h / 2))
+            end = last(coast(world, moving, 0.1, h))
+            ends.append(end.moved(tree, -h / 2))
         return creature, tree, start, ends
 
 
@@ -251,9 +245,9 @@ def test_the_coordinates_of_a_ball_wrap_at_half_a_turn():
     """Beyond pi the rotation vector points the other way. The rotation is the same."""
     tree = on_a_ball()
     q = jnp.array([0.0, 3.0, 0.0])
-    there = joints.moved(tree, q, jnp.array([0.0, 1.0, 0.0]), 0.3)
+    there = joint_kinds.moved(tree, q, jnp.array([0.0, 1.0, 0.0]), 0.3)
     np.testing.assert_allclose(there, [0.0, 3.3 - 2 * np.pi, 0.0], atol=1e-12)
-    back = joints.moved(tree, there, jnp.array([0.0, -1.0, 0.0]), 0.3)
+    back = joint_kinds.moved(tree, there, jnp.array([0.0, -1.0, 0.0]), 0.3)
     np.testing.assert_allclose(back, q, atol=1e-12)
 
 

@@ -9,11 +9,10 @@ import pytest
 import scipy.optimize
 import yaml
 
-from creatures import AXES, coast, in_water, quick_jit, random_state
+from creatures import AXES, coast, in_water, quick_jit, random_state, single, surfaces_of
 from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
-from evo_cpg.creature.shapes import Box, Ellipsoid, Shape, Sphere
-from evo_cpg.creature.surface import outer_surfaces
+from evo_cpg.creature.shapes import Box, Ellipsoid, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.build import build_simulation
 from evo_cpg.io.errors import ConfigError
@@ -32,19 +31,12 @@ from tiny_run import CONFIG
 WATER, GRAVITY = 1000.0, 9.81
 
 
-def single(shape: Shape, density: float = WATER) -> Creature:
-    return Creature("single", (Body("b0", shape, Material(density)),))
-
-
 def lifted(creature: Creature, viscosity: float | None = None, **options) -> World:
     """A creature in water with lift; with a viscosity, with its drag, too."""
     tree = build_tree(creature)
     forces = (make_plate_lift(creature, tree, **options),)
     if viscosity is not None:
-        form, skin = (
-            {body.name: surface for body, surface in zip(creature.bodies, surfaces, strict=True)}
-            for surfaces in (outer_surfaces(creature, 2), outer_surfaces(creature, 1))
-        )
+        form, skin = surfaces_of(creature, 2, 1)
         forces += (make_viscous_drag(creature, tree, form, skin, viscosity),)
     return World(tree, 0.0, Water(WATER), forces)
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import quick_jit
+from creatures import clapper, quick_jit
 from evo_cpg.api.record import as_record
 from evo_cpg.control.controller import Command
 from evo_cpg.creature.algebra.linear import expand_dims_like
@@ -31,7 +31,7 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.simulation.walk import Distance
+from evo_cpg.simulation.tasks import Distance
 from trials import SineController
 
 H = 1 / 240
@@ -42,27 +42,6 @@ SHAPES = {
     "capsules": Capsule(0.03, 0.24),
     "ellipsoids": Ellipsoid((0.15, 0.05, 0.03)),
 }
-
-
-def clapper(shape, axes, motor=None):
-    """Return a trunk with two limbs of two bodies that can clap together in front of it."""
-    unit = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-    bodies = [Body("trunk", Box((0.2, 0.3, 0.1)), FLESH)]
-    for side, name in ((1, "left"), (-1, "right")):
-        joint = {
-            "child_anchor": (-0.16, 0.0, 0.0),
-            "axes": tuple(unit[axis] for axis in axes),
-            "lower": (-1.2,) * len(axes),
-            "upper": (1.2,) * len(axes),
-            "actuator": motor,
-        }
-        bodies.append(
-            Body(f"{name}_arm", shape, FLESH, Joint("trunk", (0.1, side * 0.12, 0.0), **joint))
-        )
-        bodies.append(
-            Body(f"{name}_hand", shape, FLESH, Joint(f"{name}_arm", (0.16, 0.0, 0.0), **joint))
-        )
-    return Creature("clapper", tuple(bodies))
 
 
 def inwards(tree):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import quick_jit
+from creatures import clapper, quick_jit
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
@@ -30,28 +30,6 @@ LIMBS = {
     "boxes": Box((0.3, 0.06, 0.05)),
     "ellipsoids": Ellipsoid((0.15, 0.05, 0.03)),
 }
-
-
-def clapper(shape, axes):
-    """Return a trunk with two limbs of two bodies that can clap together in front of it."""
-    unit = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-    bodies = [Body("trunk", Box((0.2, 0.3, 0.1)), FLESH)]
-    for side, name in ((1, "left"), (-1, "right")):
-        for part, parent, place in (
-            ("arm", "trunk", (0.1, side * 0.12, 0.0)),
-            ("hand", f"{name}_arm", (0.16, 0.0, 0.0)),
-        ):
-            joint = Joint(
-                parent,
-                place,
-                child_anchor=(-0.16, 0.0, 0.0),
-                axes=tuple(unit[axis] for axis in axes),
-                lower=(-1.2,) * len(axes),
-                upper=(1.2,) * len(axes),
-                actuator=Actuator(2.0, torque_limit=5.0),
-            )
-            bodies.append(Body(f"{name}_{part}", shape, FLESH, joint))
-    return Creature("clapper", tuple(bodies))
 
 
 @pytest.fixture
@@ -79,16 +57,10 @@ def one_step(world, state):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("shape", "axes"),
-    [
-        ("capsules", "z"),
-        ("boxes", "z"),
-        ("boxes", "yz"),
-        ("ellipsoids", "yz"),
-    ],
+    ("shape", "axes"), [("capsules", "z"), ("boxes", "z"), ("boxes", "yz"), ("ellipsoids", "yz")]
 )
 def test_loops_find_the_same_step(x64, loops, shape, axes):
-    creature = clapper(LIMBS[shape], axes)
+    creature = clapper(LIMBS[shape], axes, Actuator(2.0, torque_limit=5.0))
     tree = build_tree(creature)
     world = World(tree, 0.0, pairs=make_pairs(creature, tree, SelfCollision()))
     state = folded(tree, jnp.float64)
@@ -107,7 +79,7 @@ def test_loops_find_the_same_step(x64, loops, shape, axes):
 @pytest.mark.slow
 def test_loops_on_plain_jax_find_the_same_step(x64, loops):
     """Mix individuals with and without forces in programs of plain JAX."""
-    creature = clapper(LIMBS["capsules"], "z")
+    creature = clapper(LIMBS["capsules"], "z", Actuator(2.0, torque_limit=5.0))
     tree = build_tree(creature)
     world = World(tree, 0.0, pairs=make_pairs(creature, tree, SelfCollision()))
     state = folded(tree, jnp.float64)
@@ -121,7 +93,7 @@ def test_loops_on_plain_jax_find_the_same_step(x64, loops):
 
 @pytest.mark.parametrize("shape", LIMBS)
 def test_loops_measure_the_same_gaps(x64, loops, shape):
-    creature = clapper(LIMBS[shape], "yz")
+    creature = clapper(LIMBS[shape], "yz", Actuator(2.0, torque_limit=5.0))
     tree = build_tree(creature)
     pairs = make_pairs(creature, tree, SelfCollision())
     state = folded(tree, jnp.float64)
@@ -148,7 +120,7 @@ def test_loops_measure_the_same_gaps(x64, loops, shape):
 
 def test_points_that_are_not_watched_exert_no_force(x64, loops):
     """Points that are not watched in a step are too far away to touch, at any reachable rate."""
-    creature = clapper(LIMBS["capsules"], "z")
+    creature = clapper(LIMBS["capsules"], "z", Actuator(2.0, torque_limit=5.0))
     tree = build_tree(creature)
     pairs = make_pairs(creature, tree, SelfCollision())
     state = folded(tree, jnp.float64)
@@ -177,7 +149,7 @@ def test_points_that_are_not_watched_exert_no_force(x64, loops):
 @pytest.mark.slow
 def test_points_that_are_left_out_change_no_bit(loops, monkeypatch):
     """Sums over the watched points equal sums over all points, one by one."""
-    creature = clapper(LIMBS["capsules"], "z")
+    creature = clapper(LIMBS["capsules"], "z", Actuator(2.0, torque_limit=5.0))
     tree = build_tree(creature)
     pairs = make_pairs(creature, tree, SelfCollision())
     state = folded(tree, jnp.float32)

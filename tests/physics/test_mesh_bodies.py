@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.spatial
 
-from creatures import in_water, quick_jit, random_state
+from creatures import coast, in_water, last, quick_jit, random_state
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material, lowest_height
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Shape, Sphere
@@ -118,12 +118,7 @@ def test_draught_of_a_box_follows_archimedes(density):
     state = resting_state(world.tree, (1,), jnp.float64)
     state = dataclasses.replace(state, position=state.position.at[2].set(height))
 
-    @quick_jit
-    def run(state):
-        rest = jnp.zeros((0, 1))
-        return jax.lax.scan(lambda s, _: (step(world, s, rest, 1 / 120)[0], None), state, None, 240)
-
-    end, _ = run(state)
+    end = last(coast(world, state, 2.0, 1 / 120))
     np.testing.assert_allclose(end.position[:, 0], [0, 0, height], atol=1e-9)
     np.testing.assert_allclose(end.orientation[:, 0], [1, 0, 0, 0], atol=1e-9)
 
@@ -265,8 +260,7 @@ def pair(first: Shape, second: Shape) -> Creature:
     )
     joint = dataclasses.replace(joint, actuator=Actuator(1.0))
     return Creature(
-        "pair",
-        (Body("a", first, Material(500.0)), Body("b", second, Material(500.0), joint)),
+        "pair", (Body("a", first, Material(500.0)), Body("b", second, Material(500.0), joint))
     )
 
 

@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 
-from creatures import STRUCTURES, box_chain, in_water, quick_jit, random_creature, random_state
+from creatures import (
+    STRUCTURES,
+    box_chain,
+    in_water,
+    quick_jit,
+    random_creature,
+    random_state,
+    rolled,
+)
 from evo_cpg.analysis.energy import mechanical_energy
-from evo_cpg.creature.axis_laws import LIMIT_FREQUENCY
 from evo_cpg.creature.creature import (
     NO_LIMIT,
     Actuator,
@@ -20,31 +27,18 @@ from evo_cpg.creature.creature import (
     Material,
     TorqueMotor,
 )
+from evo_cpg.creature.laws import LIMIT_FREQUENCY
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.joint_torque import MotorCommand
-from evo_cpg.physics.tree.state import State, resting_state
+from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.simulation.snapshot import Snapshot
 
 H = 1 / 120
 INDIVIDUALS, STEPS = 64, 200
 SERVO_GAIN, TORQUE_LIMIT = 20.0, 0.3
-
-
-def record(world: World, state: State, targets, h: float = H):
-    """Return states and efforts at every step for a sequence of target rates."""
-
-    @quick_jit
-    def run(state, targets):
-        def advance(s, target):
-            s, effort = step(world, s, target, h)
-            return s, (s, effort)
-
-        return jax.lax.scan(advance, state, targets)[1]
-
-    return run(state, targets)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +52,7 @@ def thrashing():
         state = random_state(world.tree, rng, (INDIVIDUALS,))
         size = (STEPS, world.tree.dof_count, INDIVIDUALS)
         targets = jnp.asarray(rng.normal(size=size) * 10.0 ** rng.uniform(-2, 1, size))
-        states, effort = record(world, state, targets)
+        states, effort = rolled(world, state, targets, H)
         before = jnp.concatenate([state.qd[None], states.qd[:-1]])
         return before, states, effort, targets
 
@@ -100,7 +94,7 @@ def test_a_limit_that_is_not_reached_changes_nothing():
     results = []
     for limit in (np.inf, 0.05):
         world = in_water(box_chain(3, "z", Actuator(0.5, limit)))
-        states, effort = record(world, resting_state(world.tree, (3,), jnp.float64), targets)
+        states, effort = rolled(world, resting_state(world.tree, (3,), jnp.float64), targets, H)
         results.append((states, effort.torque))
     free, limited = results
     for unlimited, tight in zip(jax.tree.leaves(free), jax.tree.leaves(limited), strict=True):
@@ -141,7 +135,7 @@ def reduced_inertia(creature: Creature) -> float:
     return first * second / (first + second)
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.003])
+@pytest.mark.parametrize("damping", [pytest.param(0.0, marks=pytest.mark.slow), 0.003])
 def test_spring_is_the_implicit_euler_oscillator(damping):
     """A spring and damper step by backward Euler: (q, qd)+ = (1 - h A)^-1 (q, qd).
 
@@ -153,7 +147,7 @@ def test_spring_is_the_implicit_euler_oscillator(damping):
     world = World(build_tree(creature), 0.0)
     state = resting_state(world.tree, dtype=jnp.float64)
     state = dataclasses.replace(state, q=jnp.array([start]))
-    states, _ = record(world, state, jnp.zeros((100, 1)))
+    states, _ = rolled(world, state, jnp.zeros((100, 1)), H)
     rate = np.array([[0.0, 1.0], [-stiffness / inertia, -damping / inertia]])
     expected = [np.array([start, 0.0])]
     for _ in range(100):
@@ -173,7 +167,7 @@ def test_a_spring_rests_at_its_angle_and_an_axis_without_limits_turns_on():
     bodies = [dataclasses.replace(two.bodies[1], joint=sprung)]
     with jax.enable_x64(True):
         world = World(build_tree(dataclasses.replace(two, bodies=(two.bodies[0], *bodies))), 0.0)
-        states, _ = record(world, resting_state(world.tree, (), float), jnp.zeros((2400, 1)))
+        states, _ = rolled(world, resting_state(world.tree, (), float), jnp.zeros((2400, 1)), H)
         assert states.q[-1, 0] == pytest.approx(0.4, abs=1e-6)
         still = Snapshot(world, H, jax.tree.map(lambda x: x[-1], states))
         assert float(mechanical_energy(still)) < 1e-9
@@ -182,7 +176,7 @@ def test_a_spring_rests_at_its_angle_and_an_axis_without_limits_turns_on():
         start = dataclasses.replace(
             resting_state(world.tree, (), float), qd=jnp.array([20.0]), velocity=jnp.zeros(6)
         )
-        states, _ = record(world, start, jnp.zeros((120, 1)))
+        states, _ = rolled(world, start, jnp.zeros((120, 1)), H)
         np.testing.assert_allclose(states.qd[:, 0], 20.0, rtol=1e-9)
 
 
@@ -194,7 +188,7 @@ def test_spring_frequency_equals_the_closed_form():
     h = 0.025 / omega
     state = resting_state(world.tree, dtype=jnp.float64)
     state = dataclasses.replace(state, q=jnp.array([0.3]))
-    states, _ = record(world, state, jnp.zeros((1000, 1)), h)
+    states, _ = rolled(world, state, jnp.zeros((1000, 1)), h)
     q = np.asarray(states.q)[:, 0]
     crossings = np.flatnonzero(np.diff(np.sign(q)))
     places = crossings + q[crossings] / (q[crossings] - q[crossings + 1])
@@ -202,7 +196,7 @@ def test_spring_frequency_equals_the_closed_form():
     assert measured == pytest.approx(omega, rel=1e-3)
 
 
-@pytest.mark.parametrize("gain", [1e-4, 0.05])
+@pytest.mark.parametrize("gain", [pytest.param(1e-4, marks=pytest.mark.slow), 0.05])
 def test_soft_limit_holds_a_constant_push(gain):
     """A joint under a constant torque tau rests tau / k beyond a limit of stiffness k.
 
@@ -220,7 +214,7 @@ def test_soft_limit_holds_a_constant_push(gain):
     overshoot = np.exp(-np.pi * ratio / np.sqrt(1 - ratio**2))
     state = resting_state(world.tree, dtype=jnp.float64)
     state = dataclasses.replace(state, q=jnp.array([limits]))
-    states, effort = record(world, state, jnp.full((240, 1), 1e6))
+    states, effort = rolled(world, state, jnp.full((240, 1), 1e6), H)
     np.testing.assert_array_equal(effort.torque, push)
     beyond = np.asarray(states.q)[:, 0] - limits
     assert beyond[-1] == pytest.approx(push / stiffness, rel=1e-6)
@@ -238,7 +232,7 @@ def test_soft_limit_balances_its_own_motor():
     creature = spring_pair(0.0, limits=limits, motor=Actuator(gain))
     world = World(build_tree(creature), 0.0)
     state = resting_state(world.tree, dtype=jnp.float64)
-    states, _ = record(world, state, jnp.ones((240, 1)))
+    states, _ = rolled(world, state, jnp.ones((240, 1)), H)
     beyond = np.asarray(states.q)[-1, 0] - limits
     expected = gain / (reduced_inertia(creature) * rate**2 + gain * rate)
     assert beyond == pytest.approx(expected, rel=1e-6)
@@ -260,7 +254,9 @@ def test_soft_limit_stops_a_swing(rotor):
     assert 0 < -rate.min() < 1.01 * speed / np.e**2
 
 
-@pytest.mark.parametrize("gear", [0.02, 1.0, 50.0])
+@pytest.mark.parametrize(
+    "gear", [0.02, *(pytest.param(gear, marks=pytest.mark.slow) for gear in (1.0, 50.0))]
+)
 def test_soft_limit_of_a_torque_motor_does_not_bounce(gear):
     """The stiffness that balances the motor has a damper. The joint keeps at most v / e^2."""
     speed = 6.0
@@ -276,7 +272,7 @@ def at_the_limit(creature: Creature, speed: float, h: float):
     limit = float(world.tree.upper[0])
     state = resting_state(world.tree, dtype=jnp.float64)
     state = dataclasses.replace(state, q=jnp.array([limit]), qd=jnp.array([speed]))
-    states, _ = record(world, state, jnp.zeros((round(0.1 / h), 1)), h)
+    states, _ = rolled(world, state, jnp.zeros((round(0.1 / h), 1)), h)
     return np.asarray(states.q)[:, 0] - limit, np.asarray(states.qd)[:, 0]
 
 
@@ -298,13 +294,10 @@ def test_a_neutral_dashpot_equals_a_passive_spring_and_damper(x64):
         state = resting_state(world.tree, dtype=jnp.float64)
         state = dataclasses.replace(state, q=jnp.array([-0.4]))
 
-        def advance(s, _):
-            s, _ = step(world, s, MotorCommand(jnp.zeros(1), target), H)
-            return s, s.q[0]
+        command = MotorCommand(jnp.zeros((200, 1)), target)
+        return rolled(world, state, command, H)[0].q[:, 0]
 
-        return np.asarray(quick_jit(lambda s: jax.lax.scan(advance, s, None, 200)[1])(state))
-
-    moved = angles(dashpot, jnp.zeros(1))
+    moved = angles(dashpot, jnp.zeros((200, 1)))
     assert moved.max() > 0.05  # The boxes swing.
     np.testing.assert_allclose(moved, angles(passive, None), atol=1e-12)
     np.testing.assert_array_equal(moved, angles(dashpot, None))
@@ -320,11 +313,9 @@ def test_an_overloaded_dashpot_applies_its_limit(x64):
     world = two_boxes(actuator=Actuator(0.05, limit, stiffness=300.0))
     state = resting_state(world.tree, dtype=jnp.float64)
 
-    def advance(s, _):
-        s, effort = step(world, s, MotorCommand(jnp.zeros(1), jnp.array([2.0])), H)
-        return s, (s.qd[0], effort.torque[0])
-
-    rate, torque = quick_jit(lambda s: jax.lax.scan(advance, s, None, count)[1])(state)
+    command = MotorCommand(jnp.zeros((count, 1)), jnp.full((count, 1), 2.0))
+    states, effort = rolled(world, state, command, H)
+    rate, torque = states.qd[:, 0], effort.torque
     np.testing.assert_array_equal(torque, limit)
     mass = 500.0 * 0.2 * 0.1 * 0.1
     inertia = mass * (0.2**2 + 0.1**2) / 12
@@ -332,7 +323,7 @@ def test_an_overloaded_dashpot_applies_its_limit(x64):
     assert fitted == pytest.approx(2 * limit / inertia, rel=0.01)
 
 
-@pytest.mark.parametrize("limit", [25.0, 2.5])
+@pytest.mark.parametrize("limit", [25.0, pytest.param(2.5, marks=pytest.mark.slow)])
 def test_a_limited_motor_adds_only_its_work(limit, x64):
     """The leg also turns about its length, where its inertia is small.
 

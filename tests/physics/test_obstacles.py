@@ -2,20 +2,18 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from creatures import quick_jit
+from creatures import quick_jit, rolled
 from evo_cpg.creature.algebra.rotation import euler_to_matrix, quaternion_to_matrix
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.physics.contact.contact_points import clearance
-from evo_cpg.physics.contact.ellipsoids import nearest_to_ball, nearest_to_box
+from evo_cpg.physics.contact.obstacles import nearest_to_ball, nearest_to_box
 from evo_cpg.physics.contact.separation import RoundedBoxes
 from evo_cpg.physics.contact.terrain import Block, Boulder, Plane
-from evo_cpg.physics.step.step import step
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import resting_state
 from on_ground import H, alone, record, released
@@ -91,12 +89,8 @@ def test_thrown_bodies_do_not_pass_through_rubble(x64, name):
     turns = jnp.asarray(turns / np.linalg.norm(turns, axis=0))
     start = dataclasses.replace(start, orientation=turns)
 
-    def advance(state, _):
-        state, effort = step(world, state, jnp.zeros_like(state.q), H)
-        return state, (state, effort.residual.solved, effort.contact_frame_force)
-
-    whole = quick_jit(lambda s: jax.lax.scan(advance, s, length=STEPS)[1])
-    states, residual, support = jax.tree.map(np.asarray, whole(start))
+    states, effort = rolled(world, start, jnp.zeros((STEPS, *start.qd.shape)), H)
+    residual, support = effort.residual.solved, effort.contact_frame_force
     on_floor = {"box": 4, "capsule": 2}.get(name, 1)
     assert (support[:, 2, on_floor:] > 0).any((0, 1)).mean() > 0.8
     assert residual.max() < 1e-9

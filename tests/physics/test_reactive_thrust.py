@@ -15,10 +15,11 @@ from benchmarks.mujoco_model import mujoco_model
 from creatures import box_chain, in_water, quick_jit, random_state
 from elongated_body import Plate
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
+from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.io.models.mujoco_state import dof_order, load_state
-from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree import root
@@ -27,9 +28,8 @@ from evo_cpg.physics.tree.kinematics import kinematics, motion_of_bodies
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.added_mass import AddedMass
 from evo_cpg.physics.water.fluid import Drag
-from evo_cpg.physics.water.force_law import in_body_axes
+from evo_cpg.physics.water.force_law import buoyancy_alone, in_body_axes
 from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
-from evo_cpg.physics.water.weight import buoyancy_alone
 
 WATER, GRAVITY = 1000.0, 9.81
 LENGTH, HEIGHT, THICKNESS = 1.0, 0.1, 0.01
@@ -103,7 +103,7 @@ def test_a_rigid_chain_feels_lighthills_force_and_moment():
     def along(time):
         """Position, tangent, velocity and momentum per length of points along the centreline."""
         place, turn, _ = tumbling(time)
-        rotation = root.rotation(turn / jnp.sqrt((turn * turn).sum()))
+        rotation = quaternion_to_matrix(turn / jnp.sqrt((turn * turn).sum()))
         state = moving(world.tree, tumbling, time)
         arms = rotation[:, :1] * jnp.append(places, -0.5)[None]
         velocity = state.velocity[3:, None] + jnp.cross(state.velocity[:3, None], arms, axis=0)
@@ -232,9 +232,7 @@ def swim(segments: int, h: float, seconds: float = 12.0) -> Swim:
 
     def power(law, before, after):
         mean = dataclasses.replace(
-            before,
-            velocity=(before.velocity + after.velocity) / 2,
-            qd=(before.qd + after.qd) / 2,
+            before, velocity=(before.velocity + after.velocity) / 2, qd=(before.qd + after.qd) / 2
         )
         bodies = world.bodies(kinematics(world.tree, mean), h)
         return (world.law(law).wrench(bodies) * bodies.velocity).sum((0, 1))
@@ -464,7 +462,7 @@ def test_wrenches_turn_and_move_with_the_animal():
     state = random_state(world.tree, rng)
     turn = rng.normal(size=4)
     turn = jnp.asarray(turn / np.linalg.norm(turn))
-    matrix = root.rotation(turn)
+    matrix = quaternion_to_matrix(turn)
     w, x, y, z = turn
     product = jnp.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     moved = dataclasses.replace(

@@ -12,8 +12,7 @@ from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape
 from evo_cpg.creature.slender import slender_chains
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.water.reactive_thrust import reactive_water
-from evo_cpg.physics.water.sections import chain_inertia, sections
+from evo_cpg.physics.water.reactive_thrust import chain_inertia, reactive_water, sections
 
 WATER = 1000.0
 

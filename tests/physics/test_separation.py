@@ -6,8 +6,7 @@ import pytest
 
 from creatures import quick_jit
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
-from evo_cpg.physics.contact.box_separation import separation_of_boxes
-from evo_cpg.physics.contact.flat_separation import separation_of_flat
+from evo_cpg.physics.contact.box_separation import separation_of_boxes, separation_of_flat
 from evo_cpg.physics.contact.separation import (
     SAME,
     RoundedBoxes,

@@ -44,12 +44,7 @@ def pulled() -> Creature:
     """Return a branching animal with tendons between its limbs, a motor on each tendon."""
     creature = random_creature(np.random.default_rng(1), STRUCTURES[2], axes_seed=2)
     names = build_tree(creature).dof_names
-    motors = (
-        Actuator(0.7),
-        Actuator(0.5, 1.2, 2.0),
-        TorqueMotor(-3.0, 1.5),
-        None,
-    )
+    motors = (Actuator(0.7), Actuator(0.5, 1.2, 2.0), TorqueMotor(-3.0, 1.5), None)
     tendons = []
     for number, motor in enumerate(motors):
         spanned = (number, (number + 2) % len(names), len(names) - 1 - number)
@@ -201,10 +196,7 @@ def test_a_motor_that_pulls_a_tendon_pays_for_its_own_work():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("motor", "loss"),
-    [(Actuator(0.3), 0.0), (Actuator(0.3, 0.25), 0.1)],
-)
+@pytest.mark.parametrize(("motor", "loss"), [(Actuator(0.3), 0.0), (Actuator(0.3, 0.25), 0.1)])
 def test_gradients_by_the_numbers_of_a_tendon(motor, loss):
     """Central differences, in a step of one solve, and with friction and a force limit."""
     joints = (("b1.z", 1.0), ("b2.z", -2.0))

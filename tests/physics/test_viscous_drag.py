@@ -9,18 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import STRUCTURES, box_chain, quick_jit, random_creature
+from creatures import STRUCTURES, box_chain, coast, quick_jit, random_creature, single, surfaces_of
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
-from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.physics.water.buoyancy import make_cells
-from evo_cpg.physics.water.stokes import ellipsoid_resistance
-from evo_cpg.physics.water.viscous_bodies import make_viscous_drag
+from evo_cpg.physics.water.viscous_bodies import ellipsoid_resistance, make_viscous_drag
 from evo_cpg.physics.water.viscous_drag import ViscousDrag
 from evo_cpg.physics.water.water import Current, Water
 from measured_water import CYLINDER, FRICTION, PLATE, SPHERE
@@ -42,13 +40,7 @@ def in_viscous_water(
 ) -> World:
     """A creature under water, with the default number of points."""
     tree = build_tree(creature)
-    form, skin = (
-        {
-            body.name: points
-            for body, points in zip(creature.bodies, outer_surfaces(creature, n), strict=True)
-        }
-        for n in (resolution, max(1, resolution // 2))
-    )
+    form, skin = surfaces_of(creature, resolution, max(1, resolution // 2))
     law = make_viscous_drag(creature, tree, form, skin, viscosity, surfacing=surface is not None)
     return World(
         tree,
@@ -57,10 +49,6 @@ def in_viscous_water(
         (law,),
         cells=() if surface is None else make_cells(creature, tree),
     )
-
-
-def single(shape: Shape, density: float = WATER) -> Creature:
-    return Creature("single", (Body("b", shape, Material(density)),))
 
 
 def capsule_chain(count: int, length: float, radius: float, motor: Actuator | None = None):
@@ -386,17 +374,8 @@ def test_drag_at_a_surface_is_that_of_the_part_under_water():
 def fall(shape: Shape, density: float, viscosity: float, seconds: float, h: float) -> np.ndarray:
     """Downward speeds (m/s) of a body that is released at rest."""
     world = in_viscous_water(single(shape, density), viscosity, gravity=GRAVITY)
-    rest = jnp.zeros(0)
-
-    @quick_jit
-    def run(state):
-        def advance(s, _):
-            s = step(world, s, rest, h)[0]
-            return s, s.velocity[5]
-
-        return jax.lax.scan(advance, state, None, round(seconds / h))[1]
-
-    return -np.asarray(run(resting_state(world.tree, dtype=jnp.float64)))
+    start = resting_state(world.tree, dtype=jnp.float64)
+    return -coast(world, start, seconds, h).velocity[:, 5]
 
 
 @pytest.mark.parametrize("viscosity", [100.0, 0.5, 0.003])

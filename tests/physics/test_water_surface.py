@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, random_state
-from evo_cpg.analysis.rhythm import upward_crossings
+from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, random_state, single
+from evo_cpg.analysis.cycles import upward_crossings
 from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
-from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
@@ -32,11 +31,6 @@ SHAPES = (
     Ellipsoid((0.3, 0.1, 0.05)),
     Capsule(0.05, 0.3),
 )
-
-
-def single(shape: Shape, density: float) -> Creature:
-    """Return a creature of one body."""
-    return Creature("single", (Body("b", shape, Material(density)),))
 
 
 def floating(shape: Shape, density: float, drag: float = 0.0, **water) -> World:

@@ -5,9 +5,9 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement
 from evo_cpg.simulation.judge import finish_tally
-from evo_cpg.simulation.measures import Displacement
+from evo_cpg.simulation.measures import DISPLACEMENT, Displacement
+from evo_cpg.simulation.simulation import with_displacement
 from trials import OneTerm, experiment
 
 
@@ -18,8 +18,6 @@ def test_a_term_of_the_task_named_way_is_not_overwritten():
         dataclasses.replace(experiment().simulation, task=OneTerm("way"))
     )
     own = jnp.array([0.5, 1.5, 2.5])
-    terms = finish_tally(
-        simulation, (own, {DISPLACEMENT: Displacement(jnp.asarray(start), jnp.asarray(place))})
-    )
+    terms = finish_tally(simulation, (own, (Displacement(jnp.asarray(start), jnp.asarray(place)),)))
     np.testing.assert_allclose(terms[DISPLACEMENT], [5, 0, 1])
     np.testing.assert_allclose(simulation.task.fitness(terms, {}), own)

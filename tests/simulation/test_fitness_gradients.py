@@ -19,10 +19,10 @@ from evo_cpg.control.postures import PostureController, PostureSettings, build_p
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.simulation.judge import score
-from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task, Transition
+from evo_cpg.simulation.tasks import ReachLight
 from trials import experiment
 
 CONFIGS = Path(__file__).parents[2] / "configs"

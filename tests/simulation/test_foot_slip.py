@@ -14,13 +14,13 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.state import State
-from evo_cpg.simulation.foot_slip import no_slip, slip_of_points
+from evo_cpg.simulation.measures import Slip, slip_of_points
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import JUDGE, rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.simulation.walk import Walk
+from evo_cpg.simulation.tasks import Walk
 
 RATE, GRAVITY, SPEED = 240, 9.81, 1.0
 
@@ -113,7 +113,7 @@ def test_slip_is_weighted_by_load():
 
 
 def test_slip_without_contact_is_zero():
-    assert float(no_slip((), jnp.dtype("float32")).speed()) == 0.0
+    assert float(Slip(jnp.float32(0.0), jnp.float32(0.0)).speed()) == 0.0
 
 
 def test_slip_of_a_point_at_rest_has_a_derivative():

@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.simulation.genome import Genome, Phenotype
-from evo_cpg.training.loop import train
-from evo_cpg.training.replay import replay_champion
+from evo_cpg.simulation.simulation import Genome, Phenotype
+from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 from trials import SineController, experiment
 
 
@@ -50,5 +50,5 @@ def test_genes_outside_the_controller_evolve_and_replay(tmp_path, monkeypatch):
     folder.create("", {})
     champion = train(made, folder).champion
     assert champion is not None and champion.genes.shape == (4,)
-    fitness, _, _ = replay_champion(made, champion, len(jax.local_devices()))
+    fitness = compile_replay(made, len(jax.local_devices()))(champion).fitness
     assert fitness == champion.fitness

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
+from evo_cpg.creature.axis_kinds import Slide, Turn
 from evo_cpg.creature.creature import WORLD, Body, Creature, Joint, Material
 from evo_cpg.creature.limbs import limbs
 from evo_cpg.creature.shapes import Box
@@ -16,10 +17,6 @@ from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.measures import (
     GROUND_MEASURES,
     MEASURES,
-    Amplitude,
-    Frequency,
-    Strides,
-    Swing,
     Trial,
 )
 from evo_cpg.simulation.recording import Recorder
@@ -67,13 +64,14 @@ def test_frequency_and_amplitude_leave_out_slides():
         Body("a", Box((0.1,) * 3), Material(1000.0)),
         Body("b", Box((0.1,) * 3), Material(1000.0), hinge),
     )
-    slide = dataclasses.replace(hinge, parent=WORLD, kinds=("slide",))
+    slide = dataclasses.replace(hinge, parent=WORLD, kinds=(Slide(),))
     tree = build_tree(Creature("crab", bodies, root_joint=slide))
-    assert tree.dof_kinds == ("slide", "turn")
+    assert tree.dof_kinds == (Slide(), Turn())
     trial = Trial(World(tree, 9.81), 2.0)
     changes, angle, square = (np.array(x) for x in ([0.0, 16.0], [50.0, 0.0], [900.0, 0.5]))
-    assert float(Frequency().finish(Strides(changes, changes), trial)) == 4.0
-    assert float(Amplitude().finish(Swing(angle, square), trial)) == pytest.approx(0.5)
+    assert float(MEASURES["frequency"].of({"strides": (changes, changes)}, trial)) == 4.0
+    swing = {"angle": angle, "square": square}
+    assert float(MEASURES["amplitude"].of(swing, trial)) == pytest.approx(0.5)
 
 
 def test_measures_equal_numbers_from_a_recording(evaluated):

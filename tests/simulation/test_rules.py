@@ -14,9 +14,10 @@ from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.load import load_config
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.state import resting_state
+from evo_cpg.simulation.judge import keeps
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
-from evo_cpg.simulation.rules import Rules, keeps
+from evo_cpg.simulation.simulation import Rules
 from tiny_run import CONFIG, PAIR
 from trials import experiment
 

@@ -20,6 +20,7 @@ from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.water import Water
 from evo_cpg.simulation.sensors import (
+    VelocitySensor,
     body_loads,
     depth_readings,
     light_readings,
@@ -28,7 +29,6 @@ from evo_cpg.simulation.sensors import (
     pressure_readings,
 )
 from evo_cpg.simulation.snapshot import Forces, Snapshot
-from evo_cpg.simulation.velocity_sensor import VelocitySensor
 from on_ground import alone, record, released
 from trials import EYES, swimmer
 

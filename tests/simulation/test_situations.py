@@ -9,11 +9,11 @@ import pytest
 
 from creatures import quick_jit
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
+from evo_cpg.simulation.tasks import ReachLight
 from trials import experiment
 from watching import Watcher
 

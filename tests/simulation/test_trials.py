@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from creatures import quick_jit
 from evo_cpg.simulation.judge import Outcome, score
-from evo_cpg.simulation.physics_steps import EachPhysicsStep
-from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.observers import EachPhysicsStep
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.tasks import ReachLight
 from trials import experiment
 
 # Amplitude (rad/s) and frequency (Hz): two swimmers, one at rest, one with NaN, and one with a rate

@@ -23,7 +23,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 from evo_cpg.simulation.task import Transition
-from evo_cpg.simulation.walk import Distance, Walk
+from evo_cpg.simulation.tasks import Distance, Walk
 from trials import SineController, experiment
 
 STEPS, ANIMALS = 40, 5

@@ -7,7 +7,7 @@ import pytest
 import evo_cpg
 from benchmarks import suite
 from benchmarks.rows import Row
-from evo_cpg.cli.reproduce import make
+from evo_cpg.cli.repeat import make
 from evo_cpg.studies import benchmarks, provenance
 from evo_cpg.studies.benchmarks import STUDY, SuiteError, bench_suite
 
@@ -49,8 +49,7 @@ def test_an_interrupt_keeps_finished_parts_and_names_the_rest(tmp_path, monkeypa
     monkeypatch.setitem(suite.CASES, "ga", suite.Case(stopped))
     with pytest.raises(KeyboardInterrupt):
         make(STUDY, ["quadruped", "ga", "brain"], tmp_path, False, False, 2)
-    left = f"`evo-cpg reproduce benchmarks ga brain --out {tmp_path}`"
-    assert f"interrupted. Make the rest with {left}" in capsys.readouterr().err
+    assert "Continue with the parts ga brain" in capsys.readouterr().err
     assert set(provenance.read(tmp_path)["quadruped"]["files"]) == {"quadruped.md", "quadruped.png"}
     text = (tmp_path / "quadruped.md").read_text()
     assert "| physics | 120 | 900 k |" in text

@@ -8,7 +8,7 @@ import pytest
 
 from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.analysis.laboratory.settings import require_values
-from evo_cpg.cli.answers import values_of
+from evo_cpg.cli.ask import values_of
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import card_measures, card_rows
 from evo_cpg.studies.animals import STUDY

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg.installation import version_of
 from evo_cpg.io.load import dump_config
 from evo_cpg.studies import NAMES, find_study, provenance
 from evo_cpg.studies.workshop import configuration
+from evo_cpg.system import version_of
 from evo_cpg.training.run_folder import RunFolderError
 
 DOCS = Path(__file__).parents[2] / "docs"

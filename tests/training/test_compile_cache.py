@@ -5,7 +5,7 @@ import os
 import jax
 import pytest
 
-from evo_cpg.training.compile_cache import _prune, keep_compiled_programs
+from evo_cpg.training.devices import _prune, keep_compiled_programs
 
 OPTIONS = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
 

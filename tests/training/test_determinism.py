@@ -17,9 +17,9 @@ import xla_flags
 from evo_cpg.api.machine import machine_changes, machine_fingerprint
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import dump_config, load_config
-from evo_cpg.training.loop import TIMING_COLUMNS, train
-from evo_cpg.training.replay import replay_champion
+from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import TIMING_COLUMNS, train
 from tiny_run import CONFIG, PAIR
 
 CPUINFO = Path("/proc/cpuinfo")
@@ -54,7 +54,7 @@ def digest(kind: str, folder: Path) -> str:
     run.create(dump_config(config), {})
     done = train(experiment, run)
     assert done.champion is not None
-    fitness, terms, motion = replay_champion(experiment, done.champion, 2)
+    fitness, terms, _, motion = compile_replay(experiment, 2)(done.champion)
     assert fitness == done.champion.fitness
     rows = [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in done.history]
     told = json.dumps([rows, done.scales, fitness, terms, done.champion[1:]])

@@ -8,20 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.evolution.selection import rank_order
-from evo_cpg.simulation.judge import Outcome, score
-from evo_cpg.simulation.recording import as_recording
+from evo_cpg.evolution.operators import rank_order
+from evo_cpg.simulation.judge import JUDGE, Outcome, score
+from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
-from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.devices import chunk_width, population_mesh
+from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import (
     Generation,
     breed,
-    compile_trials,
     first_population,
 )
-from evo_cpg.training.loop import train
-from evo_cpg.training.replay import replay
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 from trials import SineController, experiment
 
 STEPS = 20
@@ -67,7 +66,11 @@ def test_padding_a_population_changes_no_result(small, genes, evaluated):
 
 
 def test_a_replay_equals_the_trial_and_its_recording(small, genes, evaluated):
-    outcome, frames = jax.jit(lambda g: replay(small, 2, g))(genes[:, 4])
+    width = chunk_width(small.strategy.population, 2)
+    live = compile_trials(
+        small.simulation, population_mesh(1), width, observers=(JUDGE, Recorder())
+    )
+    outcome, frames = live(np.asarray(genes)[:, 4:5])
     for name, values in evaluated[1].terms.items():
         np.testing.assert_array_equal(outcome.terms[name], values[4:5])
     motion = as_recording(small.simulation, frames, ["tail", "head"])

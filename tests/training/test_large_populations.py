@@ -8,9 +8,11 @@ import pytest
 
 from evo_cpg.native import machine_constants
 from evo_cpg.native.machine_constants import LANES
+from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.training import experiment as training_experiment
-from evo_cpg.training import loop
+from evo_cpg.simulation.recording import Recorder
+from evo_cpg.training import evaluate as training_evaluate
+from evo_cpg.training import train as evolution
 from evo_cpg.training.devices import (
     Layout,
     chunk_width,
@@ -19,8 +21,8 @@ from evo_cpg.training.devices import (
     run_in_blocks,
     sharded,
 )
-from evo_cpg.training.experiment import compile_trials, first_population, generation_keys
-from evo_cpg.training.replay import replay
+from evo_cpg.training.evaluate import compile_trials
+from evo_cpg.training.experiment import first_population, generation_keys
 from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 
@@ -120,14 +122,14 @@ def test_results_return_in_order_and_once(count):
         return program(*arguments)["sum"]
 
     names = np.arange(count, dtype=np.float32)
-    run = sharded(flat, mesh, (2, 1, 0), 1)
+    run = sharded(flat, mesh, (2, 1, 0))
     found = run_in_blocks(run, Layout(mesh, 16), count, pick)
     np.testing.assert_array_equal(found, 2 * names + 100)
     places = np.concatenate(blocks)
     assert len(places) == -(-count // 32) * 32
     np.testing.assert_array_equal(places[:count], np.arange(count))
     np.testing.assert_array_equal(places[count:], count - 1)
-    wide = sharded(lambda *x: program(*x)["same"], mesh, (2, 1, 0), 2)
+    wide = sharded(lambda *x: program(*x)["same"], mesh, (2, 1, 0))
     found = run_in_blocks(wide, Layout(mesh, 16), count, pick)
     np.testing.assert_array_equal(found, [names + 0.5, names + 100.5])
 
@@ -145,8 +147,11 @@ def test_chunks_change_no_result(large, narrow):
         for name, values in own.terms.items():
             expected = outcome.terms[name].reshape(SIZE, 2)[some]
             np.testing.assert_array_equal(values, expected.reshape(-1))
-    repeat = jax.jit(lambda *x: replay(large, 2, *x)[0])
-    for name, values in repeat(genes[:, 17], of_each[:, 17]).terms.items():
+    width = chunk_width(2 * SIZE, 2)
+    watched = JUDGE, Recorder()
+    repeat = compile_trials(large.simulation, population_mesh(1), width, observers=watched)
+    again, _ = repeat(genes[:, 17:18], of_each[:, 17], None, 2)
+    for name, values in again.terms.items():
         np.testing.assert_array_equal(values, outcome.terms[name][34:36])
     # The last individual diverges, also in the empty places. Others keep their results.
     wild = genes.copy()
@@ -169,14 +174,14 @@ def test_more_generations_and_individuals_take_no_more_memory(monkeypatch, tmp_p
         functions.append(compile_trials(*arguments))
         return functions[-1]
 
-    monkeypatch.setattr(training_experiment, "sharded", noted)
-    monkeypatch.setattr(loop, "compile_trials", kept)
+    monkeypatch.setattr(training_evaluate, "sharded", noted)
+    monkeypatch.setattr(evolution, "compile_trials", kept)
     count = 500 * jax.local_device_count()
     made = experiment(2, count)._replace(generations=6)
     folder = RunFolder(tmp_path / "run")
     folder.create("", {})
     held = []
-    done = loop.train(made, folder, lambda rows: held.append(len(jax.live_arrays())))
+    done = evolution.train(made, folder, lambda rows: held.append(len(jax.live_arrays())))
     assert len(held) == 6 and len(set(held[1:])) == 1
     (live,) = functions
     few = live(done.genes)

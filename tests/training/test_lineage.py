@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evo_cpg.training import running
+from evo_cpg.training import train
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.lineage import (
     KEPT,
@@ -139,9 +139,9 @@ def test_a_missing_or_damaged_lineage_is_named(folder):
 def test_a_run_with_a_lost_lineage_continues_with_its_champions(folder):
     known = Checkpoint(6, np.zeros((2, 4), np.float32), (found_in(3), None), [], {})
     folder.lineage.write_bytes(b"no archive")
-    assert_same(running._lineage_until(folder, known), [found_in(3)])
+    assert_same(train._lineage_until(folder, known), [found_in(3)])
     # The genes belong to another brain, before a change of config.yaml.
     folder.save_lineage([found_in(2, genes=3)])
-    assert_same(running._lineage_until(folder, known), [found_in(3)])
+    assert_same(train._lineage_until(folder, known), [found_in(3)])
     folder.save_lineage([found_in(1)])
-    assert_same(running._lineage_until(folder, known), [found_in(1), found_in(3)])
+    assert_same(train._lineage_until(folder, known), [found_in(1), found_in(3)])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from evo_cpg.training.experiment import Learning
-from evo_cpg.training.loop import TIMING_COLUMNS, train
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import TIMING_COLUMNS, train
 from trials import experiment
 
 SEED = 3

@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 
-from evo_cpg.evolution.archive import Axis
-from evo_cpg.evolution.from_evosax import Evosax
+from evo_cpg.evolution.evosax import Evosax
 from evo_cpg.evolution.map_elites import Mapped
+from evo_cpg.evolution.strategy import Axis
 from evo_cpg.training import memory
 from trials import experiment
 

@@ -6,9 +6,8 @@ import pytest
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.training.evaluate import compile_population_replay, compile_replay
 from evo_cpg.training.experiment import first_population, placeholder_scales
-from evo_cpg.training.population_replay import compile_population_replay
-from evo_cpg.training.replay import compile_replay
 from tiny_run import CONFIG, PAIR
 
 
@@ -23,11 +22,11 @@ def test_individuals_side_by_side_move_as_in_their_own_replays():
     places = [6, 1, 4]
     found = compile_population_replay(experiment)(checkpoint, 1, places)
     replay = compile_replay(experiment, 1)
-    for place, fitness, recording in zip(places, found.fitness, found.recordings, strict=True):
+    for place, one in zip(places, found, strict=True):
         scales = dict.fromkeys(checkpoint.scales, 1.0)
         alone = Champion(genes[:, 8 + place], 0.0, 4, {}, scales, 1, place)
-        own, _, motion = replay(alone)
-        assert fitness == pytest.approx(own, rel=1e-4)
-        np.testing.assert_allclose(recording.position, motion.position, atol=1e-4)
-        np.testing.assert_allclose(recording.joint_angle, motion.joint_angle, atol=1e-3)
-    assert len({float(each) for each in found.fitness}) == 3
+        own = replay(alone)
+        assert one.fitness == pytest.approx(own.fitness, rel=1e-4)
+        np.testing.assert_allclose(one.recording.position, own.recording.position, atol=1e-4)
+        np.testing.assert_allclose(one.recording.joint_angle, own.recording.joint_angle, atol=1e-3)
+    assert len({each.fitness for each in found}) == 3

@@ -5,8 +5,8 @@ import yaml
 
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import check_config
-from evo_cpg.training.loop import train
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 
 # Two boxes in water on a dashpot hinge can flap.
 FLAPPER = """

@@ -14,10 +14,10 @@ from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import light_readings
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.simulation.walk import Distance
+from evo_cpg.simulation.tasks import Distance
+from evo_cpg.training.conditions import around, blinded, probe, seen_from_start
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import compile_trials
-from evo_cpg.training.probe import around, blinded, probe, seen_from_start
+from evo_cpg.training.evaluate import compile_trials
 from trials import experiment
 from watching import Watcher
 

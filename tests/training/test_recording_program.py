@@ -7,11 +7,10 @@ import jax
 import numpy as np
 import pytest
 
-from evo_cpg.api.training import Recorder
-from evo_cpg.cli import interrupts, training
+from evo_cpg.api.training import ChampionRecorder, evolve_run
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run
 from evo_cpg.training import loop, replay
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, TINY
@@ -41,17 +40,17 @@ def folder_of(path, overrides):
 
 
 @pytest.mark.slow
-def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered, capsys):
+def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered):
     settings = (*TINY, "seed=76", "audit.after_training=false")
     experiment, folder = folder_of(tmp_path / "run", settings)
-    training.evolve_run(Opened(folder, load_config(CONFIG, settings), experiment))
+    run = Run(folder, load_config(CONFIG, settings), experiment)
+    evolve_run(run, lambda rows: None)
     threads = {name: thread for name, thread in lowered if "replay" in name}
     assert threads and all(thread.startswith("recording") for thread in threads.values()), lowered
     mine = [name for name, thread in lowered if thread == threading.main_thread().name]
     assert any("rollout" in name for name in mine)
     assert not any("replay" in name or "judge" in name for name in mine), mine
-    assert capsys.readouterr().out == f"{folder.path}\n"
-    champion, motion, _ = folder.load_champion()
+    champion, motion, _ = folder.with_champion()
     assert motion is not None and len(motion.time) == experiment.simulation.steps
     again = replay.replay_champion(experiment, champion, 2)
     assert again[0] == champion.fitness and again[1] == champion.terms
@@ -80,24 +79,21 @@ def test_one_program_replays_any_champion(tmp_path):
     assert run(champion._replace(index=champion.index + 1))[0] != fitness
 
 
-def test_an_interrupt_skips_only_the_first_look(tmp_path, monkeypatch, capsys):
+def test_an_interrupt_skips_only_the_first_look(tmp_path):
     """The champion is already recorded, and the run is finished."""
     recorded = []
 
-    class Interrupted(Recorder):
+    class Interrupted(ChampionRecorder):
         def record(self, champion):
             recorded.append(champion)
 
-        def look(self, champion):
+        def look(self, champion, displacement):
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(interrupts, "_waits", True)
     experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
     champion: Any = object()
     with Interrupted(experiment, folder, 0.9) as recorder:
-        training._record(recorder, champion, folder)
+        recorder.keep(champion)
     assert recorded == [champion] and recorder.skipped
     meta = folder.read_meta()
     assert meta["half_step"] is None and "finished" in meta
-    assert "`evo-cpg audit" in capsys.readouterr().err
-    assert not interrupts.waits_for_threads()

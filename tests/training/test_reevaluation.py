@@ -17,11 +17,11 @@ from evo_cpg.training.checkpoint import (
     champion_arrays,
     read_champion,
 )
+from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.experiment import generation_keys, trial_keys
-from evo_cpg.training.loop import train
 from evo_cpg.training.reevaluation import EVALUATIONS, FIRST_ROUND, Choice, Contest
-from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 from evo_cpg.view.live_page.standing import Standing
 from tiny_run import REPOSITORY
 from trials import experiment
@@ -40,8 +40,7 @@ def fight(contest: Contest, life) -> None:
     """Run all rounds. ``life`` returns the fitness from candidate, round and draw."""
     number = 0
     while not contest.done:
-        places = contest.places()
-        pairs = zip(places.candidates, places.draws, strict=True)
+        pairs = contest.places().T
         contest.take(
             np.array([life(int(individual), number, int(draw)) for individual, draw in pairs])
         )
@@ -65,13 +64,13 @@ def test_the_best_mean_wins_over_lucky_fitness(population):
 
 def test_candidates_share_draws_and_are_halved():
     contest = Contest([candidate(i) for i in range(16)], 48)
-    places = contest.places()
-    np.testing.assert_array_equal(places.candidates, np.repeat(np.arange(16), 3))
-    np.testing.assert_array_equal(places.draws, np.tile(np.arange(3), 16))
-    contest.take(places.candidates.astype(float))
-    places = contest.places()
-    assert sorted(set(places.candidates)) == list(range(8, 16))
-    np.testing.assert_array_equal(places.draws, np.tile(np.arange(6), 8))
+    candidates, draws = contest.places()
+    np.testing.assert_array_equal(candidates, np.repeat(np.arange(16), 3))
+    np.testing.assert_array_equal(draws, np.tile(np.arange(3), 16))
+    contest.take(candidates.astype(float))
+    candidates, draws = contest.places()
+    assert sorted(set(candidates)) == list(range(8, 16))
+    np.testing.assert_array_equal(draws, np.tile(np.arange(6), 8))
     fight(contest, lambda individual, *_: float(individual))
     rows = contest.rows()
     # The rounds have 3, 6 and 12 evaluations.
@@ -156,7 +155,7 @@ def test_a_noisy_run_chooses_champions_by_fresh_draws(evolved):
     assert done.champions is done.chosen
     assert all(one is not None and one.expected is None for one in done.records)
     assert done.champion is max(done.chosen, key=lambda one: one.expected)
-    champion, _, _ = folder.load_champion()
+    champion, _, _ = folder.with_champion()
     assert champion.expected == done.champion.expected
     assert champion.ended_early == done.champion.ended_early
     np.testing.assert_array_equal(champion.genes, done.champion.genes)
@@ -180,14 +179,14 @@ def test_expected_fitness_is_the_mean_over_the_fresh_draws(evolved):
             place = (6 + draw) * 2
             np.testing.assert_array_equal(np.asarray(keys)[:, place : place + 2], own)
             again = chosen._replace(generation=FIRST_ROUND + number, index=draw)
-            fitness.append(replay_champion(NOISY, again, jax.local_device_count())[0])
+            fitness.append(compile_replay(NOISY, jax.local_device_count())(again)[0])
     assert chosen.expected == pytest.approx(np.mean(fitness), rel=1e-5)
 
 
 def test_chosen_champions_replay_as_recorded(evolved):
     _, done, _ = evolved
     for champion in done.chosen:
-        fitness, terms, _ = replay_champion(NOISY, champion, jax.local_device_count())
+        fitness, terms, _, _ = compile_replay(NOISY, jax.local_device_count())(champion)
         assert fitness == champion.fitness
         assert terms == champion.terms
 

@@ -7,7 +7,7 @@ import pytest
 from evo_cpg.physics.water.fluid import Drag
 from evo_cpg.training.ascent import Free
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.loop import train
+from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.refine import (
     Refinement,
     _Parent,
@@ -15,8 +15,8 @@ from evo_cpg.training.refine import (
     compile_evaluation,
     compile_refinement,
 )
-from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 from trials import experiment
 
 MADE = experiment(60, 6)._replace(generations=2, runs=2)
@@ -42,8 +42,10 @@ def test_evaluation_repeats_the_results_of_training(evolved):
     evaluate = compile_evaluation(MADE, population_mesh(), 2)
     for champion in checkpoint.champions:
         others = np.linspace(0.5, 2, 10).reshape(2, 5).astype(np.float32)
-        again = evaluate(np.concatenate([others, champion.genes[:, None]], 1), champion)[-1]
-        assert again[1:] == champion[1:]
+        genes = np.concatenate([others, champion.genes[:, None]], 1)
+        fitness, mean, _ = evaluate(genes, champion)
+        terms = {name: float(values[-1]) for name, values in mean.terms.items()}
+        assert (float(fitness[-1]), terms) == (champion.fitness, champion.terms)
 
 
 @pytest.mark.slow
@@ -62,7 +64,7 @@ def test_rounds_only_gain_and_add_up(refined):
 @pytest.mark.slow
 def test_a_refined_champion_replays_exactly(refined):
     _, after, _ = refined
-    fitness, terms, _ = replay_champion(MADE, after, 2)
+    fitness, terms, _, _ = compile_replay(MADE, 2)(after)
     assert (fitness, terms) == (after.fitness, after.terms)
 
 
@@ -118,7 +120,7 @@ def test_the_folder_replaces_the_champion_of_the_run(evolved, refined, tmp_path)
     folder = RunFolder(tmp_path / "run")
     folder.create("", {})
     folder.save(checkpoint)
-    first = folder.load_champion()[0]
+    first = folder.with_champion()[0]
     folder.keep_before(checkpoint.champions[1])
     folder.replace_champion(after, "name: graded\n")
     assert folder.config.read_text() == "name: graded\n"
@@ -133,7 +135,7 @@ def test_the_folder_replaces_the_champion_of_the_run(evolved, refined, tmp_path)
     assert changed.nonzero()[0].tolist() == [11]
     np.testing.assert_array_equal(kept.genes[:, 11], after.genes)
     best = max(kept.champions, key=lambda one: one.fitness)
-    assert folder.load_champion()[0].fitness == best.fitness >= first.fitness
+    assert folder.with_champion()[0].fitness == best.fitness >= first.fitness
     # Evolution continues from the refined champion.
     final = train(MADE._replace(generations=3), folder)
     assert final.champions[1].fitness >= after.fitness

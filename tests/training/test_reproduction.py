@@ -7,9 +7,9 @@ import pytest
 from evo_cpg.analysis.gait import gait
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import dump_config, load_config
-from evo_cpg.training.loop import train
-from evo_cpg.training.replay import replay_champion
+from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import train
 
 CONFIG = Path(__file__).parents[2] / "configs" / "iwadate2010_swimmer.yaml"
 
@@ -28,7 +28,7 @@ def test_a_swimmer_evolves_to_reach_the_light_with_a_wave_along_its_body(tmp_pat
     folder.create(dump_config(config), {})
     champion = train(experiment, folder).champion
     assert champion.terms["distance"] < 0.1
-    _, terms, recording = replay_champion(experiment, champion, 2)
+    _, terms, _, recording = compile_replay(experiment, 2)(champion)
     assert terms["distance"] == pytest.approx(champion.terms["distance"], abs=1e-3)
     rhythm = gait(recording)
     assert rhythm.frequency.max() < 1.02 * rhythm.frequency.min()

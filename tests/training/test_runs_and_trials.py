@@ -10,24 +10,23 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.evolution.bits import BitGenetics
-from evo_cpg.evolution.generation import RealGenetics
-from evo_cpg.simulation.judge import Outcome, no_terms, score
+from evo_cpg.evolution.genetics import BitGenetics, RealGenetics
+from evo_cpg.simulation.judge import JUDGE, Outcome, no_terms, score
 from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.recording import Recorder
 from evo_cpg.training.devices import chunk_width, population_mesh
+from evo_cpg.training.evaluate import compile_replay, compile_trials
 from evo_cpg.training.experiment import (
     begin,
     breed,
-    compile_trials,
     first_population,
     generation_keys,
     judge,
     judge_each,
     trial_keys,
 )
-from evo_cpg.training.loop import TIMING_COLUMNS, train
-from evo_cpg.training.replay import replay, replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import TIMING_COLUMNS, train
 from trials import OneTerm, SineController, experiment
 
 SEED, SIZE, GENERATIONS = 5, 6, 3
@@ -145,7 +144,7 @@ def test_evolving_several_runs_equals_evolving_each_alone(pair, tmp_path):
 def test_the_folder_keeps_the_champion_of_every_run_and_shows_the_best(pair):
     folder, done = pair
     fitness = [champion.fitness for champion in done.champions]
-    kept, _, _ = folder.load_champion()
+    kept, _, _ = folder.with_champion()
     assert kept.run == int(np.argmax(fitness)) and kept.fitness == max(fitness)
     loaded = folder.load()
     assert [champion.fitness for champion in loaded.champions] == fitness
@@ -164,10 +163,10 @@ def test_a_resumed_noisy_run_equals_an_uninterrupted_one(noisy_pair, tmp_path):
 def test_every_champion_replays_as_recorded_with_its_noise(noisy_pair):
     _, done = noisy_pair
     for champion in done.champions:
-        fitness, terms, _ = replay_champion(NOISY, champion, 2)
+        fitness, terms, _, _ = compile_replay(NOISY, 2)(champion)
         assert (fitness, terms) == (champion.fitness, champion.terms)
     other = champion._replace(index=(champion.index + 1) % SIZE)
-    assert replay_champion(NOISY, other, 2)[0] != champion.fitness
+    assert compile_replay(NOISY, 2)(other)[0] != champion.fitness
 
 
 @pytest.mark.slow
@@ -178,7 +177,10 @@ def test_more_trials_than_a_chunk_holds_replay_exactly():
     genes = np.asarray(first_population(single))
     keys = np.asarray(generation_keys(single, np.int32(3)))
     outcome = compile_trials(single.simulation, population_mesh(2))(genes, keys, None, 40)
-    again, _ = jax.jit(functools.partial(replay, single, 2))(genes[:, 0], keys)
+    recorded = JUDGE, Recorder()
+    width = chunk_width(40, 2)
+    live = compile_trials(single.simulation, population_mesh(1), width, observers=recorded)
+    again, _ = live(genes, keys, None, 40)
     for name, values in outcome.terms.items():
         assert len(np.unique(values)) > 30
         np.testing.assert_array_equal(again.terms[name], values)

@@ -1,6 +1,6 @@
 """Tests share compiled programs of equal content."""
 
-from evo_cpg.training import loop, memetic, running
+from evo_cpg.training import ascent, train
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import Learning
 from trials import experiment
@@ -10,9 +10,9 @@ MESH = population_mesh()
 
 def programs(made):
     return (
-        loop.compile_trials(made.simulation, MESH),
-        running.compile_evolution(made),
-        memetic.compile_ascent(made, MESH, 2),
+        train.compile_trials(made.simulation, MESH),
+        train.compile_evolution(made),
+        ascent.compile_ascent(made, MESH, 2),
     )
 
 

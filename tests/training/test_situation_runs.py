@@ -9,19 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.simulation.judge import score
+from evo_cpg.simulation.judge import JUDGE, score
 from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.devices import chunk_width, population_mesh
+from evo_cpg.training.evaluate import compile_replay, compile_trials
 from evo_cpg.training.experiment import (
-    compile_trials,
     first_population,
     generation_keys,
     situation_numbers,
 )
-from evo_cpg.training.loop import TIMING_COLUMNS, train
-from evo_cpg.training.replay import replay, replay_champion
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import TIMING_COLUMNS, train
 from trials import experiment
 from watching import Watcher
 
@@ -112,7 +112,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(evolved, tmp_path):
 def test_champions_replay_as_recorded_in_any_trial(evolved):
     made, _, done = evolved
     for trial, champion in zip((2, 0), done.champions, strict=False):
-        fitness, terms, motion = replay_champion(made, champion, 2, trial)
+        fitness, terms, _, motion = compile_replay(made, 2, trial)(champion)
         assert (fitness, terms) == (champion.fitness, champion.terms)
         situation = SITUATIONS[trial]
         assert tuple(motion.goal) == situation.light
@@ -134,7 +134,10 @@ def test_more_situations_than_a_chunk_holds_replay_exactly(devices, noise):
     numbers = situation_numbers(made)
     live = compile_trials(made.simulation, population_mesh(devices))
     outcome = live(genes, keys, numbers, 40)
-    replayed, _ = jax.jit(functools.partial(replay, made, devices))(genes[:, 0], keys, numbers)
+    recorded = JUDGE, Recorder()
+    width = chunk_width(40, devices)
+    again = compile_trials(made.simulation, population_mesh(1), width, observers=recorded)
+    replayed, _ = again(genes, keys, numbers, 40)
     assert len(np.unique(outcome.terms["distance"])) == 40
     for name, values in outcome.terms.items():
         np.testing.assert_array_equal(replayed.terms[name], values)

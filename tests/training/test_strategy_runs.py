@@ -9,16 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.evolution.archive import Axis
-from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.genetics import RealGenetics
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites
-from evo_cpg.evolution.strategy import Strategy
-from evo_cpg.training.elites import elite, gait_map
-from evo_cpg.training.loop import TIMING_COLUMNS, train
-from evo_cpg.training.replay import replay_champion
+from evo_cpg.evolution.strategy import Axis, Strategy
+from evo_cpg.io.run import elite, gait_map
+from evo_cpg.training.checkpoint import StrategyError, state_arrays
+from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.strategy_state import StrategyError, state_arrays
+from evo_cpg.training.train import TIMING_COLUMNS, train
 from trials import experiment
 
 SIZE, RUNS, GENERATIONS = 12, 2, 4
@@ -30,7 +29,7 @@ GENETICS = RealGenetics(SIZE // 2, 2, 0.5, 0.2, 0.5, 0.5, 8.0)
 
 def evosax():
     pytest.importorskip("evosax")
-    kind = importlib.import_module("evo_cpg.evolution.from_evosax").Evosax
+    kind = importlib.import_module("evo_cpg.evolution.evosax").Evosax
     return kind("DifferentialEvolution", SIZE, 2)
 
 
@@ -143,7 +142,7 @@ def test_every_elite_of_a_map_replays_as_recorded(tmp_path):
     assert pytest.approx(done.history[-1]["coverage"]) == np.isfinite(found.fitness).mean() > 0.2
     for cell in np.argwhere(np.isfinite(found.fitness)):
         one = elite(several, done, tuple(cell.tolist()), 1)
-        fitness, terms, _ = replay_champion(several, one, len(jax.devices()))
+        fitness, terms, *_ = compile_replay(several, len(jax.devices()))(one)
         assert one.fitness == np.float32(found.fitness[tuple(cell)])
         # The replay rounds the last bit differently for one individual in a hundred.
         assert abs(fitness - one.fitness) <= 2.5e-7 * abs(one.fitness)

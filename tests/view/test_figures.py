@@ -7,10 +7,10 @@ import synthetic
 from evo_cpg.analysis.energy import Ledger
 from evo_cpg.analysis.sensitivity import Sensitivity
 from evo_cpg.analysis.verdict import Check
-from evo_cpg.evolution.archive import Axis
+from evo_cpg.evolution.strategy import Axis
 from evo_cpg.files import OutputError
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.training.probe import Probe
+from evo_cpg.training.conditions import Probe
 from evo_cpg.view import plots
 from evo_cpg.view.answer_plots import (
     MeasurePanel,

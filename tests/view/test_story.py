@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import synthetic
 
-from evo_cpg.api.story import Material, apart, story_of
+from evo_cpg.api.story import Cast, apart, story_of
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane, Relief
-from evo_cpg.training.crowd_motion import CrowdMotion
+from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import CameraPath, between, overview, project
 from evo_cpg.view.captions import Words, placed_tags, wrapped, written
 from evo_cpg.view.ghosts import coarse
@@ -221,7 +221,7 @@ def test_a_story_has_crowds_a_race_and_an_arrival():
     course = course_of(PANEL, 0.5, forward=True)
     aim = "Its task: get as far as it can."
     racers = [(number, WALK) for number in (0, 7)]
-    material = Material(PANEL, 20, "forward", aim, course, 1.0, True, True, crowds, racers)
+    material = Cast(PANEL, 20, "forward", aim, course, 1.0, True, True, crowds, racers)
     takes, words = story_of(material, None, 16 / 9)
     assert sum(take.seconds for take in takes) == pytest.approx(15.0)
     assert len(takes) == 5

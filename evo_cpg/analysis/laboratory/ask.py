@@ -1,6 +1,7 @@
 """Ask an animal a question: many settings, one program, one table."""
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -10,16 +11,24 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.gait_numbers import gait_numbers
-from evo_cpg.analysis.laboratory.bodies import Bodies, build_bodies, joints_of
-from evo_cpg.analysis.laboratory.effects import require_cord, require_effects, require_felt
+from evo_cpg.analysis.laboratory.bodies import Variants, build_bodies, joints_of
 from evo_cpg.analysis.laboratory.entrain import (
+    CYCLES,
+    REST,
     bend,
     entrained_range,
     locking,
     rest_frequency,
-    steps_of,
 )
-from evo_cpg.analysis.laboratory.flume import flume_notes, ground_speed
+from evo_cpg.analysis.laboratory.measures import (
+    cut_numbers,
+    cut_of,
+    flume_notes,
+    ground_speed,
+    held,
+    straight_drag,
+    tow_numbers,
+)
 from evo_cpg.analysis.laboratory.settings import (
     CORD,
     NERVES,
@@ -30,9 +39,14 @@ from evo_cpg.analysis.laboratory.settings import (
     require_values,
     worded,
 )
-from evo_cpg.analysis.laboratory.surgery import genes_of, prepare, sides_of
-from evo_cpg.analysis.laboratory.tow import held, straight_drag, tow_numbers
-from evo_cpg.analysis.laboratory.transection import cut_numbers, cut_of
+from evo_cpg.analysis.laboratory.surgery import (
+    genes_of,
+    prepare,
+    require_cord,
+    require_effects,
+    require_felt,
+    sides_of,
+)
 from evo_cpg.analysis.laboratory.trials import record_all
 from evo_cpg.control.matsuoka import parts
 from evo_cpg.control.preparation import Preparation
@@ -196,7 +210,8 @@ def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
     columns = [(i, ratio) for i in range(len(settings)) for ratio in ratios]
     which = [i for i, _ in columns]
     frequency = np.array([ratio * rest[i] for i, ratio in columns])
-    steps = steps_of(frequency, h)
+    # Rest and bending of the slowest cord.
+    steps = math.ceil((REST + (CYCLES + 1) / frequency.min()) / h)
     outputs = bend(bodies.at(which), genes[:, which], bent[:, which], frequency, steps)
     rows, notes = [], []
     for number, (i, ratio) in enumerate(columns):
@@ -233,7 +248,7 @@ _STRAIGHT = 16.0
 
 def _prepared(
     subject: Subject, settings: list[Setting], seconds: float | None, is_towed: bool
-) -> Bodies:
+) -> Variants:
     """Return the animals of all settings, without noise, in their first situation."""
 
     def prepared(simulation: Simulation) -> Simulation:
@@ -255,7 +270,7 @@ def _prepared(
 
 
 def _genes(
-    subject: Subject, bodies: Bodies, settings: Sequence[Setting]
+    subject: Subject, bodies: Variants, settings: Sequence[Setting]
 ) -> Float[np.ndarray, "g n"]:
     """Return the genes of all settings."""
     tree = bodies.common.world.tree
@@ -264,3 +279,78 @@ def _genes(
         for i, setting in enumerate(settings)
     ]
     return np.stack(genes, axis=-1).astype(np.float32)
+
+
+class Column(NamedTuple):
+    """A measure in a table.
+
+    Attributes:
+        key: name of the measure in the rows.
+        head: head of the column, at most 9 characters.
+        label: name with unit.
+        decades: whether values often span decades, so that a picture needs a logarithmic axis.
+        cycle: length of a cycle, for a phase, or 0.
+    """
+
+    key: str
+    head: str
+    label: str
+    decades: bool = False
+    cycle: float = 0.0
+
+
+SWIMMING = (
+    Column("path_speed", "U m/s", "speed along the path (m/s)"),
+    Column("stride_frequency", "f Hz", "frequency (Hz)"),
+    Column("strouhal", "St", "Strouhal number"),
+    Column("wave_slip", "U/V", "slip U/V"),
+    Column("froude_efficiency", "eta", "Froude efficiency"),
+    Column("cost_of_transport", "CoT", "cost of transport", decades=True),
+    Column("power", "P W", "mean power of the motors (W)", decades=True),
+    Column("tail_excursion", "A m", "tail, peak to peak (m)"),
+    Column("travelling_index", "travel", "travelling index"),
+    Column("duty_factor", "duty", "duty factor"),
+)
+
+FLUME = (Column("ground_speed", "ground m/s", "speed over ground (m/s)"), *SWIMMING)
+
+CUT = (
+    SWIMMING[0],
+    Column("front_frequency", "f1 Hz", "frequency in front of the cut (Hz)"),
+    Column("behind_frequency", "f2 Hz", "frequency behind the cut (Hz)"),
+    Column("cut_lag", "lag deg", "lag at the cut (degrees)", cycle=360.0),
+    Column("cut_scatter", "scatter", "scatter of the lag (cycles)"),
+    *SWIMMING[1:],
+)
+
+TOWED = (
+    Column("holding_force", "F N", "mean force that holds it, forwards (N)"),
+    Column("straight_drag", "D N", "drag of the straight body (N)"),
+    Column("thrust", "T N", "thrust (N)"),
+    Column("net_power", "P W", "mean net power of the motors (W)"),
+    Column("efficiency", "eta", "efficiency of the thrust"),
+    Column("holding_sway", "side N", "sideways force that holds it, rms (N)"),
+    Column("holding_yaw", "yaw N m", "moment that holds its heading, rms (N m)"),
+    Column("stride_frequency", "f Hz", "frequency (Hz)"),
+)
+
+ISOLATED = (
+    Column("rest_frequency", "f0 Hz", "frequency without bending (Hz)"),
+    Column("frequency", "f Hz", "frequency (Hz)"),
+    Column("followed", "f/fb", "frequency: cord / bending"),
+    Column("phase", "phase", "phase behind the bending (cycles)", cycle=1.0),
+    Column("scatter", "scatter", "scatter of the phase (cycles)"),
+    Column("entrained", "1:1", "entrained 1:1 (1 or 0)"),
+)
+
+
+def shown_columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
+    """Return the measures that exist under at least one setting, the most important first."""
+    names = {name for row in rows for name in row}
+    kinds = {"entrained": ISOLATED, "holding_force": TOWED, "current": FLUME, "cut_lag": CUT}
+    kind = next((kind for name, kind in kinds.items() if name in names), SWIMMING)
+    return [
+        column
+        for column in kind
+        if any(math.isfinite(row.get(column.key, math.nan)) for row in rows)
+    ]

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.analysis.laboratory.settings import NOTHING, LabError, Setting
+from evo_cpg.creature.axis_kinds import kind_named
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.tree import Tree, body_and_axis
+from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
 from evo_cpg.io.batched import batch_of_configs
 from evo_cpg.io.build import build_creature, build_experiment
@@ -65,7 +66,7 @@ _SLIDING_POWERS = {
 }
 
 
-class Bodies(NamedTuple):
+class Variants(NamedTuple):
     """The animal of each setting.
 
     Attributes:
@@ -83,14 +84,14 @@ class Bodies(NamedTuple):
         whole = isinstance(self.simulation, BatchedSimulation)
         return self.simulation[number] if whole else self.simulation  # pyright: ignore
 
-    def at(self, numbers: Sequence[int]) -> "Bodies":
+    def at(self, numbers: Sequence[int]) -> "Variants":
         """Return the animals of some settings, which may repeat."""
         creatures = [self.creatures[number] for number in numbers]
         simulation = self.simulation
         if isinstance(simulation, BatchedSimulation):
             values = tuple(each[..., np.asarray(numbers)] for each in simulation.values)
             simulation = simulation._replace(values=values)
-        return Bodies(simulation, creatures, self.common)
+        return Variants(simulation, creatures, self.common)
 
 
 def build_bodies(
@@ -99,7 +100,7 @@ def build_bodies(
     settings: Sequence[Setting],
     folders: Sequence[Path],
     prepared: Callable[[Simulation], Simulation],
-) -> Bodies:
+) -> Variants:
     """Build the animals of all settings.
 
     Args:
@@ -128,14 +129,14 @@ def build_bodies(
         for setting in settings
     )
     if not joints and all(each == config for each in configs):
-        return Bodies(common, [first.creature] * len(settings), common)
+        return Variants(common, [first.creature] * len(settings), common)
     if not joints and all(each == configs[0] for each in configs):
         same = build_experiment(configs[0], source)
         simulation = edit(same.simulation, 0)
-        return Bodies(simulation, [same.creature] * len(settings), simulation)
+        return Variants(simulation, [same.creature] * len(settings), simulation)
     batched = batch_of_configs(config, configs, source, edit)
     creatures = [build_creature(each, source) for each in configs]
-    return Bodies(batched, creatures, batched.common)
+    return Variants(batched, creatures, batched.common)
 
 
 def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> ExperimentConfig:
@@ -189,7 +190,7 @@ def _scaled_creature(config: ExperimentConfig, size: float) -> dict[str, Any]:
         if joint := body["joint"]:
             made["joint"] |= _scaled_axes(joint, size)
     for tendon, made in zip(given.get("tendons", ()), scaled.get("tendons", ()), strict=True):
-        sliding = {name for name in tendon["joints"] if body_and_axis(name)[1].startswith("slide")}
+        sliding = {name for name in tendon["joints"] if kind_named(name).unit == "m"}
         if sliding:
             made |= _scaled(tendon, size, powers=_POWERS | _SLIDING_POWERS)
             # Coefficients of turning axes are lever arms beside a slide.

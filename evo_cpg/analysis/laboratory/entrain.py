@@ -23,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.analysis.laboratory.bodies import Bodies
-from evo_cpg.analysis.rhythm import cycle_starts, frequency_of, mean_phase
+from evo_cpg.analysis.cycles import cycle_starts, frequency_of, mean_phase
+from evo_cpg.analysis.laboratory.bodies import Variants
 from evo_cpg.control import matsuoka
 from evo_cpg.control.controller import Observation
 from evo_cpg.native.fuse import fuse
@@ -34,7 +34,7 @@ from evo_cpg.simulation.simulation import Simulation
 # Cycles of bending, and how many of the last are measured.
 CYCLES, MEASURED = 20, 10
 # Time before the bending, s, and time in which the frequency without bending is measured.
-_REST, _MEASURED_REST = 15.0, 10.0
+REST, _MEASURED_REST = 15.0, 10.0
 # Largest relative error of the frequency, and largest scatter of the phase, cycles.
 SAME_FREQUENCY, LARGEST_SCATTER = 0.01, 0.05
 # Largest scatter of a phase that has a mean, cycles.
@@ -61,7 +61,7 @@ class Locking(NamedTuple):
 
 
 def bend(
-    bodies: Bodies,
+    bodies: Variants,
     genes: Float[np.ndarray, "g n"],
     bent: Float[np.ndarray, "d n"],
     frequency: Float[np.ndarray, " n"],
@@ -77,7 +77,7 @@ def bend(
         steps: number of control steps.
     """
     h = 1 / bodies.common.control_rate
-    rest = round(_REST / h)
+    rest = round(REST / h)
 
     def run(simulation: Simulation, genes: Array, bent: Array, frequency: Array) -> Array:
         controller, body_count = simulation.controller, simulation.world.tree.body_count
@@ -117,14 +117,9 @@ def bend(
     return np.asarray(each(own, *given), float)
 
 
-def steps_of(frequency: Float[np.ndarray, " n"], h: float) -> int:
-    """Return the number of control steps that hold the rest and the bending of all cords."""
-    return math.ceil((_REST + (CYCLES + 1) / frequency.min()) / h)
-
-
 def rest_frequency(outputs: Float[np.ndarray, " t"], h: float) -> float:
     """Return the frequency of an oscillator before the bending, Hz, NaN without a rhythm."""
-    first, last = round((_REST - _MEASURED_REST) / h), round(_REST / h)
+    first, last = round((REST - _MEASURED_REST) / h), round(REST / h)
     return frequency_of(cycle_starts(outputs[first:last], h))
 
 
@@ -140,9 +135,9 @@ def locking(
         first: index of the first bent oscillator.
     """
     # The output after a step belongs to the end of the step.
-    begin = _REST + (CYCLES - MEASURED) / frequency
-    window = slice(math.floor(begin / h), math.ceil((_REST + CYCLES / frequency) / h) + 1)
-    start = (window.start + 1) * h - _REST
+    begin = REST + (CYCLES - MEASURED) / frequency
+    window = slice(math.floor(begin / h), math.ceil((REST + CYCLES / frequency) / h) + 1)
+    start = (window.start + 1) * h - REST
     times = [cycle_starts(one, h) + start for one in outputs[window].T]
     own = frequency_of(times[first])
     ratios = np.array([frequency_of(each) for each in times]) / frequency

@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.mixed_array import MixedArray
-from evo_cpg.creature.algebra.numerics import is_traced, xp
+from evo_cpg.creature.algebra.numerics import MixedArray, is_traced, xp
 
 inlined = functools.partial(jax.jit, inline=True)
 """Decorator of a function of arrays alone: JAX traces it once for arguments of each shape and type.
@@ -42,6 +41,11 @@ def expand_dims_like(
     constant = jnp.asarray(constant, like.dtype)
     missing = (like.ndim if rank is None else rank) - constant.ndim
     return constant.reshape(constant.shape + (1,) * missing)
+
+
+def as_matrix_of(constant: np.ndarray | Array | MixedArray, vector: Array) -> Array:
+    """Append unit axes to constant matrices ``(i, j, ...)``, so that they multiply vectors."""
+    return expand_dims_like(constant, vector, vector.ndim + 1)
 
 
 def of_each(value: Array, like: Array) -> Array:
@@ -163,28 +167,23 @@ def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest
     size = m.shape[0]
     if size == 1:
         return 1.0 / m
+    if size > 3:
+        raise ValueError(f"closed-form inverse needs a matrix of size 1 to 3, got {size}")
     # A body of a millimetre has moments of inertia of 1e-15 kg m^2. Their cube underflows float32.
     scale = toward_one(jnp.stack([m[i, i] for i in range(size)]))
     scale = scale[:, None] * scale[None]
-    return scale * _inverse(scale * m)
-
-
-def _inverse(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest"]:
-    """Return the inverse. Products of three diagonal elements must stay within float32."""
-    size = m.shape[0]
+    m = scale * m
     if size == 2:
         determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
         adjugate = jnp.stack([jnp.stack([m[1, 1], -m[0, 1]]), jnp.stack([-m[0, 1], m[0, 0]])])
-        return adjugate * (1.0 / determinant)[None, None]
-    if size == 3:
-        m00, m01, m02, _, m11, m12, _, _, m22 = jnp.unstack(m.reshape(9, *m.shape[2:]))
-        c00 = m11 * m22 - m12 * m12
-        c01 = m02 * m12 - m01 * m22
-        c02 = m01 * m12 - m02 * m11
-        c11 = m00 * m22 - m02 * m02
-        c12 = m01 * m02 - m00 * m12
-        c22 = m00 * m11 - m01 * m01
-        determinant = m00 * c00 + m01 * c01 + m02 * c02
-        adjugate = jnp.stack([c00, c01, c02, c01, c11, c12, c02, c12, c22])
-        return (adjugate * (1.0 / determinant)[None]).reshape(m.shape)
-    raise ValueError(f"closed-form inverse needs a matrix of size 1 to 3, got {size}")
+        return scale * (adjugate * (1.0 / determinant)[None, None])
+    m00, m01, m02, _, m11, m12, _, _, m22 = jnp.unstack(m.reshape(9, *m.shape[2:]))
+    c00 = m11 * m22 - m12 * m12
+    c01 = m02 * m12 - m01 * m22
+    c02 = m01 * m12 - m02 * m11
+    c11 = m00 * m22 - m02 * m02
+    c12 = m01 * m02 - m00 * m12
+    c22 = m00 * m11 - m01 * m01
+    determinant = m00 * c00 + m01 * c01 + m02 * c02
+    adjugate = jnp.stack([c00, c01, c02, c01, c11, c12, c02, c12, c22])
+    return scale * (adjugate * (1.0 / determinant)[None]).reshape(m.shape)

@@ -110,21 +110,15 @@ def _exponential(half: Float[Array, "3 *rest"]) -> Float[Array, "4 *rest"]:
 def axis_rotation(
     axis: np.ndarray | Array, sine: Float[Array, " *rest"], cosine: Float[Array, " *rest"]
 ) -> Float[Array, "3 3 *rest"]:
-    """Return rotations about one common unit axis ``(3,)`` by Rodrigues' formula.
-
-    Args:
-        axis: unit vector, the same for all angles.
-        sine: sine of the angles.
-        cosine: cosine of the angles.
-    """
+    """Return rotations about one common unit axis ``(3,)`` by Rodrigues' formula."""
     x, y, z = axis
     cross_matrix = array_of(((0 * z, -z, y), (z, 0 * z, -x), (-y, x, 0 * z)))
     along = axis[:, None] * axis[None]
-    rank = sine.ndim + 2
+    sine, cosine = sine[None, None], cosine[None, None]
     return (
-        expand_dims_like(along, sine, rank)
-        + expand_dims_like(np.eye(3) - along, sine, rank) * cosine[None, None]
-        + expand_dims_like(cross_matrix, sine, rank) * sine[None, None]
+        expand_dims_like(along, sine)
+        + expand_dims_like(np.eye(3) - along, sine) * cosine
+        + expand_dims_like(cross_matrix, sine) * sine
     )
 
 

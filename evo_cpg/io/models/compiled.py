@@ -16,10 +16,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evo_cpg.installation import command_for
-from evo_cpg.io.models.inertials import restore_inertials, set_inertials_aside
 from evo_cpg.io.models.refusals import ExchangeError, Refusal, Refusals, RefusedError
-from evo_cpg.io.models.urdf import is_urdf, read_urdf, read_xml
+from evo_cpg.io.models.urdf import (
+    is_urdf,
+    read_urdf,
+    read_xml,
+    restore_inertials,
+    set_inertials_aside,
+)
+from evo_cpg.system import command_for
 
 # Largest relative difference of values that count as equal, and number of digits that are written.
 TOLERANCE = 1e-6

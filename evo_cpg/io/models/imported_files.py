@@ -29,10 +29,18 @@ def write_imported(imported: Imported, source: Path, output: Path, alone: bool) 
     folder = output.with_name(f"{output.stem}_meshes")
     written: dict[str, bytes] = {}
     for name, holder in _meshes(imported.experiment["creature"]):
-        content = _stl(holder["shape"])
+        corners = np.array(holder["shape"]["vertices"])[np.array(holder["shape"]["faces"], int)]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        rows = np.zeros(len(corners), _TRIANGLE)
+        rows["corners"] = corners
+        rows["normal"] = normal / np.maximum(length, np.finfo(float).tiny)
+        content = bytes(80) + np.array(len(rows), "<u4").tobytes() + rows.tobytes()
         file = next((f for f, known in written.items() if known == content), None)
         if file is None:
-            file = f"{_file_name(name)}.stl"
+            # A name that every file system takes.
+            stem = re.sub(r"[^A-Za-z0-9_.-]", "_", name).lstrip(".") or "mesh"
+            file = f"{stem}.stl"
             while file in written:
                 file = file.removesuffix(".stl") + "_.stl"
             written[file] = content
@@ -64,19 +72,3 @@ def _meshes(creature: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
         for i, holder in enumerate((body, *body.get("parts", ()))):
             if holder.get("shape") and holder["shape"]["type"] == "mesh":
                 yield body["name"] + (f"_{i + 1}" if i else ""), holder
-
-
-def _stl(shape: dict[str, Any]) -> bytes:
-    """Return a mesh as a binary STL file."""
-    corners = np.array(shape["vertices"])[np.array(shape["faces"], int)]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    rows = np.zeros(len(corners), _TRIANGLE)
-    rows["corners"] = corners
-    rows["normal"] = normal / np.maximum(length, np.finfo(float).tiny)
-    return bytes(80) + np.array(len(rows), "<u4").tobytes() + rows.tobytes()
-
-
-def _file_name(name: str) -> str:
-    """Return a name that every file system takes."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "_", name).lstrip(".") or "mesh"

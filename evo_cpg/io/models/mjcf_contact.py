@@ -175,7 +175,14 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
         compiled.refusals.leave_out("friction between bodies of the animal")
     if not meeting:
         return False
-    keys = {"exclude": _shortened(apart, partners), "include": added}
+    # The word all stands for every body that is no neighbour.
+    alone = [
+        name
+        for name, count in partners.items()
+        if sum(name in pair for pair in apart) == count and count > 1
+    ]
+    others = [pair for pair in apart if not set(pair) & set(alone)]
+    keys = {"exclude": [*([name, "all"] for name in alone), *others], "include": added}
     return {name: pairs for name, pairs in keys.items() if pairs} or True
 
 
@@ -248,19 +255,3 @@ def _pair(compiled: Compiled, first: int, second: int) -> int | None:
     for a, b in ((first, second), (second, first)):
         found |= (model.pair_geom1 == a) & (model.pair_geom2 == b)
     return int(found.argmax()) if found.any() else None
-
-
-def _shortened(pairs: list[list[str]], partners: dict[str, int]) -> list[list[str]]:
-    """Return pairs, with ``all`` for a body that is apart from every body that is no neighbour.
-
-    Args:
-        pairs: pairs of names.
-        partners: number of other bodies that are no neighbours, by name.
-    """
-    alone = [
-        name
-        for name, count in partners.items()
-        if sum(name in pair for pair in pairs) == count and count > 1
-    ]
-    others = [pair for pair in pairs if not set(pair) & set(alone)]
-    return [[name, "all"] for name in alone] + others

@@ -9,8 +9,8 @@
 | joint | ``hinge``s, ``slide``s or a ``ball`` | `mjcf_joints` |
 | root | a ``freejoint``; a root that hangs on the world has its own joints, or none | |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
-| tendon | ``fixed`` tendon | `mjcf_tendons` |
-| ground | ``geom``s of the world | `mjcf_ground` |
+| tendon | ``fixed`` tendon | `mjcf_joints` |
+| ground | ``geom``s of the world | `mjcf_shapes` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
 | friction of a body on the ground | a ``pair`` of the two geoms | |
 | pair of bodies that push each other apart | a ``pair`` without friction (``condim`` 1) | |
@@ -30,12 +30,16 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
-from evo_cpg.creature.creature import Body, Creature, Inertial, topological_order
-from evo_cpg.io.models.mjcf_ground import add_ground, number_text, place_text
-from evo_cpg.io.models.mjcf_joints import add_joints, joint_names
+from evo_cpg.creature.creature import Body, Creature, topological_order
+from evo_cpg.io.models.mjcf_joints import add_joints, add_tendons, joint_names
 from evo_cpg.io.models.mjcf_motors import add_motor
-from evo_cpg.io.models.mjcf_shapes import add_meshes, shape_attributes
-from evo_cpg.io.models.mjcf_tendons import add_tendons
+from evo_cpg.io.models.mjcf_shapes import (
+    add_ground,
+    add_meshes,
+    number_text,
+    place_text,
+    shape_attributes,
+)
 from evo_cpg.io.models.mujoco_state import ball_quaternion
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.contact.contact_model import Ground, combine
@@ -114,10 +118,10 @@ def mjcf_model(
         if joint is None:
             continue
         names = joint_names(body, joint)
-        for name, motor, dof in zip(names, joint.motors, joint.dofs, strict=True):
-            if motor:
-                axis = dof.axis if dof.kind == "ball" else None
-                add_motor(actuator, name, motor, axis=axis)
+        for name, dof in zip(names, joint.dofs, strict=True):
+            if dof.actuator:
+                axis = dof.axis if dof.kind.at_once else None
+                add_motor(actuator, name, dof.actuator, axis=axis)
     add_tendons(root, actuator, creature)
     if angles is not None:
         pose = _positions(creature, angles)
@@ -193,9 +197,23 @@ def _add_bodies(
         else:
             add_joints(element, body, joint)
         if body.inertial is not None and body.inertial.mass:
-            _add_inertial(element, body.inertial, own_anchor)
+            centre = place_text(np.subtract(body.inertial.centre, own_anchor))
+            inertial = SubElement(element, "inertial", pos=centre)
+            inertial.set("mass", number_text(body.inertial.mass))
+            a, b, c = body.inertial.inertia
+            inertial.set("fullinertia", number_text(a[0], b[1], c[2], a[1], a[2], b[2]))
         if body.shape.exists:
-            _add_geom(element, body, own_anchor)
+            geom = SubElement(element, "geom", {"name": body.name, **shape_attributes(body)})
+            if any(own_anchor):
+                geom.set("pos", place_text(np.negative(own_anchor)))
+            if body.inertial is None:
+                geom.set("density", number_text(body.material.density))
+            else:
+                geom.set("mass", "0")
+            geom.set("friction", number_text(body.material.dynamic_friction))
+            if body.color:
+                red, green, blue = (int(body.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+                geom.set("rgba", number_text(red, green, blue, 1.0))
         for child in children.get(body.name, []):
             add(element, child, own_anchor)
 
@@ -225,24 +243,3 @@ def _buoyancy(creature: Creature, body: Body, density: float) -> float:
             "mass, but MuJoCo's gravcomp acts at the centre of mass"
         )
     return density * volume / body.inertial.mass
-
-
-def _add_inertial(element: Element, own: Inertial, anchor: tuple[float, float, float]) -> None:
-    a, b, c = own.inertia
-    inertial = SubElement(element, "inertial", pos=place_text(np.subtract(own.centre, anchor)))
-    inertial.set("mass", number_text(own.mass))
-    inertial.set("fullinertia", number_text(a[0], b[1], c[2], a[1], a[2], b[2]))
-
-
-def _add_geom(element: Element, body: Body, anchor: tuple[float, float, float]) -> None:
-    geom = SubElement(element, "geom", {"name": body.name, **shape_attributes(body)})
-    if any(anchor):
-        geom.set("pos", place_text(np.negative(anchor)))
-    if body.inertial is None:
-        geom.set("density", number_text(body.material.density))
-    else:
-        geom.set("mass", "0")
-    geom.set("friction", number_text(body.material.dynamic_friction))
-    if body.color:
-        red, green, blue = (int(body.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-        geom.set("rgba", number_text(red, green, blue, 1.0))

@@ -12,7 +12,7 @@ loss.
 | mass and inertia | density, or numbers | this module |
 | ``joint``s | the joint | `mjcf_joints` |
 | ``actuator``s | motors | `mjcf_motors` |
-| fixed ``tendon``s | tendons | `mjcf_tendons` |
+| fixed ``tendon``s | tendons | `mjcf_joints` |
 | rules of contacts, planes | ground, self-collision | `mjcf_contact` |
 | gravity, medium | world | `mjcf_world` |
 | any other field | refused or left out | `mjcf_fields` |
@@ -32,8 +32,6 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.errors import ConfigError, KeyProblem
 from evo_cpg.io.load import check_config
 from evo_cpg.io.models.compiled import WORLD, Compiled, compile_model, printed, tidy, tidy_vector
-from evo_cpg.io.models.facing import facing_note
-from evo_cpg.io.models.inertials import mass_properties
 from evo_cpg.io.models.mjcf_contact import (
     read_color,
     read_ground,
@@ -47,13 +45,13 @@ from evo_cpg.io.models.mjcf_fields import (
     refuse_fields,
     require_numbers,
 )
-from evo_cpg.io.models.mjcf_joints import read_joint, refuse_effects_on_free_root
+from evo_cpg.io.models.mjcf_joints import read_joint, read_tendons, refuse_effects_on_free_root
 from evo_cpg.io.models.mjcf_motors import read_motors
 from evo_cpg.io.models.mjcf_shapes import Placed, Solid, body_keys, place_body
-from evo_cpg.io.models.mjcf_tendons import read_tendons
-from evo_cpg.io.models.mjcf_world import experiment, read_world
+from evo_cpg.io.models.mjcf_world import experiment, facing_note, read_world
 from evo_cpg.io.models.refusals import ExchangeError, Refusal
 from evo_cpg.io.models.rigid import Rigid, rigid_bodies, scenery
+from evo_cpg.io.models.urdf import mass_properties
 from evo_cpg.io.schema.creature import CreatureConfig
 from evo_cpg.io.schema.joint import JointConfig
 from evo_cpg.io.schema.shape import ShapeConfig
@@ -116,7 +114,13 @@ def read_model(
     refuse_elements(compiled)
     refuse_fields(compiled)
     motors, tendon_motors = read_motors(compiled, motor_gain)
-    placed = _placed_bodies(compiled)
+    rigids: list[Rigid] = []
+    with refusals.collecting():
+        rigids = rigid_bodies(compiled)
+    if not rigids:
+        refusals.check()
+    names = _body_names(compiled, rigids)
+    placed = [place_body(compiled, rigid, names[rigid.lead]) for rigid in rigids]
     fixed = scenery(compiled, [body.rigid for body in placed])
     ground, others, frictions = read_ground(compiled, placed, fixed)
     creature, volumes = _creature_keys(compiled, placed, motors, frictions)
@@ -124,7 +128,13 @@ def read_model(
         creature["pressure_sensors"] = []
     creature["self_collision"] = read_self_collision(compiled, placed)
     world = read_world(compiled, placed, volumes, ground)
-    _leave_out_scenery(compiled, others, placed)
+    members = {member for body in placed for member in body.rigid.members}
+    shown = {solid.geom for body in placed for solid in body.solids}
+    for geom, owner in enumerate(compiled.model.geom_bodyid.tolist()):
+        if geom in others:
+            refusals.leave_out("scenery", str(compiled.item("geom", geom)))
+        elif owner in members and geom not in shown:
+            refusals.leave_out("drawing", str(compiled.item("geom", geom)))
     leave_out_fields(compiled)
     leave_out_elements(compiled)
     joints = {body.name: body.rigid.joints for body in placed if body.rigid.joints}
@@ -132,8 +142,8 @@ def read_model(
     tendons = read_tendons(compiled, own, motors, tendon_motors)
     refusals.check()
     if tendons:
-        names = _dof_names(_checked_creature(compiled, creature), joints)
-        creature["tendons"] = [tendon.keys(names) for tendon in tendons]
+        dofs = _dof_names(_checked_creature(compiled, creature), joints)
+        creature["tendons"] = [tendon.keys(dofs) for tendon in tendons]
     built = _checked_creature(compiled, creature)
     pulling = [tendon.law["actuator"] for tendon in tendons if "actuator" in tendon.law]
     root, every_motor = placed[0], [*motors.values(), *pulling]
@@ -154,21 +164,6 @@ def read_model(
         tuple(_warnings(compiled, root, bool(every_motor), built.build())),
         tuple(_centre_of(root).tolist()),
     )
-
-
-def _placed_bodies(compiled: Compiled) -> list[Placed]:
-    """Return the bodies of the animal, the root first.
-
-    Raises:
-        ExchangeError: nothing moves.
-    """
-    rigids: list[Rigid] = []
-    with compiled.refusals.collecting():
-        rigids = rigid_bodies(compiled)
-    if not rigids:
-        compiled.refusals.check()
-    names = _body_names(compiled, rigids)
-    return [place_body(compiled, rigid, names[rigid.lead]) for rigid in rigids]
 
 
 def _creature_keys(
@@ -198,19 +193,15 @@ def _creature_keys(
         else:
             parent = None if own.rigid.parent is None else carrier[own.rigid.parent]
             entry["joint"] = read_joint(compiled, own, parent, motors)
-            _check_joint(compiled, own, entry["joint"])
+            try:
+                checked(JointConfig, entry["joint"])
+            except KeyProblem as error:
+                # The joint breaks a rule of joints, such as two parallel axes.
+                item = compiled.item("joint", own.rigid.joints[0])
+                problem = str(error).removeprefix(": ")
+                compiled.refusals.add(Refusal(str(item), problem, item.line, vital=True))
     named = {name: dict(keys) for keys, name in materials.items()}
     return {"name": _model_name(compiled), "materials": named, "bodies": bodies}, volumes
-
-
-def _check_joint(compiled: Compiled, own: Placed, keys: dict[str, Any]) -> None:
-    """Refuse a joint that breaks a rule of joints, such as two parallel axes."""
-    try:
-        checked(JointConfig, keys)
-    except KeyProblem as error:
-        item = compiled.item("joint", own.rigid.joints[0])
-        problem = str(error).removeprefix(": ")
-        compiled.refusals.add(Refusal(str(item), problem, item.line, vital=True))
 
 
 def _warnings(compiled: Compiled, root: Placed, driven: bool, creature: Creature) -> Iterator[str]:
@@ -303,7 +294,11 @@ def _substance(
     if density is None:
         keys["mass"] = tidy(mass)
         keys["centre_of_mass"] = tidy_vector(centre)
-        keys["inertia"] = _inertia_keys(inertia)
+        i, k = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+        values = (inertia + inertia.T)[i, k] / 2
+        # Remainders of numbers that cancel count as 0.
+        least = 1e-15 * float(np.trace(inertia))
+        keys["inertia"] = [0.0 if abs(value) < least else tidy(value) for value in values]
     return keys
 
 
@@ -322,25 +317,6 @@ def _is_uniform(shape: Shape, solid: Solid, found: tuple[float, np.ndarray, np.n
     off = np.abs(frame.T @ inertia @ frame - np.diag(moments))
     within = _UNIFORM * np.sqrt(np.outer(moments, moments)) + 1e-15 * moments.max()
     return bool((off <= within).all())
-
-
-def _inertia_keys(inertia: np.ndarray) -> list[float]:
-    """Return xx, yy, zz, xy, xz, yz of an inertia, without remainders of numbers that cancel."""
-    i, k = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-    values = (inertia + inertia.T)[i, k] / 2
-    least = 1e-15 * float(np.trace(inertia))
-    return [0.0 if abs(value) < least else tidy(value) for value in values]
-
-
-def _leave_out_scenery(compiled: Compiled, geoms: Sequence[int], placed: Sequence[Placed]) -> None:
-    """Name the fixed geoms, and the geoms that only draw the animal."""
-    for geom in geoms:
-        compiled.refusals.leave_out("scenery", str(compiled.item("geom", geom)))
-    members = {member for body in placed for member in body.rigid.members}
-    shown = {solid.geom for body in placed for solid in body.solids}
-    for geom, owner in enumerate(compiled.model.geom_bodyid.tolist()):
-        if owner in members and geom not in shown and geom not in geoms:
-            compiled.refusals.leave_out("drawing", str(compiled.item("geom", geom)))
 
 
 def _checked_creature(compiled: Compiled, keys: Mapping[str, Any]) -> CreatureConfig:

@@ -26,7 +26,7 @@ from evo_cpg.creature.algebra.numerics import Triple
 from evo_cpg.creature.creature import Actuator, Muscle, TorqueMotor
 from evo_cpg.io.models.compiled import TOLERANCE, Compiled, tidy
 from evo_cpg.io.models.mjcf_fields import counted
-from evo_cpg.io.models.mjcf_ground import number_text
+from evo_cpg.io.models.mjcf_shapes import number_text
 from evo_cpg.io.schema.section import LARGEST
 
 # Number of actuator groups that MuJoCo can disable.

@@ -12,11 +12,13 @@ Controller, task and search are defaults that can be trained at once: every axis
 and the fitness is the displacement.
 """
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.io.models.compiled import Compiled, tidy
 from evo_cpg.io.models.mjcf_shapes import Placed
 from evo_cpg.io.models.refusals import Refusal
@@ -29,6 +31,20 @@ _ANGLE_RANGE = 40.0
 
 # Smallest coefficient of gravity compensation that differs from 0, and tolerance of equal ones.
 _ALIKE = 1e-6
+
+# Smallest ratio of the length along y to the length along x of an animal that may face y, if its
+# names do not say where its left side is.
+_LONGER = 1.5
+
+# Smallest mean distance between left and right bodies, as a fraction of the animal's size. The
+# fingers of a gripper are nearer to each other, and do not show the front.
+_APART = 0.1
+
+# Largest angle from the x axis of an animal that faces +x, degrees.
+_AHEAD = 45.0
+
+# Words for the right side in place of words for the left one.
+_RIGHT = {"l": "r", "L": "R", "left": "right", "Left": "Right", "LEFT": "RIGHT"}
 
 
 def read_world(
@@ -46,7 +62,10 @@ def read_world(
         ground: keys of the ground, or None.
     """
     model = compiled.model
-    gravity = _gravity(compiled)
+    downward = -float(model.opt.gravity[2])
+    if not np.isfinite(model.opt.gravity).all():
+        compiled.refusals.add(Refusal("option", "its gravity holds no numbers", vital=True))
+    gravity = 0.0 if compiled.disabled("gravity") else downward
     density = float(model.opt.density)
     carried = 0.0
     if gravity:
@@ -122,16 +141,6 @@ def experiment(
     }
 
 
-def _gravity(compiled: Compiled) -> float:
-    """Return the downward acceleration, m/s^2."""
-    if compiled.disabled("gravity"):
-        return 0.0
-    gravity = np.asarray(compiled.model.opt.gravity)
-    if not np.isfinite(gravity).all():
-        compiled.refusals.add(Refusal("option", "its gravity holds no numbers", vital=True))
-    return -float(gravity[2])
-
-
 def _compensated(
     compiled: Compiled,
     placed: Sequence[Placed],
@@ -171,3 +180,40 @@ def _compensated(
         "gravcomp in inverse proportion to the density, equal for all bodies, or none",
     )
     return gravity, 0.0
+
+
+def facing_note(creature: Creature) -> str | None:
+    """Return a sentence about an animal that probably does not face +x, or None.
+
+    Bodies whose names differ only in left and right, such as ``FL_foot`` and ``FR_foot``, show the
+    animal's left side. Without such names, its longest direction counts.
+    """
+    centres, turns = map(np.asarray, neutral_pose(creature))
+    names = [body.name for body in creature.bodies]
+    sides = []
+    for i, name in enumerate(names):
+        for found in re.finditer("left|l", name, re.IGNORECASE):
+            other = _RIGHT.get(found[0], found[0])
+            partner = name[: found.start()] + other + name[found.end() :]
+            if partner != name and partner in names:
+                sides.append(centres[i, :2] - centres[names.index(partner), :2])
+    x, y = np.mean(sides, axis=0) if sides else (0.0, 0.0)
+    half = np.array([body.shape.half_extents for body in creature.bodies])
+    reach = np.einsum("bij,bj->bi", np.abs(turns), half)
+    lengths = (centres + reach).max(0) - (centres - reach).min(0)
+    if np.hypot(x, y) > _APART * lengths.max():
+        # The front is a quarter of a turn to the right of the left side.
+        front = float(np.rad2deg(np.arctan2(-x, y)))
+        if abs(front) <= _AHEAD:
+            return None
+        seen = "the names of left and right bodies show that the animal does not face +x"
+        turn = f"{-90 * round(front / 90) or 180}"
+    elif lengths[1] <= _LONGER * lengths[0]:
+        return None
+    else:
+        seen = f"the animal is {lengths[0]:.2g} m long along x, but {lengths[1]:.2g} m along y"
+        turn = "-90 if it faces +y, or 90 if it faces -y"
+    return (
+        f"{seen}. The task rewards displacement along +x. To turn the animal at the start, set "
+        f"simulation.start_heading_deg: {turn}"
+    )

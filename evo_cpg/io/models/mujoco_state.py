@@ -1,15 +1,27 @@
-"""Map a tree's degrees of freedom to MuJoCo's, and put a state into MuJoCo's data.
+"""Map a tree's degrees of freedom to MuJoCo's, and exchange states and inertia with MuJoCo.
 
 The functions take a compiled model that was exported (`evo_cpg.io.models.mjcf_export`). They do not
 import MuJoCo.
+
+Bodies may carry the inertia of water along, but MuJoCo's bodies have their own masses only. A force
+that depends on the acceleration of its own step is unstable if the carried mass is larger, so it is
+solved for. Let M and M_a be the mass matrices of bodies and water, B the damping of joints and
+motors, and f the force of all else. MuJoCo's implicit step of length h finds
+``(M + h B) a = f + q`` with an applied force q. With
+
+    (M + M_a + h B) a = f,    q = -M_a a
+
+the acceleration a is that of bodies and water. Forces of contacts and joint limits do not enter a,
+so they move the bodies as if there was no water.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
 
+from evo_cpg.creature.axis_kinds import SPANNING
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.root import ROOT_DOFS
 from evo_cpg.physics.tree.state import State
@@ -105,11 +117,58 @@ def ball_quaternion(
 
 def _kinds_of(tree: Tree) -> tuple[list[int], list[list[int]]]:
     """Return the degrees of freedom that are one number of MuJoCo's pose, and those of balls."""
-    balls = [i for i, kind in enumerate(tree.dof_kinds) if kind == "ball"]
-    plain = [i for i, kind in enumerate(tree.dof_kinds) if kind != "ball"]
-    return plain, [balls[k : k + 3] for k in range(0, len(balls), 3)]
+    plain = [i for i, kind in enumerate(tree.dof_kinds) if not kind.at_once]
+    return plain, [list(range(first, first + SPANNING)) for first in tree.balls]
 
 
 def root_rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     """Return the rotation from root to world for a quaternion (w, x, y, z)."""
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+
+
+class CarriedInertia(NamedTuple):
+    """Inertia that bodies carry, and their poses.
+
+    Attributes:
+        inertia: inertia about the origin of each body, in its axes.
+        rotation: rotation of each body to the world.
+        origin: origin of each body, m.
+    """
+
+    inertia: Float[np.ndarray | Array, "6 6 b"]
+    rotation: Float[np.ndarray | Array, "3 3 b"]
+    origin: Float[np.ndarray | Array, "3 b"]
+
+
+def step_with_inertia(
+    mujoco: Any, model: Any, data: Any, bodies: Int[np.ndarray, " b"], carried: CarriedInertia
+) -> None:
+    """Take a step of MuJoCo in which bodies carry inertia.
+
+    Args:
+        mujoco: the module.
+        model: the model.
+        data: its data, with applied forces on bodies and motor commands.
+        bodies: MuJoCo's index of each body.
+        carried: the inertia.
+    """
+    data.qfrc_applied[:] = 0.0
+    mujoco.mj_step1(model, data)
+    mujoco.mj_fwdActuation(model, data)
+    mujoco.mj_fwdAcceleration(model, data)
+    water, linear, angular = np.zeros((model.nv, model.nv)), *np.zeros((2, 3, model.nv))
+    for i, body in enumerate(bodies):
+        mujoco.mj_jac(model, data, linear, angular, np.asarray(carried.origin)[:, i], body)
+        turn = np.asarray(carried.rotation)[..., i].T
+        rows = np.concatenate([turn @ angular, turn @ linear])
+        water += rows.T @ np.asarray(carried.inertia)[..., i] @ rows
+    own = np.zeros((model.nv, model.nv))
+    for column, unit in zip(own, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, column, unit)
+    # Damping of joints and motors on each degree of freedom, N m s/rad.
+    damping = np.array(model.dof_damping)
+    joints = model.actuator_trnid[:, 0]
+    np.add.at(damping, model.jnt_dofadr[joints], -model.actuator_biasprm[:, 2])
+    damped = own + water + model.opt.timestep * np.diag(damping)
+    data.qfrc_applied[:] = -water @ np.linalg.solve(damped, data.qfrc_smooth)
+    mujoco.mj_step2(model, data)

@@ -88,7 +88,12 @@ class Refusals:
     @property
     def left_out(self) -> list[str]:
         """Phrases about what is left out without harm, such as ``margin of 3 geoms``."""
-        return [_lost(what, elements) for (what, _), elements in self.lost.items()]
+        phrases = []
+        for (what, kind), elements in self.lost.items():
+            plural = "bodies" if kind == "body" else f"{kind}s"
+            several = f"{what} of {len(elements)} {plural}"
+            phrases.append(several if len(elements) > 1 else " of ".join([what, *elements]))
+        return phrases
 
     @contextlib.contextmanager
     def collecting(self) -> Iterator[None]:
@@ -132,24 +137,14 @@ def _sentences(refusals: Sequence[Refusal], most: int = _NAMED) -> list[str]:
     groups: dict[tuple[str, str], list[Refusal]] = {}
     for refusal in refusals:
         groups.setdefault((_kind(refusal.element), refusal.problem), []).append(refusal)
-    return [_words(group, most) for group in groups.values()]
-
-
-def _words(group: list[Refusal], most: int) -> str:
-    """Return a sentence about elements that share a fault."""
-    named = ", ".join(refusal.element for refusal in group[:most])
-    more = f" and {len(group) - most} more" if len(group) > most else ""
-    lines = [str(refusal.line) for refusal in group[:most] if refusal.line]
-    where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines)})" if lines else ""
-    return f"{named}{more}: {group[0].problem}{where}"
-
-
-def _lost(what: str, elements: list[str]) -> str:
-    """Return a phrase about something that elements lose."""
-    if len(elements) < 2:
-        return " of ".join([what, *elements])
-    kind = _kind(elements[0])
-    return f"{what} of {len(elements)} {'bodies' if kind == 'body' else f'{kind}s'}"
+    said = []
+    for group in groups.values():
+        named = ", ".join(refusal.element for refusal in group[:most])
+        more = f" and {len(group) - most} more" if len(group) > most else ""
+        lines = [str(refusal.line) for refusal in group[:most] if refusal.line]
+        where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines)})" if lines else ""
+        said.append(f"{named}{more}: {group[0].problem}{where}")
+    return said
 
 
 def _kind(element: str) -> str:

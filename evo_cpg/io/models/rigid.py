@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.io.models.compiled import WORLD, Compiled
-from evo_cpg.io.models.refusals import RefusedError
 
 
 class Rigid(NamedTuple):
@@ -50,14 +49,23 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
     welded: dict[int, list[int]] = {}
     for body in range(1, model.nbody):
         welded.setdefault(int(welds[body]), []).append(body)
-    leads = [lead for lead in welded if lead != WORLD and _dof_count(model, welded[lead])]
+    leads = [lead for lead in welded if lead != WORLD and model.body_dofnum[welded[lead]].sum()]
     if not leads:
-        raise _none_moves(compiled)
+        if model.nbody == 1:
+            problem, allowed, body = "the worldbody holds no body", "at least one", WORLD
+        else:
+            words = "; ".join(each for each in compiled.refusals.changed if "-> fixed" in each)
+            problem = "no body of the file moves" + (f" ({words})" if words else "")
+            allowed, body = "joints, or the option --free", 1
+        raise compiled.item("body", body).refusal(problem, allowed, vital=True)
     tops = [lead for lead in leads if above[lead] == WORLD]
     kept = _kept_trees(compiled, tops, leads)
     leads = [lead for lead in leads if _top(above, lead) in kept]
     carriers = {_trunk(model, int(model.body_parentid[top])) for top in kept}
-    fixed = () if carriers == {WORLD} else _fixed_bodies(model, carriers - {WORLD})
+    fixed: tuple[int, ...] = ()
+    if carriers != {WORLD}:
+        still = np.flatnonzero(welds == WORLD)[1:].tolist()
+        fixed = tuple(body for body in still if _trunk(model, body) in carriers - {WORLD})
     bodies = []
     root: int | None = None
     if len(kept) > 1 or fixed:
@@ -118,16 +126,6 @@ def _welds(model: Any) -> np.ndarray:
     return np.where(np.asarray(model.body_mocapid)[welds] >= 0, WORLD, welds)
 
 
-def _none_moves(compiled: Compiled) -> RefusedError:
-    if compiled.model.nbody == 1:
-        return compiled.item("body", WORLD).refusal(
-            "the worldbody holds no body", "at least one", vital=True
-        )
-    fixed = "; ".join(words for words in compiled.refusals.changed if "-> fixed" in words)
-    problem = "no body of the file moves" + (f" ({fixed})" if fixed else "")
-    return compiled.item("body", 1).refusal(problem, "joints, or the option --free", vital=True)
-
-
 def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[int]:
     """Return the tops of the trees that become the animal. Refuse trees beside a free one."""
     model, welds = compiled.model, _welds(compiled.model)
@@ -136,8 +134,16 @@ def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[i
         return tops
     above = welds[model.body_parentid]
     motors = dict.fromkeys(tops, 0)
-    for number in range(len(model.actuator_trnid)):
-        joint = _driven_joint(compiled, number)
+    kinds, wraps = compiled.mujoco.mjtTrn, compiled.mujoco.mjtWrap
+    for kind, (target, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
+        joint = None
+        # MuJoCo's enumerations equal integers of Python only.
+        if int(kind) in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
+            joint = target
+        elif int(kind) == kinds.mjTRN_TENDON:
+            first = model.tendon_adr[target]
+            if int(model.wrap_type[first]) == wraps.mjWRAP_JOINT:
+                joint = model.wrap_objid[first]
         if joint is not None:
             motors[_top(above, int(welds[model.jnt_bodyid[joint]]))] += 1
     sizes = {top: sum(_top(above, lead) == top for lead in leads) for top in tops}
@@ -149,19 +155,6 @@ def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[i
             allowed = "one tree of bodies, or several that all hang on the world by joints"
             compiled.item("body", top).refuse(problem, allowed)
     return kept
-
-
-def _driven_joint(compiled: Compiled, number: int) -> int | None:
-    """Return the joint, or the first joint of the tendon, that an actuator drives, or None."""
-    mujoco, model = compiled.mujoco, compiled.model
-    transmission, target = int(model.actuator_trntype[number]), int(model.actuator_trnid[number, 0])
-    if transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
-        return target
-    if transmission == mujoco.mjtTrn.mjTRN_TENDON:
-        first = int(model.tendon_adr[target])
-        if int(model.wrap_type[first]) == mujoco.mjtWrap.mjWRAP_JOINT:
-            return int(model.wrap_objid[first])
-    return None
 
 
 def _top(above: np.ndarray, lead: int) -> int:
@@ -181,13 +174,3 @@ def _trunk(model: Any, body: int) -> int:
     while body != WORLD and model.body_parentid[body] != WORLD:
         body = int(model.body_parentid[body])
     return body
-
-
-def _fixed_bodies(model: Any, trunks: set[int]) -> tuple[int, ...]:
-    """Return the fixed bodies below some bodies of the worldbody."""
-    fixed = np.flatnonzero(_welds(model) == WORLD)[1:].tolist()
-    return tuple(body for body in fixed if _trunk(model, body) in trunks)
-
-
-def _dof_count(model: Any, members: list[int]) -> int:
-    return int(sum(model.body_dofnum[member] for member in members))

@@ -13,9 +13,7 @@ from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.tree import Tree
 from evo_cpg.io.keys import unchecked
-from evo_cpg.io.schema.choice import CustomConfig, by_type
-from evo_cpg.io.schema.section import Section
-from evo_cpg.io.schema.typical import RATE
+from evo_cpg.io.schema.section import RATE, CustomConfig, Section, by_type
 
 # Typical ranges stand here because settings classes do not depend on the configuration.
 _TYPICAL = {"max_rate": RATE, "rate_gain": RATE}

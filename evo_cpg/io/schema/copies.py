@@ -11,7 +11,11 @@ A child of such bodies names its parent with the placeholder, and is copied with
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from evo_cpg.creature.algebra.numerics import Number, Triple, as_vector, xp
 
 MirrorAxis = Literal["x", "y", "z"]
 
@@ -169,3 +173,30 @@ def _copies_on(number: int, entry: Entry, parent: Copy | None) -> Iterator[Copy]
                 turn = 360.0 * j / entry.radial if i == 0 else 0.0
                 yield Copy(number, name, on, marks, turn, mirror)
                 on = name
+
+
+def unit(vector: Any) -> Triple:
+    """Return the direction of a nonzero vector."""
+    direction = xp.array(vector, float)
+    return as_vector(direction / xp.linalg.norm(direction))
+
+
+def moved(place: Triple, origin: np.ndarray) -> Triple:
+    """Return a position in a frame that is shifted to ``origin``."""
+    return as_vector(xp.array(place) - origin) if origin.any() else place
+
+
+def reflected(place: Triple, axis: MirrorAxis) -> Triple:
+    """Return the mirror image of a position in the plane with this normal."""
+    x, y, z = (-value if name == axis else value for name, value in zip("xyz", place, strict=True))
+    return x, y, z
+
+
+def opposed(turn: Sequence[Number], axis: MirrorAxis) -> Triple:
+    """Return the mirror image of a rotation axis, or of roll, pitch and yaw.
+
+    A mirrored rotation keeps its sense about the mirror's normal. The sense about directions in
+    the mirror plane is reversed.
+    """
+    x, y, z = (value if name == axis else -value for name, value in zip("xyz", turn, strict=True))
+    return x, y, z

@@ -25,43 +25,48 @@ from evo_cpg.creature.creature import (
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import NoShape, Shape
 from evo_cpg.io.errors import Key, KeyProblem, nearest
-from evo_cpg.io.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
-from evo_cpg.io.schema.frames import moved, opposed, reflected, unit
+from evo_cpg.io.schema.copies import (
+    SIDES,
+    Copy,
+    Entry,
+    MirrorAxis,
+    copies,
+    copies_named,
+    moved,
+    opposed,
+    reflected,
+    unit,
+)
 from evo_cpg.io.schema.joint import JointConfig
-from evo_cpg.io.schema.names import PrintedName
 from evo_cpg.io.schema.section import (
+    Direction,
     Finite,
     Fraction,
     NotNegative,
     Positive,
+    PrintedName,
     Section,
     Vector,
     pattern,
+    section_of,
 )
 from evo_cpg.io.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
 from evo_cpg.io.schema.shape import ShapeConfig
 from evo_cpg.io.schema.tendon import TendonConfig
-from evo_cpg.io.schema.typical import Direction
 
 Color = Annotated[
     str, *pattern(r"^#[0-9a-fA-F]{6}$", "must be '#' and six hexadecimal digits, such as '#ff8800'")
 ]
 
 
-class MaterialConfig(Section):
-    """Material of bodies (Iwadate 2010, Table 1).
-
-    Attributes:
-        density: mass per volume (water: 1000), kg/m^3.
-        restitution: fraction of the normal speed that remains after an impact.
-        static_friction: coefficient of friction at rest.
-        dynamic_friction: coefficient of friction while sliding.
-    """
-
-    density: Positive
-    restitution: Fraction = 0.1
-    static_friction: NotNegative = 0.5
-    dynamic_friction: NotNegative = 0.4
+MaterialConfig = section_of(
+    Material,
+    "MaterialConfig",
+    density=Positive,
+    restitution=Fraction,
+    static_friction=NotNegative,
+    dynamic_friction=NotNegative,
+)
 
 
 class PartConfig(Section):
@@ -221,7 +226,7 @@ class CreatureConfig(Section):
     """
 
     name: PrintedName
-    materials: dict[str, MaterialConfig]
+    materials: dict[str, MaterialConfig]  # pyright: ignore[reportInvalidTypeForm]
     bodies: Annotated[list[BodyConfig], Field(min_length=1)]
     light_sensors: list[LightSensorConfig] = Field(default_factory=list)
     pressure_sensors: Literal["all"] | list[str] = "all"
@@ -414,7 +419,7 @@ class CreatureConfig(Section):
             inertial = _inertial(entry, copy, centre)
 
         def material(name: str) -> Material:
-            made = Material(**dict(self.materials[name]))
+            made = self.materials[name].build()
             return made if density is None else dataclasses.replace(made, density=density)
 
         own = NoShape() if entry.shape is None else shapes.pop(0)

@@ -3,22 +3,28 @@
 import abc
 import functools
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, Tag, model_validator
 from typing_extensions import override
 
-from evo_cpg.evolution.archive import Axis
-from evo_cpg.evolution.bits import BitGenetics
-from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.genetics import BitGenetics, RealGenetics
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
-from evo_cpg.evolution.random_search import RandomSearch
-from evo_cpg.evolution.strategy import Strategy
-from evo_cpg.installation import command_for
+from evo_cpg.evolution.strategy import Axis, RandomSearch, Strategy
 from evo_cpg.io.errors import KeyProblem, nearest
-from evo_cpg.io.schema.choice import CustomConfig, Options, by_type
-from evo_cpg.io.schema.section import Count, Finite, Fraction, NotNegative, Positive, Section
-from evo_cpg.simulation.genome import Genome
+from evo_cpg.io.schema.section import (
+    Count,
+    CustomConfig,
+    Finite,
+    Fraction,
+    NotNegative,
+    Options,
+    Positive,
+    Section,
+    by_type,
+)
+from evo_cpg.simulation.simulation import Genome
+from evo_cpg.system import command_for
 from evo_cpg.training.experiment import Learning
 
 # Number of individuals of a generation.
@@ -44,29 +50,6 @@ class IslandsConfig(Section):
     count: Annotated[int, Field(ge=2, le=1000)]
     every: Count = 10
     migrants: Count = 1
-
-    def require_room(self, population: int, elites: int = 0) -> None:
-        """Check that a population can be divided among the islands.
-
-        Raises:
-            ValueError: it cannot be divided equally, or the islands are too small.
-        """
-        if population % self.count:
-            raise ValueError(
-                f"islands.count: a population of {population} cannot be divided equally among "
-                f"{self.count} islands"
-            )
-        size = population // self.count
-        if size < 2 or elites >= size:
-            raise ValueError(
-                f"islands.count: each of {self.count} islands gets {size} of the {population} "
-                f"individuals, but needs at least {max(2, elites + 1)}"
-            )
-        if self.migrants >= size:
-            raise ValueError(
-                f"islands.migrants: must be fewer than the {size} individuals of an island, got "
-                f"{self.migrants}"
-            )
 
 
 class AxisConfig(Section):
@@ -113,20 +96,20 @@ class MapSection(Section):
     def _check_islands(self) -> "MapSection":
         """Check that the population can be divided among the islands, if there are any."""
         islands: IslandsConfig | None = getattr(self, "islands", None)
-        if islands:
-            islands.require_room(getattr(self, "population", 0), getattr(self, "elites", 0))
-        return self
-
-    def require_axes(self) -> None:
-        """Check that the map has axes.
-
-        Raises:
-            ValueError: the map has no axes.
-        """
-        if not self.axes:
-            raise ValueError(
-                "axes: at least one is needed, such as {name: speed, range: [0, 1], cells: 10}"
-            )
+        if not islands:
+            return self
+        population, count = getattr(self, "population", 0), islands.count
+        size, rest = divmod(population, count)
+        least = max(2, getattr(self, "elites", 0) + 1)
+        if rest:
+            problem = f"count: {population} cannot be divided equally among {count} islands"
+        elif size < least:
+            problem = f"count: each of {count} islands gets {size} individuals, but needs {least}"
+        elif islands.migrants >= size:
+            problem = f"migrants: must be fewer than the {size} of an island"
+        else:
+            return self
+        raise ValueError(f"islands.{problem}")
 
     @abc.abstractmethod
     def build(self, genome: Genome, population: int) -> Strategy:
@@ -214,8 +197,7 @@ class RealEvolutionConfig(MapSection):
             given = "got" if "elites" in self.model_fields_set else "but the default is"
             raise ValueError(
                 f"elites: must be fewer than the population of {self.population}, "
-                f"{given} {self.elites}. Set evolution.elites={self.population // 10 or 1}, or a "
-                "larger population"
+                f"{given} {self.elites}"
             )
         if self.learning and not 1 <= (self.learning.elites or 1) <= self.elites:
             raise ValueError(
@@ -305,7 +287,8 @@ class MapElitesConfig(MapSection):
 
     @model_validator(mode="after")
     def _check(self) -> "MapElitesConfig":
-        self.require_axes()
+        if not self.axes:
+            raise ValueError("axes: at least one is needed, such as {name: speed, range: [0, 1]}")
         fewest, most = self.mutated_genes
         if fewest > most:
             raise ValueError(f"mutated_genes must be fewest and most, got {fewest} and {most}")
@@ -342,19 +325,23 @@ class EvosaxConfig(MapSection):
 
     def build(self, genome: Genome, population: int) -> Strategy:
         """Build the search (see `MapSection.build`)."""
-        from evo_cpg.evolution import from_evosax
+        from evo_cpg.evolution.evosax import Evosax, algorithms
 
         try:
-            known = from_evosax.algorithms()
+            known = algorithms()
         except ImportError as error:
-            raise _missing("evosax", error) from None
+            problem = f"'evosax' is not installed here ({error})"
+            command = command_for("evosax")
+            raise KeyProblem(("type",), f"{problem}. Install it with `{command}`") from None
         if self.algorithm not in known:
             problem = f"evosax has no {self.algorithm!r}: {nearest(self.algorithm, known)}"
             raise KeyProblem(("algorithm",), problem)
         try:
             return self.into(
-                from_evosax.Evosax,
-                **_of_genome(genome, self.gene_bound),
+                Evosax,
+                gene_count=genome.count,
+                binary=genome.binary,
+                gene_bound=genome.bound(self.gene_bound),
                 population=population,
                 params=tuple(sorted(self.params.items())),
                 options=tuple(sorted(self.options.items())),
@@ -405,15 +392,6 @@ class CustomEvolutionConfig(CustomConfig, MapSection):
         return self.instance(Strategy, **about)
 
 
-def _of_genome(genome: Genome, bound: float) -> dict[str, Any]:
-    """Return the properties of the genome that real-valued strategies require."""
-    return {
-        "gene_count": genome.count,
-        "binary": genome.binary,
-        "gene_bound": genome.bound(bound),
-    }
-
-
 def _require_enough(genome: Genome, mutated: tuple[int, int]) -> None:
     """Check that the genome has as many genes as a mutation may change.
 
@@ -423,12 +401,6 @@ def _require_enough(genome: Genome, mutated: tuple[int, int]) -> None:
     if mutated[1] > genome.count:
         problem = f"at most {genome.count}, the bits in a genome of this creature, can change"
         raise KeyProblem(("mutated_genes",), f"{problem}, got {mutated[1]}")
-
-
-def _missing(extra: str, error: ImportError) -> KeyProblem:
-    """Return the error for an extra whose package cannot be imported."""
-    problem = f"'{extra}' is not installed here ({error}). Install it with `{command_for(extra)}`"
-    return KeyProblem(("type",), problem)
 
 
 EvolutionConfig = Annotated[

@@ -4,19 +4,25 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
-from typing_extensions import override
 
 from evo_cpg.creature.algebra.numerics import Number, xp
-from evo_cpg.io.schema.choice import by_type
-from evo_cpg.io.schema.section import Finite, Fraction, NotNegative, Positive, Section, Vector
-from evo_cpg.io.schema.typical import Direction
+from evo_cpg.io.schema.section import (
+    Direction,
+    Finite,
+    Fraction,
+    NotNegative,
+    Positive,
+    Section,
+    Vector,
+    by_type,
+)
 from evo_cpg.physics.contact.contact_model import Combination, Ground
 from evo_cpg.physics.contact.terrain import (
     Axis,
     Block,
     Boulder,
+    GroundPart,
     Obstacle,
-    Part,
     Plane,
     Relief,
     Shore,
@@ -29,16 +35,7 @@ MOST_HEIGHTS = 256
 Place = tuple[Finite, Finite]
 
 
-class FloorSection(Section):
-    """A kind of floor."""
-
-    @property
-    def lowest(self) -> float | None:
-        """Height of its lowest point, m, or None if unknown or unbounded."""
-        return None
-
-
-class PlaneConfig(FloorSection):
+class PlaneConfig(Section):
     """Flat ground.
 
     Attributes:
@@ -53,12 +50,7 @@ class PlaneConfig(FloorSection):
     downhill_deg: Annotated[Finite, Direction()] = 0.0
     height: Finite = 0.0
 
-    @property
-    @override
-    def lowest(self) -> float | None:
-        return None if self.slope_deg else self.height
-
-    def build(self) -> Part:
+    def build(self) -> GroundPart:
         """Build the floor."""
         slope, downhill = xp.deg2rad(self.slope_deg), xp.deg2rad(self.downhill_deg)
         level = xp.sin(slope)
@@ -66,7 +58,7 @@ class PlaneConfig(FloorSection):
         return Plane(normal, self.height * normal[2])
 
 
-class ShoreConfig(FloorSection):
+class ShoreConfig(Section):
     """Level ground, a slope, and level ground at another height: land that runs into water.
 
     Attributes:
@@ -85,14 +77,9 @@ class ShoreConfig(FloorSection):
     start_height: Finite = 0.0
     stop_height: Finite
 
-    def build(self) -> Part:
+    def build(self) -> GroundPart:
         """Build the floor."""
         return self.into(Shore)
-
-    @property
-    @override
-    def lowest(self) -> float:
-        return min(self.start_height, self.stop_height)
 
     @model_validator(mode="after")
     def _check(self) -> "ShoreConfig":
@@ -101,7 +88,7 @@ class ShoreConfig(FloorSection):
         return self
 
 
-class HillsConfig(FloorSection):
+class HillsConfig(Section):
     """Rolling ground, smooth and random.
 
     Attributes:
@@ -122,7 +109,7 @@ class HillsConfig(FloorSection):
     spacing: Positive = 0.2
     clearing: NotNegative = 1.0
 
-    def build(self) -> Part:
+    def build(self) -> GroundPart:
         """Build the floor: smoothed noise, 0 at the origin and nearly 0 around it."""
         count = round(self.size / self.spacing) + 1
         place = (np.arange(count) - (count - 1) / 2) * self.spacing
@@ -148,7 +135,7 @@ class HillsConfig(FloorSection):
         return self
 
 
-class ReliefConfig(FloorSection):
+class ReliefConfig(Section):
     """Heights of your own on a regular grid.
 
     Attributes:
@@ -163,14 +150,9 @@ class ReliefConfig(FloorSection):
     spacing: Positive = 0.1
     corner: Place | None = None
 
-    def build(self) -> Part:
+    def build(self) -> GroundPart:
         """Build the floor."""
         return _relief(np.array(self.heights), self.spacing, self.corner)
-
-    @property
-    @override
-    def lowest(self) -> float:
-        return min(map(min, self.heights))
 
     @field_validator("heights")
     @classmethod

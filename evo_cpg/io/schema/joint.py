@@ -3,16 +3,23 @@
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from evo_cpg.creature.algebra.numerics import Number, Triple, as_vector, xp
+from evo_cpg.creature.algebra.numerics import Triple, as_vector, xp
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
-from evo_cpg.creature.creature import NO_LIMIT, Actuator, AxisKind, Joint, Muscle, TorqueMotor
-from evo_cpg.io.schema.choice import by_type
-from evo_cpg.io.schema.copies import MirrorAxis
-from evo_cpg.io.schema.frames import moved, opposed, reflected, unit
-from evo_cpg.io.schema.section import Finite, NotNegative, Positive, Section, Vector
-from evo_cpg.io.schema.typical import Direction
+from evo_cpg.creature.axis_kinds import AxisKind, BallComponent, Slide, Turn
+from evo_cpg.creature.creature import NO_LIMIT, Actuator, Joint, Muscle, TorqueMotor
+from evo_cpg.io.schema.copies import MirrorAxis, moved, opposed, reflected, unit
+from evo_cpg.io.schema.section import (
+    Direction,
+    Finite,
+    NotNegative,
+    Positive,
+    Section,
+    Vector,
+    by_type,
+    section_of,
+)
 
 # Largest number of axes of a joint, with which a body moves freely.
 _MOST_AXES = 6
@@ -32,100 +39,51 @@ _AXES = {
 }
 
 
-class ActuatorConfig(Section):
-    """A motor on each axis.
-
-    Attributes:
-        type: servo.
-        gain: torque per velocity error, N m s/rad; 0 for a spring alone.
-        torque_limit: largest torque, N m, unlimited if left out.
-        stiffness: torque per angle error, N m/rad; 0 for a pure velocity servo.
-    """
-
-    type: Literal["servo"] = "servo"
-    gain: NotNegative
-    torque_limit: Positive | None = None
-    stiffness: NotNegative = 0.0
-
-    def build(self) -> Actuator:
-        """Build the motor."""
-        limit = float("inf") if self.torque_limit is None else self.torque_limit
-        return Actuator(self.gain, limit, self.stiffness)
+def _require_some(gear: float) -> float:
+    if gear == 0:
+        raise ValueError("must not be 0")
+    return gear
 
 
-class TorqueMotorConfig(Section):
-    """A motor on each axis whose torque the controller commands.
+ActuatorConfig = section_of(
+    Actuator,
+    "ActuatorConfig",
+    "servo",
+    default=True,
+    gain=NotNegative,
+    torque_limit=Positive | None,
+    stiffness=NotNegative,
+)
+TorqueMotorConfig = section_of(
+    TorqueMotor,
+    "TorqueMotorConfig",
+    "torque",
+    gear=Annotated[Finite, AfterValidator(_require_some)],
+    torque_limit=Positive | None,
+)
+MuscleConfig = section_of(
+    Muscle,
+    "MuscleConfig",
+    "muscle",
+    hill=bool,
+    damping_time=NotNegative,
+    **dict.fromkeys(
+        ("area", "arm", "fibre_length", "stress", "bend_deg", "tone", "max_speed", "curvature"),
+        Positive,
+    ),
+)
 
-    Attributes:
-        type: torque.
-        gear: torque per unit of a controller's output, N m; negative to reverse it. The controller
-            ``brain_cpg`` commands ``gear (ML - MR)``, with ML and MR of muscles. Controllers that
-            command torques ignore it.
-        torque_limit: largest torque, N m, unlimited if left out.
-    """
-
-    type: Literal["torque"]
-    gear: Finite = 1.0
-    torque_limit: Positive | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> "TorqueMotorConfig":
-        if self.gear == 0:
-            raise ValueError("gear: must not be 0")
-        return self
-
-    def build(self) -> TorqueMotor:
-        """Build the motor."""
-        limit = float("inf") if self.torque_limit is None else self.torque_limit
-        return TorqueMotor(self.gear, limit)
-
-
-class MuscleConfig(Section):
-    """Two antagonistic muscles about each axis, after Ekeberg and Hill.
-
-    Attributes:
-        type: muscle.
-        area: cross-section of the muscle on each side, m^2.
-        arm: lever arm of the muscles about the axis, m.
-        fibre_length: length of the fibres at the neutral angle, m.
-        stress: specific tension, Pa; 140e3 to 300e3 in fish, frogs and salamanders.
-        bend_deg: angle that one fully active side holds without load and without Hill's law,
-            degrees. It sets the stiffness.
-        tone: stiffness of relaxed muscles over the stiffness that one active side adds.
-        damping_time: damping over stiffness with one side fully active, s.
-        max_speed: largest speed of shortening, fibre lengths per second.
-        curvature: k of Hill's curve of force over speed; 0.15 to 0.35 in animals.
-        hill: whether force depends on length and speed; false for Ekeberg's muscles.
-    """
-
-    type: Literal["muscle"]
-    area: Positive
-    arm: Positive
-    fibre_length: Positive
-    stress: Positive = 200e3
-    bend_deg: Positive = 45.0
-    tone: Positive = 1.0
-    damping_time: NotNegative = 0.02
-    max_speed: Positive = 5.0
-    curvature: Positive = 0.25
-    hill: bool = True
-
-    def build(self) -> Muscle:
-        """Build the muscles."""
-        return self.into(Muscle, bend=xp.deg2rad(self.bend_deg))
-
-
+# Pyright cannot follow classes that are created at import.
 _MotorConfig = Annotated[
-    Annotated[ActuatorConfig, Tag("servo")]
-    | Annotated[TorqueMotorConfig, Tag("torque")]
-    | Annotated[MuscleConfig, Tag("muscle")],
+    Annotated[ActuatorConfig, Tag("servo")]  # pyright: ignore[reportInvalidTypeForm]
+    | Annotated[TorqueMotorConfig, Tag("torque")]  # pyright: ignore[reportInvalidTypeForm]
+    | Annotated[MuscleConfig, Tag("muscle")],  # pyright: ignore[reportInvalidTypeForm]
     by_type("servo"),
 ]
 
 
-def _as_tuple(given: Any) -> Any:
-    """Return a list of values of each axis as a tuple, and a value of all axes as it is."""
-    return tuple(given) if isinstance(given, list) else given
+# Numbers of a joint that are one for all axes, or a list with one for each.
+_NUMBERS = ("stiffness", "rest_deg", "damping", "armature", "friction_loss")
 
 
 class TurnConfig(Section):
@@ -138,6 +96,11 @@ class TurnConfig(Section):
 
     turn: AxisName | Vector
     at: Vector | None = None
+
+    @property
+    def axis(self) -> "JointAxis":
+        """The axis."""
+        return JointAxis(Turn(), _direction(self.turn), self.at)
 
 
 class SlideConfig(Section):
@@ -159,31 +122,36 @@ class SlideConfig(Section):
             raise ValueError(f"limits_m: {self.limits_m[0]:g} is not below {self.limits_m[1]:g}")
         return self
 
+    @property
+    def axis(self) -> "JointAxis":
+        """The axis."""
+        return JointAxis(Slide(), _direction(self.slide), None, self.limits_m, self.rest_m)
 
-def _kind_of_entry(entry: Any) -> str:
-    """Return the tag of an entry of ``axes``."""
-    if isinstance(entry, dict):
-        return "slide" if "slide" in entry else "turn"
-    return {SlideConfig: "slide", TurnConfig: "turn"}.get(type(entry), "direction")
+
+def _key_of_entry(entry: Any) -> str:
+    """Return the tag of an entry of ``axes``: its first key that names a kind of axis."""
+    keys = entry if isinstance(entry, dict) else getattr(type(entry), "model_fields", ())
+    named = (key for key in ("slide", "turn") if key in keys)
+    return next(named, "turn" if isinstance(entry, dict) else "direction")
 
 
 AxisEntry = Annotated[
     Annotated[AxisName | Vector, Tag("direction")]
     | Annotated[TurnConfig, Tag("turn")]
     | Annotated[SlideConfig, Tag("slide")],
-    Discriminator(_kind_of_entry),
+    Discriminator(_key_of_entry),
 ]
 
 
-class Axis(NamedTuple):
+class JointAxis(NamedTuple):
     """One axis of a joint, however it is written.
 
     Attributes:
-        kind: rotation, displacement, or component of a ball's rotation.
+        kind: its kind.
         direction: direction in the body's frame, not normalised.
         place: position of a turning axis in the body's frame, m, or None for the joint's position.
-        limits: limits of a slide, m, or None for no limits.
-        rest: displacement of a slide at which its spring is relaxed, m.
+        limits: limits of a coordinate in m, or None for no limits.
+        rest: coordinate in m at which its spring is relaxed.
     """
 
     kind: AxisKind
@@ -193,28 +161,27 @@ class Axis(NamedTuple):
     rest: float = 0.0
 
     @classmethod
-    def of(cls, entry: Any) -> "Axis":
+    def of(cls, entry: Any) -> "JointAxis":
         """Return the axis of an entry of ``axes``."""
-        if isinstance(entry, Axis):
+        if isinstance(entry, JointAxis):
             return entry
-        if isinstance(entry, SlideConfig):
-            return cls("slide", _direction(entry.slide), None, entry.limits_m, entry.rest_m)
-        if isinstance(entry, TurnConfig):
-            return cls("turn", _direction(entry.turn), entry.at)
-        return cls("turn", _direction(entry))
+        if isinstance(entry, TurnConfig | SlideConfig):
+            return entry.axis
+        return cls(Turn(), _direction(entry))
 
-    def mirrored(self, axis: MirrorAxis) -> "Axis":
+    def mirrored(self, axis: MirrorAxis) -> "JointAxis":
         """Return the mirror image of the axis."""
-        image = reflected if self.kind == "slide" else opposed
+        image = opposed if self.kind.rotation else reflected
         place = None if self.place is None else reflected(self.place, axis)
-        return self._replace(direction=image(self.direction, axis), place=place)
+        direction = image(self.direction, axis)
+        return self._replace(kind=self.kind.mirrored(), direction=direction, place=place)
 
 
 def _direction(given: Any) -> Triple:
     return _AXES[given] if isinstance(given, str) else given
 
 
-def _are_independent(axes: list[Axis], joint: Triple) -> bool:
+def _are_independent(axes: list[JointAxis], joint: Triple) -> bool:
     """Return whether the axes move a body in independent ways.
 
     Args:
@@ -224,13 +191,11 @@ def _are_independent(axes: list[Axis], joint: Triple) -> bool:
     arms = [np.subtract(axis.place, joint) if axis.place else np.zeros(3) for axis in axes]
     # Positions in units of the farthest one, so that they count like directions.
     size = max(np.linalg.norm(arms, axis=1).max(), np.finfo(float).tiny)
-    columns = [
-        np.concatenate([np.zeros(3), axis.direction])
-        if axis.kind == "slide"
-        else np.concatenate([axis.direction, np.cross(arm / size, axis.direction)])
+    rows = [
+        axis.kind.motion_row(axis.direction, -arm / size)
         for axis, arm in zip(axes, arms, strict=True)
     ]
-    return bool(np.linalg.matrix_rank(np.array(columns), tol=1e-6) == len(axes))
+    return bool(np.linalg.matrix_rank(np.array(rows), tol=1e-6) == len(axes))
 
 
 class JointConfig(Section):
@@ -274,31 +239,25 @@ class JointConfig(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "JointConfig":
-        each = ("stiffness", "rest_deg", "damping", "armature", "friction_loss")
         axes, ball = self.every_axis, self.axes == "ball"
-        for name in (*each, "actuator"):
-            given = getattr(self, name)
+        for name in (*_NUMBERS, "actuator", "limits_deg"):
+            given, what = getattr(self, name), "pairs" if name == "limits_deg" else "values"
             if not isinstance(given, list):
                 continue
-            if ball and name in each:
+            if ball and name in _NUMBERS:
                 raise ValueError(f"{name}: a ball has one value for all directions, not a list")
             if len(given) != len(axes):
                 raise ValueError(
-                    f"{name} gives {len(given)} values for {len(axes)} axes. "
-                    "Give one value for all axes, or one for each"
+                    f"{name} gives {len(given)} {what} for {len(axes)} axes. "
+                    f"Give one {what[:-1]} for all axes, or one for each"
                 )
-        limits = self._given_limits()
-        if len(limits) != len(axes):
-            raise ValueError(
-                f"limits_deg gives {len(limits)} pairs for {len(axes)} axes. "
-                "Give one pair for all axes, or one for each"
-            )
-        for lower, upper in filter(None, limits):
+        for lower, upper in filter(None, self._each("limits_deg")):
             if not lower < upper:
                 raise ValueError(f"limits_deg: {lower:g} is not below {upper:g}")
         if ball:
             self._check_ball()
-        self._check_kinds(axes, limits)
+        for i, axis in enumerate(axes):
+            self._check_axis(i, axis)
         if axes and not _are_independent(axes, self.child_at):
             raise ValueError("axes: must be linearly independent and not zero")
         return self
@@ -319,56 +278,47 @@ class JointConfig(Section):
                 f"[{lower:g}, {upper:g}]"
             )
 
-    def _check_kinds(self, axes: list[Axis], limits: list[tuple[float, float] | None]) -> None:
+    def _check_axis(self, i: int, axis: JointAxis) -> None:
         """Check values that only some kinds of axes may have."""
-        rest = self.rest_deg if isinstance(self.rest_deg, list) else [0.0] * len(axes)
-        for i, (axis, limit, angle, motor) in enumerate(
-            zip(axes, limits, rest, self.motors, strict=True)
-        ):
-            muscular = isinstance(motor, MuscleConfig)
-            if axis.kind == "slide" and limit is not None and isinstance(self.limits_deg, list):
+        rest = self.rest_deg[i] if isinstance(self.rest_deg, list) else 0.0
+        limits = self.limits_deg[i] if isinstance(self.limits_deg, list) else None
+        if axis.kind.unit == "m" and limits is not None:
+            raise ValueError(
+                f"limits_deg: axis {i} slides. Write null for it, and its limits_m in axes"
+            )
+        if axis.kind.unit == "m" and rest != 0:
+            raise ValueError(f"rest_deg: axis {i} slides. Write 0 for it, and its rest_m in axes")
+        if isinstance(self.motors[i], MuscleConfig):
+            if axis.kind != Turn():
                 raise ValueError(
-                    f"limits_deg: axis {i} slides. Write null for it, and its limits_m in axes"
+                    f"actuator: muscles turn one axis, and axis {i} {axis.kind.motion}. Give it a "
+                    "servo or a torque motor"
                 )
-            if axis.kind == "slide" and angle != 0:
-                raise ValueError(
-                    f"rest_deg: axis {i} slides. Write 0 for it, and its rest_m in axes"
-                )
-            if muscular and axis.kind != "turn":
-                word = "slides" if axis.kind == "slide" else "is a ball's"
-                raise ValueError(
-                    f"actuator: muscles turn one axis, and axis {i} {word}. Give it a servo or a "
-                    "torque motor"
-                )
-            if muscular and np.any(self.rest_deg):
+            if np.any(self.rest_deg):
                 raise ValueError("rest_deg: must be 0 for a joint with muscles")
 
+    def _each(self, name: str) -> list[Any]:
+        """Return the value of each axis."""
+        given = getattr(self, name)
+        return given if isinstance(given, list) else [given] * len(self.every_axis)
+
     @property
-    def every_axis(self) -> list[Axis]:
+    def every_axis(self) -> list[JointAxis]:
         """The axes, with the three components of a ball."""
         if self.axes == "ball":
-            return [Axis("ball", _AXES[name]) for name in "xyz"]
-        return list(map(Axis.of, self.axes))
-
-    def _given_limits(self) -> list[tuple[float, float] | None]:
-        if isinstance(self.limits_deg, list):
-            return self.limits_deg
-        return [self.limits_deg] * len(self.every_axis)
+            return [JointAxis(BallComponent(), _AXES[name]) for name in "xyz"]
+        return list(map(JointAxis.of, self.axes))
 
     @property
     def limits(self) -> list[tuple[float, float] | None]:
         """Limits of each angle, as pairs, degrees, or None for no limits and for slides."""
-        return [
-            None if axis.kind == "slide" else pair
-            for axis, pair in zip(self.every_axis, self._given_limits(), strict=True)
-        ]
+        every = zip(self.every_axis, self._each("limits_deg"), strict=True)
+        return [None if axis.kind.unit == "m" else pair for axis, pair in every]
 
     @property
     def motors(self) -> list[_MotorConfig | None]:
         """Motor or muscles of each axis."""
-        if isinstance(self.actuator, list):
-            return self.actuator
-        return [self.actuator] * len(self.every_axis)
+        return self._each("actuator")
 
     def turned(self, angle_deg: float) -> "JointConfig":
         """Return the joint, turned with its limb about the parent's vertical axis."""
@@ -402,12 +352,18 @@ class JointConfig(Section):
             centre: centre of mass of the body in the frame of ``child_at``, m.
         """
         rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
-        axes = self.every_axis
-        limits = [_range_of(axis, pair) for axis, pair in zip(axes, self.limits, strict=True)]
-        each = isinstance(self.actuator, list)
+        axes, limits, rest = self.every_axis, [], []
+        for axis, pair, angle in zip(axes, self.limits, self._each("rest_deg"), strict=True):
+            if axis.kind.unit == "m":
+                limits.append(axis.limits or (-NO_LIMIT, NO_LIMIT))
+                rest.append(axis.rest)
+                continue
+            rest.append(xp.deg2rad(angle))
+            lower, upper = (-NO_LIMIT, NO_LIMIT) if pair is None else xp.deg2rad(xp.array(pair))
+            limits.append((-upper if axis.kind.at_once else lower, upper))
         motors = tuple(motor and motor.build() for motor in self.motors)
-        kinds: tuple[AxisKind, ...] = tuple(axis.kind for axis in axes)
         places = [axis.place and moved(axis.place, centre) for axis in axes]
+        numbers = {name: getattr(self, name) for name in _NUMBERS if name != "rest_deg"}
         return Joint(
             parent=parent,
             parent_anchor=moved(self.at, parent_centre),
@@ -416,33 +372,9 @@ class JointConfig(Section):
             lower=tuple(pair[0] for pair in limits),
             upper=tuple(pair[1] for pair in limits),
             orientation=tuple(map(as_vector, rotation)),
-            stiffness=_as_tuple(self.stiffness),
-            damping=_as_tuple(self.damping),
-            armature=_as_tuple(self.armature),
-            friction_loss=_as_tuple(self.friction_loss),
-            actuator=motors if each or not motors else motors[0],
-            rest=_as_tuple(self._rest()),
-            kinds=kinds if any(kind != "turn" for kind in kinds) else None,
+            actuator=motors if isinstance(self.actuator, list) or not motors else motors[0],
+            rest=tuple(rest),
+            kinds=tuple(axis.kind for axis in axes),
             places=tuple(places) if any(places) else None,
+            **{name: tuple(x) if isinstance(x, list) else x for name, x in numbers.items()},
         )
-
-    def _rest(self) -> Any:
-        """Return the relaxed angle or displacement, for all axes or for each, rad and m."""
-        given = self.rest_deg
-        if not any(axis.kind == "slide" for axis in self.every_axis):
-            return [xp.deg2rad(x) for x in given] if isinstance(given, list) else xp.deg2rad(given)
-        every = given if isinstance(given, list) else [given] * len(self.every_axis)
-        return [
-            axis.rest if axis.kind == "slide" else xp.deg2rad(x)
-            for axis, x in zip(self.every_axis, every, strict=True)
-        ]
-
-
-def _range_of(axis: Axis, limits_deg: tuple[float, float] | None) -> tuple[Number, Number]:
-    """Return the lower and the upper limit of an axis, rad or m."""
-    if axis.kind == "slide":
-        return axis.limits or (-NO_LIMIT, NO_LIMIT)
-    if limits_deg is None:
-        return -NO_LIMIT, NO_LIMIT
-    lower, upper = xp.deg2rad(xp.array(limits_deg))
-    return (-upper, upper) if axis.kind == "ball" else (lower, upper)

@@ -4,11 +4,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, Tag, model_validator
 
-from evo_cpg.io.schema.choice import CustomConfig, by_type
-from evo_cpg.io.schema.section import Positive, Section, Vector
-from evo_cpg.io.schema.typical import VIEW
-from evo_cpg.simulation.sensor import Sensor
-from evo_cpg.simulation.velocity_sensor import VelocitySensor
+from evo_cpg.io.schema.section import VIEW, CustomConfig, Positive, Section, Vector, by_type
+from evo_cpg.simulation.sensors import Sensor, VelocitySensor
 
 
 class LightSensorConfig(Section):

@@ -8,11 +8,10 @@ from pydantic import Field, model_validator
 from typing_extensions import override
 
 from evo_cpg.creature.cylinder import Cylinder
-from evo_cpg.creature.loft import LoftSection, Piece, loft
+from evo_cpg.creature.loft import LoftPiece, LoftSection, loft
 from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
-from evo_cpg.io.schema.copies import MirrorAxis
-from evo_cpg.io.schema.frames import reflected
+from evo_cpg.io.schema.copies import MirrorAxis, reflected
 from evo_cpg.io.schema.section import NotNegative, Positive, Section, Vector
 
 Size = tuple[Positive, Positive, Positive]
@@ -40,7 +39,7 @@ class SolidConfig(Section):
         return np.zeros(3)
 
     @property
-    def further_pieces(self) -> tuple[Piece, ...]:
+    def further_pieces(self) -> tuple[LoftPiece, ...]:
         """Convex pieces beside the first one, which `build` returns. Only a loft has any."""
         return ()
 
@@ -201,7 +200,7 @@ class LoftConfig(SolidConfig):
 
     @property
     @override
-    def further_pieces(self) -> tuple[Piece, ...]:
+    def further_pieces(self) -> tuple[LoftPiece, ...]:
         return self._made()[1:]
 
     @override
@@ -220,7 +219,7 @@ class LoftConfig(SolidConfig):
         """The sections as `loft` takes them."""
         return tuple(LoftSection(each.at, each.width, each.height) for each in self.sections)
 
-    def _made(self) -> tuple[Piece, ...]:
+    def _made(self) -> tuple[LoftPiece, ...]:
         return loft(self.drawn, self.corners)
 
 

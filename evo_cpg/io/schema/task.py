@@ -1,6 +1,6 @@
 """Sections of the task that determines fitness."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, Tag, field_validator, model_validator
@@ -8,19 +8,21 @@ from pydantic import Field, Tag, field_validator, model_validator
 from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.algebra.numerics import Number, Triple, xp
 from evo_cpg.creature.creature import Creature, length_of
-from evo_cpg.io.schema.choice import CustomConfig, by_type
+from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.schema.section import (
+    CustomConfig,
+    Direction,
     Finite,
     NotNegative,
     OpenSection,
     Positive,
     Section,
     Vector,
+    by_type,
 )
-from evo_cpg.io.schema.typical import Direction
-from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.task import Task
-from evo_cpg.simulation.walk import Distance, Heading, Walk
+from evo_cpg.simulation.tasks import Distance, Heading, ReachLight, Walk
 
 
 class LightConfig(OpenSection):
@@ -135,15 +137,14 @@ class ReachLightConfig(_TaskSection):
         """Light that is the goal."""
         return self.light
 
-    def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
+    def build(self, light: Triple | None, control_rate: float, **_: Any) -> Task:
         """Build the task.
 
         Args:
-            creature: creature to evaluate.
             light: position of the light, m.
             control_rate: control steps per second, 1/s.
+            _: the creature, and the world without the task.
         """
-        del creature
         assert light is not None
         final_steps = chosen(lambda: max(1, round(self.final_seconds * control_rate)))
         return self.into(ReachLight, light=light, final_steps=final_steps)
@@ -160,9 +161,8 @@ class DistanceConfig(_TaskSection):
     type: Literal["distance"] = "distance"
     heading: Heading = "any"
 
-    def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
+    def build(self, **_: Any) -> Task:
         """Build the task (see `ReachLightConfig.build`)."""
-        del creature, light, control_rate
         return self.into(Distance)
 
 
@@ -193,32 +193,33 @@ class WalkConfig(_TaskSection):
 
     needs_ground: ClassVar[bool] = True
 
-    def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
-        """Build the task (see `ReachLightConfig.build`)."""
-        del light, control_rate
+    def build(self, creature: Creature, world: World, **_: Any) -> Task:
+        """Build the task (see `ReachLightConfig.build`).
+
+        Raises:
+            KeyProblem: the energy has a cost, but there is no gravity.
+        """
+
+        def priced(weight: Number) -> Number | None:
+            """Return a weight, or None for 0, so that a term without a price is not computed."""
+            return weight if chosen(lambda: bool(weight > 0), lambda x: (weight > 0) == x) else None
+
+        torso = creature.bodies[creature.root_index]
+        parts = [body.shape for body in creature.bodies if body.whole == torso.name]
+        if torso.shape.exists:
+            length = 2 * torso.shape.half_extents[0]
+        elif parts:
+            length = 2 * xp.max(xp.array([part.half_extents for part in parts]))
+        else:
+            length = length_of(creature)
+        slip_weight, cost_weight = priced(self.slip_weight), priced(self.cost_weight)
+        if cost_weight is not None and not chosen(lambda: world.gravity > 0):
+            raise KeyProblem(
+                ("cost_weight",), "the cost is undefined without gravity (world.gravity)"
+            )
         return self.into(
-            Walk,
-            torso_length=_torso_length(creature),
-            slip_weight=_priced(self.slip_weight),
-            cost_weight=_priced(self.cost_weight),
+            Walk, torso_length=length, slip_weight=slip_weight, cost_weight=cost_weight
         )
-
-
-def _torso_length(creature: Creature) -> Number:
-    """Return the length of the root along x, m. Without a shape, its longest part counts."""
-    torso = creature.bodies[creature.root_index]
-    if torso.shape.exists:
-        return 2 * torso.shape.half_extents[0]
-    parts = [body.shape for body in creature.bodies if body.whole == torso.name]
-    if not parts:
-        return length_of(creature)
-    return 2 * xp.max(xp.array([part.half_extents for part in parts]))
-
-
-def _priced(weight: Number) -> Number | None:
-    """Return a weight, or None for 0, so that a term without a price is not computed."""
-    priced = chosen(lambda: bool(weight > 0), lambda made: (weight > 0) == made)
-    return weight if priced else None
 
 
 TaskConfig = Annotated[

@@ -6,16 +6,16 @@ from typing import Annotated
 from pydantic import Field, Tag, model_validator
 
 from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.creature.creature import NO_LIMIT, Tendon
-from evo_cpg.creature.tree import body_and_axis
-from evo_cpg.io.schema.choice import by_type
 from evo_cpg.io.schema.copies import Copy, copies_named, fill, placeholders
 from evo_cpg.io.schema.joint import ActuatorConfig, TorqueMotorConfig
-from evo_cpg.io.schema.names import PrintedName
-from evo_cpg.io.schema.section import Finite, NotNegative, Section
+from evo_cpg.io.schema.section import Finite, NotNegative, PrintedName, Section, by_type
 
+# Pyright cannot follow classes that are created at import.
 _MotorConfig = Annotated[
-    Annotated[ActuatorConfig, Tag("servo")] | Annotated[TorqueMotorConfig, Tag("torque")],
+    Annotated[ActuatorConfig, Tag("servo")]  # pyright: ignore[reportInvalidTypeForm]
+    | Annotated[TorqueMotorConfig, Tag("torque")],  # pyright: ignore[reportInvalidTypeForm]
     by_type("servo"),
 ]
 

@@ -1,16 +1,39 @@
 """Sections of gravity, water and ground."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from evo_cpg.io.schema.choice import CustomConfig
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.slender import LEAST_BODIES
+from evo_cpg.creature.surface import PointLayout, outer_surfaces, random_surfaces
+from evo_cpg.creature.tree import Tree
+from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.schema.ground import GroundConfig
-from evo_cpg.io.schema.section import Finite, NotNegative, Positive, Section, Vector
-from evo_cpg.io.schema.typical import GRAVITY, LIQUID, VISCOSITY
-from evo_cpg.physics.water.fluid import DragLaw
+from evo_cpg.io.schema.section import (
+    GRAVITY,
+    LIQUID,
+    VISCOSITY,
+    CustomConfig,
+    Finite,
+    NotNegative,
+    Positive,
+    Section,
+    Vector,
+)
+from evo_cpg.physics.water.added_mass import AddedMass, added_inertia
+from evo_cpg.physics.water.fluid import Drag, DragLaw, make_patches
+from evo_cpg.physics.water.force_law import ForceLaw
+from evo_cpg.physics.water.lift import make_plate_lift
+from evo_cpg.physics.water.reactive_thrust import reactive_water
+from evo_cpg.physics.water.viscous_bodies import make_viscous_drag
 from evo_cpg.physics.water.water import Current, Vortex, Water
+
+# Resolution of the dense surface points among which random points are drawn.
+_DENSE_RESOLUTION = 24
 
 # Rounding error of decimals, relative to the largest element of a gradient.
 _TRACE_TOLERANCE = 1e-6
@@ -85,6 +108,54 @@ class WaterConfig(Section):
         current = Current(self.current, self.current_gradient)
         return Water(self.density, self.surface, (current, *vortices))
 
+    def build_forces(self, creature: Creature, tree: Tree, layout: PointLayout) -> list[ForceLaw]:
+        """Build the forces of the water: drag, added mass, reactive thrust and lift.
+
+        Raises:
+            KeyProblem: there is no slender chain for reactive thrust.
+        """
+        forces: list[ForceLaw] = [self._build_drag(creature, tree, layout)]
+        inertia = np.zeros((6, 6, tree.body_count))
+        if self.added_mass:
+            inertia = added_inertia(creature, tree, self.density)
+        if self.reactive_thrust:
+            # Slender chains have the added mass of their sections.
+            every_edge = layout == "complete"
+            found = reactive_water(creature, tree, self.density, inertia, every_edge)
+            if found is None:
+                raise KeyProblem(
+                    ("reactive_thrust",),
+                    f"means nothing: no chain has {LEAST_BODIES} bodies joined end to end",
+                )
+            forces += [AddedMass(found[0]), found[1]]
+        elif self.added_mass:
+            forces.append(AddedMass(inertia))
+        # The moment of ideal fluid is that of lift ahead of the centre.
+        if self.lift and (plates := make_plate_lift(creature, tree, not self.added_mass, layout)):
+            forces.append(plates)
+        return forces
+
+    def _build_drag(self, creature: Creature, tree: Tree, layout: PointLayout) -> ForceLaw:
+        def points(resolution: int) -> dict[str, Surface]:
+            surfaces = outer_surfaces(creature, resolution, self.sheltered, layout)
+            if self.points == "random":
+                rng = np.random.default_rng(self.points_seed)
+                surfaces = random_surfaces(surfaces, self.random_points, rng)
+            return {body.name: each for body, each in zip(creature.bodies, surfaces, strict=True)}
+
+        if self.points == "random":
+            form = skin = points(_DENSE_RESOLUTION)
+        else:
+            form, skin = points(self.form_resolution), points(self.skin_resolution)
+        surfacing = self.surface is not None
+        if self.viscosity is not None:
+            return make_viscous_drag(
+                creature, tree, form, skin, self.viscosity, self.form_drag, surfacing, layout
+            )
+        assert self.law is not None and self.skin_drag is not None
+        patches = make_patches(tree, form, skin, self.law, surfacing, layout)
+        return Drag(self.form_drag, self.skin_drag, patches, self.law)
+
     @model_validator(mode="before")
     @classmethod
     def _has_defaults_of_its_drag_law(cls, data: Any) -> Any:
@@ -126,6 +197,11 @@ class WaterConfig(Section):
         return gradient
 
 
+# A law with a section of its own joins the union here, as in `evo_cpg.io.schema.sensor`. The
+# `build` of its section gets the creature and the tree.
+ForceConfig: TypeAlias = CustomConfig
+
+
 class WorldConfig(Section):
     """Gravity, water, ground, and further forces.
 
@@ -139,4 +215,4 @@ class WorldConfig(Section):
     gravity: Annotated[NotNegative, GRAVITY] = 9.81
     water: WaterConfig | None = WaterConfig()
     ground: GroundConfig | None = None
-    forces: tuple[CustomConfig, ...] = ()
+    forces: tuple[ForceConfig, ...] = ()

@@ -7,6 +7,11 @@ overlap, or if a face or an edge is nearest. Between two corners the gap is less
 If a face is nearest, the boxes touch at the lowest corner of the other box. They also touch at the
 far ends of the two edges from this corner that lie on the face. If a box overhangs, each point is
 moved to a near place that both boxes share.
+
+Boxes with parallel z axes that overlap along z are a plane problem (`separation_of_flat`), because
+all joints between them turn about one common axis. The gap of the two rectangles is the largest gap
+along the normals of their four sides. The contact points are both ends of the part of the other
+rectangle's lowest edge that lies over the side.
 """
 
 from typing import NamedTuple
@@ -14,7 +19,16 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from evo_cpg.creature.algebra.linear import cross, dot, matvec, matvec_t, t_matmul, where_each
+from evo_cpg.creature.algebra.linear import (
+    cross,
+    dot,
+    matvec,
+    matvec_t,
+    of_each,
+    t_matmul,
+    transpose,
+    where_each,
+)
 from evo_cpg.physics.contact.separation import (
     PARALLEL,
     RoundedBoxes,
@@ -46,8 +60,12 @@ def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> l
     gap, normal, of_b = _best_face(a, b)
     clearly = jnp.minimum(_CLEARLY, _CLEAR_FRACTION * smaller(a, b))
     edge, crossing = _best_edges(a, b, gap + clearly)
-    face = _on_face(a, b, normal, of_b)
-    first = where_each(edge, crossing, _at_corner(face, gap))
+    over, under = where_each(of_b, a, b), where_each(of_b, b, a)
+    outward = jnp.where(of_b[None], -normal, normal)
+    lowest = _corner(over, -outward)
+    corner = _over_both(outward, under, over, lowest)
+    face = _Face(outward, of_b, under, over, lowest, corner)
+    first = where_each(edge, crossing, _on_plane(face, corner, gap))
     combinations = (0,), (1,), (0, 1)
     least = same(a, b)
     crossed = edge & (crossing.gap > gap + least)
@@ -62,8 +80,11 @@ def _best_face(a: RoundedBoxes, b: RoundedBoxes) -> tuple[Array, Array, Array]:
     away, ours, theirs = b.centre - a.centre, a.axes, b.axes
     size, e, f = jnp.abs(t_matmul(ours, theirs)), a.half_extents, b.half_extents
     along, across = matvec_t(ours, away), matvec_t(theirs, away)
-    gap, normal = _largest(jnp.abs(along) - e - matvec(size, f), _pointing(ours, along))
-    other, its_normal = _largest(jnp.abs(across) - f - matvec_t(size, e), _pointing(theirs, across))
+    normals, its_normals = (
+        jnp.where(x < 0, -1.0, 1.0)[None] * axes for x, axes in ((along, ours), (across, theirs))
+    )
+    gap, normal = _largest(jnp.abs(along) - e - matvec(size, f), normals)
+    other, its_normal = _largest(jnp.abs(across) - f - matvec_t(size, e), its_normals)
     of_b = other > gap
     return jnp.where(of_b, other, gap), jnp.where(of_b[None], its_normal, normal), of_b
 
@@ -120,13 +141,6 @@ class _Face(NamedTuple):
     corner: Array
 
 
-def _on_face(a: RoundedBoxes, b: RoundedBoxes, normal: Array, of_b: Array) -> _Face:
-    over, under = where_each(of_b, a, b), where_each(of_b, b, a)
-    normal = jnp.where(of_b[None], -normal, normal)
-    lowest = _corner(over, -normal)
-    return _Face(normal, of_b, under, over, lowest, _over_both(normal, under, over, lowest))
-
-
 def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: Array) -> Array:
     """Return the place on a box's lowest face, near its corner, that is over the other's face.
 
@@ -146,10 +160,6 @@ def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: A
             )
             corner = corner + matvec(box.axes, moved - own)
     return corner
-
-
-def _at_corner(face: _Face, gap: Array) -> Separation:
-    return _on_plane(face, face.corner, gap)
 
 
 def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) -> Separation:
@@ -201,11 +211,6 @@ def _largest(gaps: Array, normals: Array) -> tuple[Array, Array]:
     return best, normal
 
 
-def _pointing(axes: Array, along: Array) -> Array:
-    """Return axes as columns, each with the sign of the coordinate ``along``."""
-    return jnp.where(along < 0, -1.0, 1.0)[None] * axes
-
-
 def _corner(box: RoundedBoxes, direction: Array) -> Array:
     """Return the corner that lies farthest along a direction."""
     own = matvec_t(box.axes, direction)
@@ -231,3 +236,87 @@ def _nearest_on_edges(
     s = jnp.clip((both * other - own) / sine, -2 * most, 2 * most)
     t = jnp.clip((other - both * own) / sine, -2 * farthest, 2 * farthest)
     return first + s[None] * d, second + t[None] * e
+
+
+class _Plane(NamedTuple):
+    """A rectangle, and another one in the frame of the first.
+
+    Attributes:
+        box: the first box.
+        place: centre of the other rectangle, m.
+        turn: x and y axes of the other rectangle, as columns.
+        other: half extents of the other box, m.
+        aside: centre of the other box along z, m.
+    """
+
+    box: RoundedBoxes
+    place: Array
+    turn: Array
+    other: Array
+    aside: Array
+
+
+def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
+    """Return the separations of boxes without radius at both ends of the lowest edge."""
+    away, turn = b.centre - a.centre, t_matmul(a.axes[:, :2], b.axes[:, :2])
+    place, size = matvec_t(a.axes[:, :2], away), jnp.abs(turn)
+    back, e, f = matvec_t(turn, place), a.half_extents, b.half_extents
+    ours = jnp.abs(place) - e[:2] - matvec(size, f[:2])
+    theirs = jnp.abs(back) - f[:2] - matvec_t(size, e[:2])
+    of_b = theirs.max(0) > ours.max(0)
+    gaps = jnp.where(of_b[None], theirs, ours)
+    here = where_each(
+        of_b,
+        _Plane(b, -back, transpose(turn), a.half_extents, -dot(b.axes[:, 2], away)),
+        _Plane(a, place, turn, b.half_extents, dot(a.axes[:, 2], away)),
+    )
+
+    # The frame's first axis is now the side's normal, towards the other rectangle.
+    second = gaps[1] > gaps[0]
+    gap, rise, along = _swapped(second, gaps)[0], *_swapped(second, here.place)
+    up, across = _swapped(second, here.turn)
+    sign = jnp.where(rise < 0, -1.0, 1.0)
+    height, reach = _swapped(second, here.box.half_extents[:2])
+    up = sign[None] * up
+    corner = jnp.where(up < 0, 1.0, -1.0) * here.other[:2]
+    flat = jnp.abs(up[0]) < jnp.abs(up[1])
+    lowest = along + dot(across, corner)
+    edge = -2.0 * jnp.where(flat, across[0] * corner[0], across[1] * corner[1])
+    climb = -2.0 * jnp.where(flat, up[0] * corner[0], up[1] * corner[1])
+
+    def fraction(end: Array) -> Array:
+        """Return the fraction of the edge up to which it lies over the side, towards one end."""
+        place = jnp.clip(lowest + end * edge, -reach, reach)
+        return jnp.clip((place - lowest) / edge, 0.0, 1.0)
+
+    x_axis, y_axis, z_axis = (here.box.axes[:, k] for k in range(3))
+    normal, tangent = (
+        jnp.where(second[None], *axes) for axes in ((y_axis, x_axis), (x_axis, y_axis))
+    )
+    normal = sign[None] * normal
+    # The points lie in the middle of the overlap along z.
+    half, its_half = here.box.half_extents[2], here.other[2]
+    middle = 0.5 * (
+        jnp.maximum(-half, here.aside - its_half) + jnp.minimum(half, here.aside + its_half)
+    )
+    base = here.box.centre + middle[None] * z_axis
+
+    def at(fraction: Array, gap: Array) -> Separation:
+        below = base + height[None] * normal + (lowest + fraction * edge)[None] * tangent
+        above = below + gap[None] * normal
+        return Separation(
+            gap,
+            jnp.where(of_b[None], -normal, normal),
+            jnp.where(of_b[None], above, below),
+            jnp.where(of_b[None], below, above),
+            jnp.stack([jnp.where(of_b, own, 1.0 - own) for own in (0.0, 1.0)]),
+        )
+
+    near, far = fraction(jnp.zeros_like(gap)), fraction(jnp.ones_like(gap))
+    missing = jnp.abs((far - near) * edge) < same(a, b)
+    return [at(near, gap), unless(missing, at(far, gap + (far - near) * climb))]
+
+
+def _swapped(second: Array, values: Array) -> Array:
+    """Return two values, swapped where ``second`` holds."""
+    return jnp.where(of_each(second, values), values[::-1], values)

@@ -18,7 +18,7 @@ than 0.68 of the speed. The laws here use the velocity at the end of the step.
 
 Restitution point by point (Newton's hypothesis) can add energy to a tree. If contact forces would
 do positive work, ``v_bounce`` of all points of the individual is reduced, finally to zero
-(`StepProblem.must_reduce_restitution`, `bounded`).
+(`StepProblem.must_reduce_restitution`, `Contacts.bounded`).
 
 The laws have kinks. `evo_cpg.physics.step.step_solver` finds the motion that obeys the laws, and
 linearizes them repeatedly (`ContactLinearization`). An edge or a face touches the floor with its
@@ -68,10 +68,18 @@ _OUT_OF_REACH = -1e4
 _FLOOR = 1e-20
 
 
-class Contacts(NamedTuple):
-    """Contact points and quantities that are constant throughout one step.
+def rest_velocity(gap: Array, h: float) -> Array:
+    """Return v* without restitution, m/s, for points with a gap (m)."""
+    push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
+    # Multiply by a reciprocal: a division costs a processor many times as much.
+    return jnp.where(gap > 0, (-1.0 / h) * gap, push)
 
-    Velocities are velocities of the lowest points, in the contact frame, in m/s.
+
+class Contacts(NamedTuple):
+    """Contact points, their laws, and quantities that are constant throughout one step.
+
+    Velocities are velocities of the lowest points, in the contact frame, in m/s. Forces are forces
+    on these points, in the contact frame, in N.
 
     Attributes:
         offset: vector from the body's origin to the lowest point, world axes, m.
@@ -82,12 +90,75 @@ class Contacts(NamedTuple):
         frame: rows are two tangents and the normal of the ground at every contact point.
     """
 
+    model: ContactModel
+    h: float
     offset: Float[Array, "3 p *n"]
     unconstrained_velocity: Float[Array, "3 p *n"]
     target_velocity: Float[Array, "p *n"]
     rest_velocity: Float[Array, "p *n"]
     bounce: Float[Array, "p *n"]
     frame: Float[Array, "3 3 p *n"]
+
+    def bounded(self, fraction: Float[Array, "*n"]) -> "Contacts":
+        """Return the contacts with a fraction (0 to 1) of the restitution for each individual."""
+        bounce = jnp.expand_dims(fraction, 0) * self.bounce
+        rest = self.rest_velocity
+        target = jnp.where(bounce > 0, jnp.maximum(rest, bounce), rest)
+        return self._replace(target_velocity=target)
+
+    def cone_radius(self, velocity: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:
+        """Return the radius of the friction cone of every point, ``mu(|v_t|) f_n``, N."""
+        model = self.model
+        stiffness = expand_dims_like(model.stiffness / self.h, velocity[2])
+        normal_force = stiffness * jnp.maximum(self.target_velocity - velocity[2], 0.0)
+        more = model.static_friction - model.dynamic_friction
+        dynamic, more = (expand_dims_like(x, normal_force) for x in (model.dynamic_friction, more))
+        ratio = _square(velocity) * (1.0 / model.ground.stribeck_speed**2)
+        return (dynamic + more * (1.0 / (1.0 + ratio))) * normal_force
+
+    def linearized(
+        self, radius: Float[Array, "p *n"], velocity: Float[Array, "3 p *n"]
+    ) -> "ContactLinearization":
+        """Return the laws linearized at a velocity, with the radii of the friction cones (N)."""
+        stiffness = expand_dims_like(self.model.stiffness / self.h, radius)
+        square, short = _square(velocity), self.target_velocity - velocity[2]
+        inverse = 1.0 / jnp.sqrt(square)
+        sticks = stiffness * square * inverse <= radius
+        secant = jnp.where(sticks, stiffness, radius * inverse)
+        normal_force = stiffness * jnp.maximum(short, 0.0)
+        force = jnp.stack([-secant * velocity[0], -secant * velocity[1], normal_force])
+        # Sliding friction keeps its magnitude and turns with the velocity.
+        along = jnp.where(sticks, 0.0, secant * inverse * inverse)
+        x, y, _ = velocity
+        tangential = jnp.stack([secant - along * x * x, -along * x * y, secant - along * y * y])
+        return ContactLinearization(
+            velocity, force, tangential, jnp.where(short > 0, stiffness, 0.0)
+        )
+
+    def friction_change(
+        self,
+        radius: Float[Array, "p *n"],
+        other: Float[Array, "p *n"],
+        velocity: Float[Array, "3 p *n"],
+    ) -> Float[Array, "p *n"]:
+        """Return the change of tangential forces (N) at a velocity between two friction cones."""
+        stiffness = expand_dims_like(self.model.stiffness / self.h, radius)
+        sticking = stiffness * jnp.sqrt(_square(velocity))
+        return jnp.minimum(sticking, other) - jnp.minimum(sticking, radius)
+
+    def wrench(self, force: Float[Array, "3 p *n"], like: Wrench) -> Wrench:
+        """Return the wrenches of contact forces on all bodies, world axes, shaped as ``like``."""
+        force = matvec_t(self.frame, force)
+        bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), force.ndim - 2)
+        on_bodies = Wrench(cross(self.offset, force), force)
+        return bodies.plus(self.model.bodies, on_bodies).stacked()
+
+    def change_of_velocity(self, accelerations: Motion) -> Float[Array, "3 p *n"]:
+        """Return the velocity changes of the points by accelerations of all bodies."""
+        bodies = np.array(self.model.bodies)
+        angular = take(accelerations.angular, bodies)
+        change = take(accelerations.linear, bodies) + cross(angular, self.offset)
+        return self.h * matvec(self.frame, change)
 
 
 class ContactLinearization(NamedTuple):
@@ -105,22 +176,29 @@ class ContactLinearization(NamedTuple):
     tangential: Float[Array, "3 p *n"]
     normal: Float[Array, "p *n"]
 
+    def at(self, velocity: Float[Array, "3 p *n"]) -> Float[Array, "3 p *n"]:
+        """Return the linearized contact forces at a velocity, contact frame, N."""
+        x, y, z = velocity - self.velocity
+        xx, xy, yy = self.tangential
+        return self.force - jnp.stack([xx * x + xy * y, xy * x + yy * y, self.normal * z])
 
-def rest_velocity(gap: Array, h: float) -> Array:
-    """Return v* without restitution, m/s, for points with a gap (m)."""
-    push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
-    # Multiply by a reciprocal: a division costs a processor many times as much.
-    return jnp.where(gap > 0, (-1.0 / h) * gap, push)
+    def inertia(self, contacts: Contacts, like: Inertia) -> Inertia:
+        """Return ``h sum J^T K J`` of every body, which the contacts add to its inertia."""
+        turn = transpose(contacts.frame)
+        xx, xy, yy = self.tangential
+        none = jnp.zeros_like(xx)
+        rows = [[xx, xy, none], [xy, yy, none], [none, none, self.normal]]
+        K = jnp.stack([jnp.stack(row) for row in rows])
+        translation = symmetric(contacts.h * matmul(turn, matmul_t(K, turn)))
+        shift = skew(contacts.offset)
+        mixed = matmul(shift, translation)
+        blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, translation)
+        bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), translation.ndim - 3)
+        return bodies.plus(contacts.model.bodies, blocks).stacked()
 
 
 def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Contacts:
-    """Return the contact points of every part and their target normal velocities.
-
-    Args:
-        contact_model: contact points of the creature.
-        kin: kinematics of the creature at the start of the step.
-        h: step, s.
-    """
+    """Return the contact points of every part and their target normal velocities."""
     bodies = np.array(contact_model.bodies)
     ground = contact_model.ground
     offset, material, gap, normal, curvature, ahead = contact_points(contact_model, kin, h)
@@ -146,25 +224,7 @@ def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Con
     near = place < jnp.maximum(ground.margin, left * approach)
     bounce = jnp.where(near & (gap <= h * approach), bounce, 0.0)
     rest = jnp.where(near, rest, _OUT_OF_REACH)
-    return Contacts(offset, unconstrained, rest, rest, bounce, frame)
-
-
-def bounded(contacts: Contacts, fraction: Float[Array, "*n"]) -> Contacts:
-    """Return the contacts with a fraction (0 to 1) of the restitution for each individual."""
-    bounce = jnp.expand_dims(fraction, 0) * contacts.bounce
-    rest = contacts.rest_velocity
-    target = jnp.where(bounce > 0, jnp.maximum(rest, bounce), rest)
-    return contacts._replace(target_velocity=target)
-
-
-def lifting_power(contacts: Contacts, force: Float[Array, "3 p *n"]) -> Float[Array, "*n"]:
-    """Return the power of contact forces that lift sunken points out of the ground, W.
-
-    Args:
-        contacts: contacts of the step.
-        force: force on every point, contact frame, N.
-    """
-    return jnp.maximum(contacts.rest_velocity * force[2], 0.0).sum(0)
+    return Contacts(contact_model, h, offset, unconstrained, rest, rest, bounce, frame)
 
 
 def resting_stiffness(contact_model: ContactModel, h: float) -> Float[Numbers, " p"]:
@@ -173,134 +233,6 @@ def resting_stiffness(contact_model: ContactModel, h: float) -> Float[Numbers, "
     The value holds up to the depth ``5/2 h`` m (h in s), beyond which the exit speed is constant.
     """
     return contact_model.stiffness * BAUMGARTE_FRACTION / h**2
-
-
-def cone_radius(
-    contact_model: ContactModel, contacts: Contacts, velocity: Float[Array, "3 p *n"], h: float
-) -> Float[Array, "p *n"]:
-    """Return the radius of the friction cone of every point, ``mu(|v_t|) f_n``, N."""
-    stiffness = expand_dims_like(contact_model.stiffness / h, velocity[2])
-    normal_force = stiffness * jnp.maximum(contacts.target_velocity - velocity[2], 0.0)
-    dynamic, more = (
-        expand_dims_like(mu, normal_force)
-        for mu in (
-            contact_model.dynamic_friction,
-            contact_model.static_friction - contact_model.dynamic_friction,
-        )
-    )
-    ratio = _square(velocity) * (1.0 / contact_model.ground.stribeck_speed**2)
-    return (dynamic + more * (1.0 / (1.0 + ratio))) * normal_force
-
-
-def linearize_contacts(
-    contact_model: ContactModel,
-    contacts: Contacts,
-    radius: Float[Array, "p *n"],
-    velocity: Float[Array, "3 p *n"],
-    h: float,
-) -> ContactLinearization:
-    """Return the contact laws linearized at a velocity.
-
-    Args:
-        contact_model: contact points of the creature.
-        contacts: contacts of the step.
-        radius: radii of the friction cones, N.
-        velocity: velocity of every point, contact frame, m/s.
-        h: step, s.
-    """
-    stiffness = expand_dims_like(contact_model.stiffness / h, radius)
-    square, short = _square(velocity), contacts.target_velocity - velocity[2]
-    inverse = 1.0 / jnp.sqrt(square)
-    sticks = stiffness * square * inverse <= radius
-    secant = jnp.where(sticks, stiffness, radius * inverse)
-    normal_force = stiffness * jnp.maximum(short, 0.0)
-    force = jnp.stack([-secant * velocity[0], -secant * velocity[1], normal_force])
-    # Sliding friction keeps its magnitude and turns with the velocity.
-    along = jnp.where(sticks, 0.0, secant * inverse * inverse)
-    x, y, _ = velocity
-    tangential = jnp.stack([secant - along * x * x, -along * x * y, secant - along * y * y])
-    return ContactLinearization(velocity, force, tangential, jnp.where(short > 0, stiffness, 0.0))
-
-
-def friction_change(
-    contact_model: ContactModel,
-    radius: Float[Array, "p *n"],
-    other: Float[Array, "p *n"],
-    velocity: Float[Array, "3 p *n"],
-    h: float,
-) -> Float[Array, "p *n"]:
-    """Return the change of tangential forces (N) at a velocity between two friction cones."""
-    sticking = expand_dims_like(contact_model.stiffness / h, radius) * jnp.sqrt(_square(velocity))
-    return jnp.minimum(sticking, other) - jnp.minimum(sticking, radius)
-
-
-def linearized_force(
-    linear: ContactLinearization, velocity: Float[Array, "3 p *n"]
-) -> Float[Array, "3 p *n"]:
-    """Return the linearized contact forces at a velocity, contact frame, N."""
-    x, y, z = velocity - linear.velocity
-    xx, xy, yy = linear.tangential
-    return linear.force - jnp.stack([xx * x + xy * y, xy * x + yy * y, linear.normal * z])
-
-
-def contact_inertia(
-    contact_model: ContactModel,
-    contacts: Contacts,
-    linear: ContactLinearization,
-    like: Inertia,
-    h: float,
-) -> Inertia:
-    """Return ``h sum J^T K J`` of every body: the inertias that linearized contacts add.
-
-    Args:
-        contact_model: contact points of the creature.
-        contacts: contacts of the step.
-        linear: linearized contact laws.
-        like: inertias of the bodies, for shapes and type.
-        h: step, s.
-    """
-    turn = transpose(contacts.frame)
-    xx, xy, yy = linear.tangential
-    none = jnp.zeros_like(xx)
-    K = jnp.stack(
-        [
-            jnp.stack([xx, xy, none]),
-            jnp.stack([xy, yy, none]),
-            jnp.stack([none, none, linear.normal]),
-        ]
-    )
-    translation = symmetric(h * matmul(turn, matmul_t(K, turn)))
-    shift = skew(contacts.offset)
-    mixed = matmul(shift, translation)
-    blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, translation)
-    bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), translation.ndim - 3)
-    return bodies.plus(contact_model.bodies, blocks).stacked()
-
-
-def contact_wrench(
-    contact_model: ContactModel, contacts: Contacts, force: Float[Array, "3 p *n"], like: Wrench
-) -> Wrench:
-    """Return the wrenches of contact forces (N, contact frame) on all bodies, world axes.
-
-    Args:
-        contact_model: contact points of the creature.
-        contacts: contacts of the step.
-        force: force on every point, contact frame, N.
-        like: wrenches of the bodies, for shapes and type.
-    """
-    force = matvec_t(contacts.frame, force)
-    bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), force.ndim - 2)
-    return bodies.plus(contact_model.bodies, Wrench(cross(contacts.offset, force), force)).stacked()
-
-
-def change_of_velocity(
-    contact_model: ContactModel, contacts: Contacts, accelerations: Motion, h: float
-) -> Float[Array, "3 p *n"]:
-    """Return the velocity changes of contact points by accelerations, contact frame, m/s."""
-    bodies = np.array(contact_model.bodies)
-    angular = take(accelerations.angular, bodies)
-    change = take(accelerations.linear, bodies) + cross(angular, contacts.offset)
-    return h * matvec(contacts.frame, change)
 
 
 def _frame(normal: Float[Array, "3 p *n"]) -> Float[Array, "3 3 p *n"]:

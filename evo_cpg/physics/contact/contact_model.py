@@ -15,7 +15,7 @@ from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import ObstaclePart
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.contact.terrain import Block, Boulder, Obstacle, Part, Plane
+from evo_cpg.physics.contact.terrain import Block, Boulder, GroundPart, Obstacle, Plane
 
 # Rules that combine the values of two materials. The factors 0.6 x 0.9 and 0.3 x 0.9 of Fukui 2003
 # suggest products for restitution. PhysX averages by default. Havok is believed to use the
@@ -44,13 +44,6 @@ class Ground(eqx.Module):
     """Material and shape of the ground.
 
     Attributes:
-        restitution: restitution of the ground's material.
-        static_friction: static friction of the ground's material.
-        dynamic_friction: dynamic friction of the ground's material.
-        restitution_rule: rule that combines the restitution of body and ground.
-        friction_rule: rule that combines the friction of body and ground.
-        floor: shape of the ground.
-        obstacles: obstacles on the ground.
         margin: distance from which points are checked for an impact within the next step, m. The
             margin does not hold bodies off the ground. Fast points are checked from farther away.
         stribeck_speed: sliding speed at which friction is halfway between static and dynamic, m/s.
@@ -61,7 +54,7 @@ class Ground(eqx.Module):
     dynamic_friction: Number = 0.8
     restitution_rule: Combination = eqx.field(static=True, default="multiply")
     friction_rule: Combination = eqx.field(static=True, default="geometric")
-    floor: Part = Plane()
+    floor: GroundPart = Plane()
     obstacles: tuple[Obstacle, ...] = ()
     margin: Number = 0.05
     stribeck_speed: Number = 0.01
@@ -104,9 +97,7 @@ class Solids(NamedTuple):
     points.
 
     Attributes:
-        boxes: boxes with sharp edges.
         lines: centre lines of capsules.
-        balls: spheres.
         ellipsoids: ellipsoids of bodies and within meshes.
         points: for each kind, the number of points that one part may touch with at the same time.
     """
@@ -136,13 +127,10 @@ class ContactModel(NamedTuple):
     `Solids`.
 
     Attributes:
-        ground: ground under the creature.
         bodies: index in the tree of each contact point's body.
         boxes: half edges, m, one column for the four contact points of each box.
         meshes: corners of each mesh, m. Shorter lists repeat the last corner.
         cylinders: half length and radius of each cylinder along x, m.
-        radii: radii of the balls, m.
-        semi_axes: semi-axes of the ellipsoids, m.
         solids: parts that may touch obstacles, or None without obstacles.
         centre: centre of each box, mesh and cylinder (once), ball and ellipsoid, body's working
             frame, m.
@@ -192,13 +180,7 @@ class ContactPoints(NamedTuple):
 
 def make_contact_model(creature: Creature, tree: Tree, ground: Ground) -> ContactModel:
     """Return the contact points of a creature on a ground."""
-    found: dict[str, list] = {
-        "box": [],
-        "mesh": [],
-        "cylinder": [],
-        "ball": [],
-        "ellipsoid": [],
-    }
+    found: dict[str, list] = {"box": [], "mesh": [], "cylinder": [], "ball": [], "ellipsoid": []}
     every = creature.bodies_of(tree.names)
     for i, body in enumerate(every):
         for part in body.shape.floor_parts():

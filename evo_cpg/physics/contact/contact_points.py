@@ -11,14 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec, matvec_t
-from evo_cpg.creature.algebra.mixed_array import MixedArray
-from evo_cpg.creature.algebra.numerics import Numbers, xp
+from evo_cpg.creature.algebra.linear import (
+    as_matrix_of,
+    cross,
+    dot,
+    expand_dims_like,
+    matvec,
+    matvec_t,
+)
+from evo_cpg.creature.algebra.numerics import MixedArray, Numbers, xp
 from evo_cpg.physics.contact.contact_model import CORNERS, ContactModel, ContactPoints
 from evo_cpg.physics.contact.obstacles import meeting_time, obstacle_points, tangent_point
 from evo_cpg.physics.contact.separation import RoundedBoxes
 from evo_cpg.physics.contact.sweep import Moving, fast_from, moved, time_of_crossing
-from evo_cpg.physics.contact.terrain import Part, Plane, nearest
+from evo_cpg.physics.contact.terrain import GroundPart, Plane, nearest
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.per_body import take
 
@@ -217,7 +223,7 @@ def clearance(contact_model: ContactModel, kin: Kinematics) -> Float[Array, "p *
     return contact_points(contact_model, kin).gap
 
 
-def _surface(parts: tuple[Part, ...], point: Float[Array, "3 p *n"]) -> tuple[Array, Array]:
+def _surface(parts: tuple[GroundPart, ...], point: Float[Array, "3 p *n"]) -> tuple[Array, Array]:
     """Return the distance of points from the nearest part, and the part's normal."""
     gap, normal = nearest(parts, point)
     return gap, jnp.broadcast_to(normal, point.shape)
@@ -304,7 +310,7 @@ def _lowest_of_meshes(meshes: np.ndarray, up: Float[Array, "3 m *n"]) -> Float[A
     is farthest from the first. The third and fourth are farthest from their line on either side. If
     no other corner lies low enough, the first corner is repeated.
     """
-    corners = expand_dims_like(meshes, up, up.ndim + 1)
+    corners = as_matrix_of(meshes, up)
     rise = (corners * up[:, None]).sum(0)
     rise = (rise - rise.min(0, keepdims=True)) / _TILT
     table = jnp.asarray(np.swapaxes(meshes, 0, 2), up.dtype)

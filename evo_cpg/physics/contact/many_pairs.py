@@ -1,8 +1,8 @@
 """Contacts between many pairs of bodies of one creature, in loops over the pairs.
 
-`evo_cpg.physics.contact.pairs` has the contact law. The code of `evo_cpg.physics.contact.few_pairs`
-grows with the number of pairs. This code has the same size for any number, and skips pairs that
-cannot act:
+`evo_cpg.physics.contact.pairs` has the contact law, and `evo_cpg.physics.contact.pair_contacts` the
+members of both classes. The code there grows with the number of pairs. This code has the same size
+for any number, and skips pairs that cannot act:
 
 1. A pair whose bounding balls are too far apart is skipped.
 2. A point whose gap is too large is left out of the step. The threshold is the distance that any
@@ -21,7 +21,6 @@ w and the velocity v_0 of its point at the origin. Points p_1 and p_2 with the n
 and the entry of J for a joint axis a through o is ``+-(a . (p x n) - n . (a x o))``.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -42,6 +41,7 @@ from evo_cpg.physics.contact.pairs import (
     PointMotion,
     acceleration_field,
     parting_acceleration,
+    picking,
     placed_boxes,
 )
 from evo_cpg.physics.tree import joints, root
@@ -101,7 +101,6 @@ class _Run(NamedTuple):
         second: second body of each pair.
         stiffness: c h of each point, kg.
         paths: joint axes between the bodies.
-        points: nearest points in this step.
         near: 1 for each group of `_TOGETHER` points with one that counts, ``(groups, *n)``.
     """
 
@@ -113,11 +112,6 @@ class _Run(NamedTuple):
     points: _Points
     near: Array
 
-    @property
-    def count(self) -> int:
-        """Number of points."""
-        return self.kind.count * KINDS[self.kind.kind][1]
-
 
 class ManyPairContacts:
     """Nearest points of many pairs (see `evo_cpg.physics.contact.pair_contacts.PairContacts`).
@@ -128,9 +122,9 @@ class ManyPairContacts:
         kin: kinematics at the start of the step.
         qd: joint rates at the start of the step, rad/s.
         h: step, s.
-        found: runs with points that were found before in this step, or None to find them.
-        rates_change: joint accelerations that lead to the rates of the velocity-product bias, or
-            None for the rates at the start.
+        runs: runs with points that were found before in this step, or None to find them.
+        bias: joint accelerations that lead to the rates of the velocity-product bias, or None for
+            the rates at the start.
     """
 
     def __init__(
@@ -140,32 +134,30 @@ class ManyPairContacts:
         kin: Kinematics,
         qd: Float[Array, "d *n"],
         h: float,
-        found: tuple[_Run, ...] | None = None,
-        rates_change: Float[Array, "d *n"] | None = None,
+        runs: tuple[_Run, ...] | None = None,
+        bias: Float[Array, "d *n"] | None = None,
     ):
-        self.tree, self.pairs, self.qd, self.h = tree, pairs, qd, h
-        self.kin = kin
+        self.tree, self.pairs, self.kin, self.qd, self.h = tree, pairs, kin, qd, h
         self.places = kin.origin - kin.origin[:, :1]
-        self.bias = jnp.zeros_like(qd) if rates_change is None else rates_change
-        if found is None:
-            found = _find(self)
-            found = _with_drift(found, self.drifts_of(found, self.bias))
-        self.runs = found
+        self.bias = jnp.zeros_like(qd) if bias is None else bias
+        if runs is None:
+            runs = _find(self)
+            runs = _with_drift(runs, self.drifts_of(runs, self.bias))
+        self.runs = runs
 
     def with_bias(self, bias: Float[Array, "d *n"]) -> "ManyPairContacts":
         """Return the contacts with the velocity-product bias at other joint rates."""
-        given = self.tree, self.pairs, self.kin, self.qd, self.h
         old, other = [run.points.drift for run in self.runs], (bias != self.bias).any(0)
         # The bias of most steps never changes.
         new = jax.lax.cond(jnp.any(other), lambda: self.drifts_of(self.runs, bias), lambda: old)
         drift = [where_each(other, *both) for both in zip(new, old, strict=True)]
-        return ManyPairContacts(*given, _with_drift(self.runs, drift), bias)
+        runs = _with_drift(self.runs, drift)
+        return ManyPairContacts(self.tree, self.pairs, self.kin, self.qd, self.h, runs, bias)
 
     def bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Return `bias` for the joint rates after the step: the joint accelerations themselves.
 
-        `bias` stores the joint accelerations that lead to the rates. `accelerations` computes the
-        velocity-product accelerations from them.
+        `drifts_of` computes the velocity-product accelerations from them.
         """
         return qdd
 
@@ -174,55 +166,44 @@ class ManyPairContacts:
         return turn
 
     def at(self, qdd: Float[Array, "d *n"], sums: "_Sums | None" = None) -> "ManyPairForces":
-        """Return the forces at joint accelerations, and their derivatives.
-
-        Args:
-            qdd: joint accelerations, rad/s^2.
-            sums: `ManyPairForces.sums` at these accelerations, if they are known.
-        """
+        """Return the forces at joint accelerations (rad/s^2), with their sums if they are known."""
         return ManyPairForces(self, qdd, sums)
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
         """Return for which individuals any pair pushes at joint accelerations."""
-        twists = self.twists(qdd)
+        twists = self.twists(self.qd + self.h * qdd)
 
         def look(run: _Run, found: Array, q: Array) -> Array:
             point = _point(run, q)
-            velocity = self.velocity(run, point, q, twists)
+            velocity = _turning_apart(run, point, q, twists) + point.drift
             return found | (point.watched & (rest_velocity(point.gap, self.h) > velocity))
 
-        return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
+        return _over_points(self.runs, look, jnp.zeros(qdd.shape[1:], bool))
 
     def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
         """Return for which individuals another bias moves a touching pair by > `LARGEST_DRIFT`."""
-        twists, accelerations = self.twists(qdd), self.accelerations(bias)
+        twists, accelerations = self.twists(self.qd + self.h * qdd), self.accelerations(bias)
 
         def look(run: _Run, found: Array, q: Array) -> Array:
             point = _point(run, q)
-            velocity = self.velocity(run, point, q, twists)
+            velocity = _turning_apart(run, point, q, twists) + point.drift
             other = velocity - point.drift + self.drift(run, point, q, accelerations)
             rest = rest_velocity(point.gap, self.h)
             pushes = point.watched & ((rest > velocity) | (rest > other))
             return found | (pushes & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT))
 
-        return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
+        return _over_points(self.runs, look, jnp.zeros(qdd.shape[1:], bool))
 
     def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
         """Return ``J rates`` of all points, m/s, or 0 for points that are left out."""
-        twists = self.twists_of(rates)
-
-        def look(run: _Run, q: Array) -> Array:
-            return self.turning_apart(run, _point(run, q), q, twists)
-
-        return self.of_points(look)
+        twists = self.twists(rates)
+        return jnp.concatenate(
+            _of_points(self.runs, lambda run, q: _turning_apart(run, _point(run, q), q, twists))
+        )
 
     # Quantities of bodies, as tables.
 
-    def twists(self, qdd: Float[Array, "d *n"]) -> tuple[Array, Array]:
-        """Return the twists of all bodies at the end of the step, with the root at rest."""
-        return self.twists_of(self.qd + self.h * qdd)
-
-    def twists_of(self, rates: Float[Array, "d *n"]) -> tuple[Array, Array]:
+    def twists(self, rates: Float[Array, "d *n"]) -> tuple[Array, Array]:
         """Return the twists of all bodies at joint rates: rad/s, and m/s at the root's origin."""
         motion = self.motion(rates)
         return motion.angular, motion.linear - cross(motion.angular, self.places)
@@ -247,28 +228,16 @@ class ManyPairContacts:
 
     # Quantities of points.
 
-    def turning_apart(self, run: _Run, point: "_Point", q: Array, twists: Any) -> Array:
-        """Return the separation velocity of a point at constant twists, m/s."""
-        spin, linear = twists
-        own = [(_row(spin, body), _row(linear, body)) for body in _bodies(run, q)]
-        return _turning_apart(point, own)
-
-    def velocity(self, run: _Run, point: "_Point", q: Array, twists: Any) -> Array:
-        """Return the mean separation velocity of a point over the step, m/s."""
-        return self.turning_apart(run, point, q, twists) + point.drift
-
     def drift(self, run: _Run, point: "_Point", q: Array, accelerations: Any) -> Array:
         """Return `_Points.drift` of a point, from `accelerations`."""
         spin, linear, base, A = accelerations
-        bodies, n = _bodies(run, q), point.normal
-
-        def moving(body: Array, p: Array) -> PointMotion:
-            angular = _row(spin, body)
-            velocity = _row(linear, body) + cross(angular, p)
-            return PointMotion(angular, velocity, _row(base, body) + matvec(_row(A, body, 2), p))
-
-        points = map(moving, bodies, (point.first, point.second))
-        return 0.5 * self.h * parting_acceleration(n, point.carried, points)
+        points = []
+        for body, p in zip(_bodies(run, q), (point.first, point.second), strict=True):
+            angular = _at(spin, body, 1)
+            velocity = _at(linear, body, 1) + cross(angular, p)
+            acceleration = _at(base, body, 1) + matvec(_at(A, body, 2), p)
+            points.append(PointMotion(angular, velocity, acceleration))
+        return 0.5 * self.h * parting_acceleration(point.normal, point.carried, points)
 
     def drifts_of(self, runs: tuple[_Run, ...], bias: Float[Array, "d *n"]) -> list[Array]:
         """Return `_Points.drift` of all points of some runs, with a velocity-product bias."""
@@ -286,24 +255,9 @@ class ManyPairContacts:
         moment = jnp.where(signs[None] > 0, second, first)
         return signs * (dot(a, moment) - dot(n, moments)), dofs
 
-    # Loops.
-
-    def over_points(self, look: Callable, start: Any) -> Any:
-        """Fold a function over the points that are watched for at least one individual."""
-        return _over_points(self.runs, look, start)
-
-    def of_points(self, look: Callable) -> Float[Array, "p *n"]:
-        """Return a function's value for every point; 0 where it is not watched."""
-        return jnp.concatenate(_of_points(self.runs, look))
-
 
 class _Sums(NamedTuple):
-    """Sums over all points.
-
-    Attributes:
-        torque: joint torques of the forces, N m.
-        load: sum of all forces, N.
-    """
+    """Sums over all points: joint torques of the forces (N m), and all forces (N)."""
 
     torque: Float[Array, "d *n"]
     load: Float[Array, "*n"]
@@ -315,20 +269,24 @@ class ManyPairForces:
     Args:
         contacts: the contacts of the step.
         qdd: joint accelerations, rad/s^2.
-        sums: `sums` at these accelerations, or None to compute them.
+        sums: `sums` at these accelerations, or None to compute them when they are needed.
     """
 
     def __init__(
         self, contacts: ManyPairContacts, qdd: Float[Array, "d *n"], sums: _Sums | None = None
     ):
-        self._contacts, self._qdd = contacts, qdd
-        if sums is not None:
-            self.sums = sums
+        self._contacts, self._qdd, self._sums = contacts, qdd, sums
+        # Computed before any loop, so that the iterations only read the tables.
+        self._twists = contacts.twists(contacts.qd + contacts.h * qdd)
+        none = jnp.zeros_like(qdd[:1])
+        # The row behind the torques is for the padding of `_Paths`.
+        self._no_sums = _Sums(jnp.concatenate([jnp.zeros_like(qdd), none]), none.sum(0))
 
-    @functools.cached_property
+    @property
     def force(self) -> Float[Array, "p *n"]:
         """Force of every point, N."""
-        return self._contacts.of_points(lambda run, q: self._push(run, q)[1])
+        runs = self._contacts.runs
+        return jnp.concatenate(_of_points(runs, lambda run, q: self._push(run, q)[1]))
 
     @property
     def load(self) -> Float[Array, "*n"]:
@@ -340,6 +298,21 @@ class ManyPairForces:
         """Joint torques of the forces, ``J^T f``, N m."""
         return self.sums.torque
 
+    @property
+    def sums(self) -> _Sums:
+        """Joint torques and the sum of all forces, computed once."""
+        if self._sums is None:
+            contacts = self._contacts
+            axes = contacts.axes()
+
+            def add(run: _Run, sums: _Sums, q: Array, point: "_Point", push: Array) -> _Sums:
+                J, dofs = contacts.jacobian(run, point, q, axes)
+                return _Sums(_plus(sums.torque, dofs, J * push[None]), sums.load + push)
+
+            torque, load = self._where_pushing(add, self._no_sums)
+            self._sums = _Sums(torque[: contacts.tree.dof_count], load)
+        return self._sums
+
     def power(self, change: Float[Array, "d *n"]) -> Float[Array, "*n"]:
         """Return the forces' power for a change from `ManyPairContacts.change`, W."""
         return self._contacts.h * dot(change, self.torque)
@@ -349,18 +322,16 @@ class ManyPairForces:
 
         The loop over the points computes `sums`, too, unless they are known.
         """
-        contacts, qdd = self._contacts, self._qdd
+        contacts, qdd, known = self._contacts, self._qdd, self._sums is not None
         h, batch, count = contacts.h, qdd.shape[1:], contacts.tree.dof_count
-        none = jnp.zeros((1, *batch), qdd.dtype)
-        rates, axes = jnp.concatenate([qdd, none]), contacts.axes()
-        size = (count + 1) * (count + 2) // 2
-        start = jnp.zeros((count + 1, *batch), qdd.dtype), jnp.zeros((size, *batch), qdd.dtype)
-        known = "sums" in vars(self)
+        rates = jnp.concatenate([qdd, jnp.zeros((1, *batch), qdd.dtype)])
+        axes, size = contacts.axes(), (count + 1) * (count + 2) // 2
 
-        def add(run: _Run, found: Any, q: Array, point: Any, push: Array) -> Any:
+        def add(run: _Run, found: Any, q: Array, point: "_Point", push: Array) -> Any:
             (torque, matrix), sums = found
             J, dofs = contacts.jacobian(run, point, q, axes)
-            derivative = jnp.where(push > 0, self._stiffness(run, q, push), 0.0)
+            stiffness = expand_dims_like(_at(jnp.asarray(run.stiffness), q), push) / h
+            derivative = jnp.where(push > 0, stiffness, 0.0)
             own = jnp.take(rates, dofs, axis=0, mode="clip")
             force = push + derivative * h * (J * own).sum(0)
             rows = jnp.asarray(run.paths.rows)[q % run.kind.count]
@@ -368,55 +339,29 @@ class ManyPairForces:
             values = (h * derivative)[None] * J[i] * J[j]
             torque = _plus(torque, dofs, J * force[None])
             matrix = _plus(matrix, rows[i] + dofs[j], values)
-            return (torque, matrix), sums if known else _plus_push(sums, J, dofs, push)
+            if not known:
+                sums = _Sums(_plus(sums.torque, dofs, J * push[None]), sums.load + push)
+            return (torque, matrix), sums
 
-        start = start, None if known else self._no_sums()
-        (torque, packed), sums = self._where_pushing(add, start)
+        start = jnp.zeros((count + 1, *batch), qdd.dtype), jnp.zeros((size, *batch), qdd.dtype)
+        (torque, packed), sums = self._where_pushing(add, (start, None if known else self._no_sums))
         if sums is not None:
-            self.sums = _Sums(sums.torque[:count], sums.load)
+            self._sums = _Sums(sums.torque[:count], sums.load)
         rows, columns = np.indices((count, count))
         most, least = np.maximum(rows, columns), np.minimum(rows, columns)
         places = most * (most + 1) // 2 + least
         return torque[:count], packed[places.ravel()].reshape(count, count, *batch)
 
-    @functools.cached_property
-    def sums(self) -> _Sums:
-        """Joint torques and the sum of all forces."""
-        contacts = self._contacts
-        axes = contacts.axes()
-
-        def add(run: _Run, sums: _Sums, q: Array, point: Any, push: Array) -> _Sums:
-            return _plus_push(sums, *contacts.jacobian(run, point, q, axes), push)
-
-        torque, load = self._where_pushing(add, self._no_sums())
-        return _Sums(torque[: contacts.tree.dof_count], load)
-
-    def _no_sums(self) -> _Sums:
-        """Return the sums over no points, with a row for the padding of `_Paths`."""
-        qdd = self._qdd
-        none = jnp.zeros_like(qdd[:1]).sum(0)
-        return _Sums(jnp.zeros((len(qdd) + 1, *qdd.shape[1:]), qdd.dtype), none)
-
-    @functools.cached_property
-    def _twists(self) -> tuple[Array, Array]:
-        return self._contacts.twists(self._qdd)
-
     def _push(self, run: _Run, q: Array) -> tuple["_Point", Array]:
         """Return a point and its force, N."""
-        contacts, point = self._contacts, _point(run, q)
-        velocity = contacts.velocity(run, point, q, self._twists)
-        short = rest_velocity(point.gap, contacts.h) - velocity
-        force = self._stiffness(run, q, short) * jnp.maximum(short, 0.0)
-        return point, jnp.where(point.watched, force, 0.0)
-
-    def _stiffness(self, run: _Run, q: Array, like: Array) -> Array:
-        """Return c of a point, N s/m."""
-        return expand_dims_like(_at(jnp.asarray(run.stiffness), q), like) / self._contacts.h
+        h, point = self._contacts.h, _point(run, q)
+        velocity = _turning_apart(run, point, q, self._twists) + point.drift
+        short = rest_velocity(point.gap, h) - velocity
+        stiffness = expand_dims_like(_at(jnp.asarray(run.stiffness), q), short) / h
+        return point, jnp.where(point.watched, stiffness * jnp.maximum(short, 0.0), 0.0)
 
     def _where_pushing(self, add: Callable, start: Any) -> Any:
         """Fold sums over the points that push."""
-        # Computed before the loop, so that its iterations only read the tables.
-        _ = self._twists
 
         def look(run: _Run, sums: Any, q: Array) -> Any:
             point, push = self._push(run, q)
@@ -427,7 +372,7 @@ class ManyPairForces:
                 sums,
             )
 
-        return self._contacts.over_points(look, start)
+        return _over_points(self._contacts.runs, look, start)
 
 
 class _Point(NamedTuple):
@@ -454,7 +399,7 @@ def _over_points(runs: tuple[_Run, ...], look: Callable, start: Any) -> Any:
     for run in runs:
 
         def point(carry: Any, q: Array, run: _Run = run) -> tuple[Any, None]:
-            anyone = jnp.any((_at(run.points.watched, q) > 0) & (q < run.count))
+            anyone = jnp.any((_at(run.points.watched, q) > 0) & (q < len(run.points.gap)))
             return jax.lax.cond(
                 anyone, lambda carry: look(run, carry, q), lambda carry: carry, carry
             ), None
@@ -493,13 +438,6 @@ def _of_points(runs: tuple[_Run, ...], look: Callable) -> list[Float[Array, "k *
     return found
 
 
-def _groups(watched: Array) -> Array:
-    """Return 1 for each group of points with one that is watched (see `_Run.near`)."""
-    missing = -len(watched) % _TOGETHER
-    none = jnp.zeros((missing, *watched.shape[1:]), watched.dtype)
-    return jnp.concatenate([watched, none]).reshape(-1, _TOGETHER, *watched.shape[1:]).max(1)
-
-
 def _with_drift(runs: tuple[_Run, ...], drifts: list[Array]) -> tuple[_Run, ...]:
     """Return the runs with other values of `_Points.drift`."""
     return tuple(
@@ -508,7 +446,12 @@ def _with_drift(runs: tuple[_Run, ...], drifts: list[Array]) -> tuple[_Run, ...]
     )
 
 
-def _turning_apart(point: Any, twists: list[tuple[Array, Array]]) -> Array:
+def _turning_apart(run: _Run, point: "_Point", q: Array, twists: tuple[Array, Array]) -> Array:
+    """Return the separation velocity of a point at constant twists of all bodies, m/s."""
+    return _apart(point, [[_at(x, body, 1) for x in twists] for body in _bodies(run, q)])
+
+
+def _apart(point: Any, twists: list[list[Array]]) -> Array:
     """Return the separation velocity of points at constant twists of both bodies, m/s."""
     n, first, second = point.normal, point.first, point.second
     (spin, linear), (other_spin, other_linear) = twists
@@ -521,17 +464,8 @@ def _bodies(run: _Run, q: Array) -> tuple[Array, Array]:
     return jnp.asarray(run.first)[pair], jnp.asarray(run.second)[pair]
 
 
-def _at(x: Array, index: Array) -> Array:
-    return jax.lax.dynamic_index_in_dim(x, index, 0, keepdims=False)
-
-
-def _row(x: Array, body: Array, axis: int = 1, keepdims: bool = False) -> Array:
-    return jax.lax.dynamic_index_in_dim(x, body, axis, keepdims=keepdims)
-
-
-def _plus_push(sums: _Sums, J: Array, dofs: Array, push: Array) -> _Sums:
-    """Return the sums with the force of one more point."""
-    return _Sums(_plus(sums.torque, dofs, J * push[None]), sums.load + push)
+def _at(x: Array, index: Array, axis: int = 0, keepdims: bool = False) -> Array:
+    return jax.lax.dynamic_index_in_dim(x, index, axis, keepdims=keepdims)
 
 
 def _plus(sums: Array, places: Array, values: Array) -> Array:
@@ -550,17 +484,20 @@ def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
     passing = own.linear + cross(own.angular, offset)
     speed = jnp.sqrt(dot(passing, passing)) + jnp.sqrt(dot(own.angular, own.angular)) * size
     approach, margin = h * speed, _MARGIN * (half.min(0) + radius)
-    twists = contacts.twists_of(contacts.qd)
+    twists = contacts.twists(contacts.qd)
     found, start, points = [], 0, 0
     for run in pairs.runs:
         stop = start + run.count
         first, second = (np.array(x[start:stop], np.int32) for x in (pairs.first, pairs.second))
         count = run.count * KINDS[run.kind][1]
         stiffness = pairs.stiffness[points : points + count]
-        placed = centre, half, radius, kin.rotation, size, approach, margin
+        placed = (centre, kin.rotation, half, radius), size, approach, margin
         nearest = _nearest(run, first, second, placed, twists, h)
         paths = _paths(tree, first, second)
-        near = _groups(nearest.watched)
+        watched = nearest.watched
+        none = jnp.zeros((-len(watched) % _TOGETHER, *watched.shape[1:]), watched.dtype)
+        groups = jnp.concatenate([watched, none]).reshape(-1, _TOGETHER, *watched.shape[1:])
+        near = groups.max(1)
         found.append(_Run(run, first, second, stiffness, paths, nearest, near))
         start, points = stop, points + count
     return tuple(found)
@@ -580,12 +517,12 @@ def _nearest(
         run: the kind of the pairs.
         first: first body of each pair.
         second: second body of each pair.
-        placed: centres, half extents and radii of all bodies' boxes (m), rotations, radii of
-            bounding balls (m), distances that bodies move in this step (m), and margins (m).
-        twists: twists of all bodies at the start of the step (`ManyPairContacts.twists_of`).
+        placed: boxes of all bodies (`Alike.boxes`), radii of bounding balls (m), distances that
+            bodies move in this step (m), and margins (m).
+        twists: twists of all bodies at the start of the step (`ManyPairContacts.twists`).
         h: step, s.
     """
-    centre, half, radius, rotation, size, approach, margin = placed
+    boxes, size, approach, margin = placed
     spin, linear = twists
     find, each = KINDS[run.kind]
     like = margin[0] + approach[0]
@@ -595,26 +532,17 @@ def _nearest(
 
     def round_(points: _Points, p: Array) -> tuple[_Points, None]:
         bodies = jnp.asarray(first)[p], jnp.asarray(second)[p]
-        near = sum(_row(size + 2.0 * approach + margin, body, 0) for body in bodies)
-        away = _row(centre, bodies[1]) - _row(centre, bodies[0])
+        near = sum(_at(size + 2.0 * approach + margin, body) for body in bodies)
+        away = _at(boxes[0], bodies[1], 1) - _at(boxes[0], bodies[0], 1)
         close = dot(away, away) < near * near
 
         def look(points: _Points) -> _Points:
-            boxes = [
-                run.boxes(
-                    _row(centre, body, keepdims=True),
-                    _row(rotation, body, 2, keepdims=True),
-                    _row(half, body, keepdims=True),
-                    _row(radius, body, 0, keepdims=True),
-                    side,
-                )
-                for side, body in enumerate(bodies)
-            ]
-            found = find(*boxes)
+            own = zip((0, 1), bodies, strict=True)
+            found = find(*(run.boxes(boxes, picking(body), side) for side, body in own))
             gap = jnp.concatenate([one.gap for one in found])
-            own = [(_row(spin, b, keepdims=True), _row(linear, b, keepdims=True)) for b in bodies]
-            closing = jnp.concatenate([-_turning_apart(one, own) for one in found])
-            reach = sum(_row(approach + margin, body, 0) for body in bodies)
+            own = [[_at(x, body, 1, True) for x in (spin, linear)] for body in bodies]
+            closing = jnp.concatenate([-_apart(one, own) for one in found])
+            reach = sum(_at(approach + margin, body) for body in bodies)
             reach = jnp.expand_dims(reach, 0) + h * jnp.maximum(closing, 0.0)
             new = _Points(
                 jnp.where(close[None] & (gap < reach), jnp.ones_like(gap), 0.0),

@@ -6,12 +6,15 @@ is
 
     f_n = max(0, c (v* - v_n)),      v* = -gap / h, or slowly out of an overlap.
 
-Few pairs are unrolled (`evo_cpg.physics.contact.few_pairs`), many are looped over
+Both bodies belong to one tree, so the motion of its root does not change their separation. All
+velocities and accelerations here may therefore be those of a tree whose root is at rest.
+
+Few pairs are unrolled (`evo_cpg.physics.contact.pair_contacts`), many are looped over
 (`evo_cpg.physics.contact.many_pairs`).
 """
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -35,8 +38,7 @@ from evo_cpg.creature.self_collision import (
 )
 from evo_cpg.creature.shapes import RoundedBox
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.contact.box_separation import separation_of_boxes
-from evo_cpg.physics.contact.flat_separation import separation_of_flat
+from evo_cpg.physics.contact.box_separation import separation_of_boxes, separation_of_flat
 from evo_cpg.physics.contact.separation import (
     RoundedBoxes,
     Separation,
@@ -64,7 +66,7 @@ KINDS = {
 LARGEST_DRIFT = 2e-4
 
 # Largest number of pairs that are unrolled. `evo_cpg.physics.contact.many_pairs` loops over more
-# pairs. The animals of the studies have 45 at most, and keep their results to the last bit.
+# pairs. A trial of the quadruped with its 10 pairs takes 1.6 times as long with loops.
 _MOST_WRITTEN_OUT = 60
 
 # Largest sine of the angle between axes that count as parallel.
@@ -77,27 +79,24 @@ class Alike(NamedTuple):
     Attributes:
         kind: a key of `KINDS`.
         turned: axes of the first and the second body that count as x, y and z.
-        count: number of pairs.
     """
 
     kind: str
     turned: tuple[tuple[int, int, int], tuple[int, int, int]]
     count: int
 
-    def boxes(
-        self, centre: Array, axes: Array, half: Array, radius: Array, side: int
-    ) -> RoundedBoxes:
-        """Return the boxes of the first or the second bodies of some of the pairs.
+    def boxes(self, placed: tuple[Array, ...], pick: Callable, side: int) -> RoundedBoxes:
+        """Return the boxes of the first (side 0) or the second bodies (side 1) of some pairs.
 
         Args:
-            centre: centres of the boxes, m.
-            axes: axes of the boxes, as columns.
-            half: half extents, m.
-            radius: radii, m.
-            side: 0 for the first bodies, 1 for the second.
+            placed: centres, axes as columns, half extents and radii of all bodies' boxes, m.
+            pick: function that picks bodies from an array along an axis.
+            side: place of the bodies in their pairs.
         """
         order = np.array(self.turned[side])
-        return RoundedBoxes(centre, take(axes, order), take(half, order, 0), radius)
+        axes = zip(placed, (1, 2, 1, 0), strict=True)
+        centre, turned, half, radius = (pick(x, axis) for x, axis in axes)
+        return RoundedBoxes(centre, take(turned, order), take(half, order, 0), radius)
 
 
 class Pairs(eqx.Module):
@@ -124,7 +123,7 @@ class Pairs(eqx.Module):
     @property
     def owners(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Bodies of every point: in a run, the first points of all pairs, then the next ones."""
-        return _owners(self.first, self.second, self.runs)
+        return _of_points(self.first, self.runs), _of_points(self.second, self.runs)
 
     @property
     def looped(self) -> bool:
@@ -132,68 +131,121 @@ class Pairs(eqx.Module):
         return len(self.first) > _MOST_WRITTEN_OUT
 
 
+class _Case(NamedTuple):
+    """A pair of bodies, with its kind and axes as in `Alike`. A line comes first in its pair."""
+
+    kind: str
+    turned: tuple[tuple[int, int, int], tuple[int, int, int]]
+    pair: tuple[int, int]
+
+
+class _NeutralPose(NamedTuple):
+    """Boxes of a creature's bodies in the neutral pose. The numbers may be traced.
+
+    Attributes:
+        boxes: rounded boxes of its bodies.
+        turned: rotations ``(b, 3, 3)`` of its bodies.
+        centres: centres of the boxes, m.
+    """
+
+    tree: Tree
+    boxes: list[RoundedBox]
+    turned: Numbers
+    centres: list[Numbers]
+
+    def case(self, pair: tuple[int, int]) -> _Case:
+        """Return the kind and the axes of a pair. The numbers must be known."""
+        lines = [not self.boxes[body].half_extents[1:].any() for body in pair]
+        if lines[1]:
+            pair, lines = (pair[1], pair[0]), lines[::-1]
+        tree, both, plain = self.tree, [self.boxes[body] for body in pair], (0, 1, 2)
+        if any(box.radius > 0 for box in both):
+            if lines[0]:
+                return _Case("lines" if lines[1] else "line and box", (plain, plain), pair)
+            longest = (int(np.argmax(box.half_extents)) for box in both)
+            one, two = ((x, (x + 1) % 3, (x + 2) % 3) for x in longest)
+            return _Case("rounded", (one, two), pair)
+        chains = [set(chain_to_root(tree, body)) for body in pair]
+        dofs = [i for i, body in enumerate(tree.dof_bodies) if body in chains[0] ^ chains[1]]
+        boxes = _Case("boxes", (plain, plain), pair)
+        if any(kind.at_once or kind.translation for kind in (tree.dof_kinds[i] for i in dofs)):
+            return boxes
+        # All joints between the boxes must turn about one axis of both.
+        axes = np.array([self.turned[tree.dof_bodies[i]] @ tree.joint_axes[:, i] for i in dofs])
+        if np.linalg.norm(np.cross(axes, axes[0]), axis=1).max() > _PARALLEL:
+            return boxes
+        across = [np.linalg.norm(np.cross(self.turned[k].T, axes[:1]), axis=1) for k in pair]
+        common = [np.flatnonzero(sines < _PARALLEL).tolist() for sines in across]
+        if not all(common):
+            return boxes
+        one, two = (((z + 1) % 3, (z + 2) % 3, z) for (z,) in common)
+        return _Case("flat", (one, two), pair)
+
+    def keeps(self, case: _Case) -> Condition:
+        """Return whether a pair still has its kind and axes with the present numbers."""
+        both = [self.boxes[body] for body in case.pair]
+        if case.kind in ("flat", "boxes"):
+            return self.case(case.pair) == case
+        if case.kind == "rounded":
+            # The axis that counts as x must be the longest.
+            halves = zip(both, case.turned, strict=True)
+            return all_hold(
+                (box.half_extents[order[0]] >= box.half_extents).all() for box, order in halves
+            )
+        lines = both if case.kind == "lines" else both[:1]
+        return all_hold((box.half_extents[1:] == 0).all() for box in lines)
+
+    def passes(self, case: _Case) -> Condition:
+        """Return whether two boxes turn about a common axis, always apart along that axis."""
+        if case.kind != "flat":
+            return False
+        (first, second), (order, other_order) = case.pair, case.turned
+        aside = self.turned[first][:, order[2]] @ (self.centres[second] - self.centres[first])
+        sides = self.boxes[first].half_extents[order[2]]
+        return abs(aside) > sides + self.boxes[second].half_extents[other_order[2]]
+
+
 def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs | None:
     """Return the pairs of bodies that may touch and must not pass, or None if there are none.
 
     If the pairs are those of a whole plan (``settings.only``), pairs that may pass through each
     other in this creature have zero stiffness and no force.
+
+    The pairs and their kinds are decisions by known numbers, which a build with traced numbers
+    replays (`evo_cpg.creature.algebra.decisions`).
     """
     boxes = [body.shape.rounded_box for body in creature.bodies_of(tree.names)]
-
-    def in_order(pair: tuple[int, int]) -> tuple[int, int]:
-        """Return a pair with a line as its first body, if it has one."""
-        first, second = pair
-        return (second, first) if _is_line(boxes[second]) else pair
-
-    def choose() -> tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]:
-        found = colliding_pairs(creature, tree, settings)
-        cases = sorted((*_case(tree, turned, boxes, *pair), pair) for pair in map(in_order, found))
-        if settings.only is None:
-            cases = [case for case in cases if not _passes(case, turned, centres, boxes)]
-        first, second = zip(*(pair for *_, pair in cases), strict=True) if cases else ((), ())
-        groups = itertools.groupby(cases, lambda case: case[:2])
-        return first, second, tuple(Alike(*case, len(list(same))) for case, same in groups)
-
-    def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
-        """Return whether each pair still has its recorded kind with the present numbers."""
-        if settings.only is None and is_traced(tree, boxes):
-            raise Undecidable("traced numbers cannot decide which limbs can touch")
-        kinds = [run for run in made[2] for _ in range(run.count)]
-        treated = zip(kinds, *made[:2], strict=True)
-        return all_hold(_still(tree, turned, boxes, *each) for each in treated)
-
-    def why() -> tuple[LeftOut, list]:
-        """Return the reasons why the other pairs are left out."""
-        left = left_out(creature, tree, settings)
-        cases = [(*_case(tree, turned, boxes, *in_order(pair)), pair) for pair in left.others]
-        return left, [case for case in cases if _passes(case, turned, centres, boxes)]
-
-    def stay_left_out(reasons: tuple[LeftOut, list]) -> Condition:
-        left, beside = reasons
-        passing = [pair for pair in left.others if pair not in [pair for *_, pair in beside]]
-        holds = [_passes(case, turned, centres, boxes) for case in beside]
-        if passing:
-            holds.append(passing_at_rest(creature, tree, settings, passing).all())
-        return all_hold([still_apart(creature, tree, left), *holds])
-
     order = np.array([creature.body_index(name) for name in tree.names])
     places, turned = (each[order] for each in neutral_pose(creature))
-    centres = [
-        place + turn @ box.centre for place, turn, box in zip(places, turned, boxes, strict=True)
-    ]
-    first, second, runs = chosen(choose, still)
-    if settings.only is not None:
-        chosen(why, stay_left_out)
-    if not first:
+    placed = zip(places, turned, boxes, strict=True)
+    pose = _NeutralPose(tree, boxes, turned, [at + turn @ box.centre for at, turn, box in placed])
+    whole_plan = settings.only is not None
+
+    def choose() -> tuple[_Case, ...]:
+        cases = sorted(map(pose.case, colliding_pairs(creature, tree, settings)))
+        return tuple(case for case in cases if whole_plan or not pose.passes(case))
+
+    def still(cases: tuple[_Case, ...]) -> Condition:
+        if not whole_plan and is_traced(tree, boxes):
+            raise Undecidable("traced numbers cannot decide which limbs can touch")
+        return all_hold(map(pose.keeps, cases))
+
+    cases = chosen(choose, still)
+    if whole_plan:
+        _leave_out_the_others(creature, settings, pose)
+    if not cases:
         return None
-    one, two = (tree.rigid_mass[np.array(bodies)] for bodies in _owners(first, second, runs))
+    groups = itertools.groupby(cases, lambda case: case[:2])
+    runs = tuple(Alike(*case, len(list(same))) for case, same in groups)
+    pairs = [case.pair for case in cases]
+    first, second = zip(*pairs, strict=True)
+    one, two = (tree.rigid_mass[np.array(_of_points(x, runs))] for x in (first, second))
     # A fixed root without mass counts like the limb that touches it.
     one, two = xp.where(one > 0, one, two), xp.where(two > 0, two, one)
     stiffness = _STIFFNESS * xp.sqrt(one * two)
-    if settings.only is not None:
-        pairs = list(zip(first, second, strict=True))
+    if whole_plan:
         passing = passing_at_rest(creature, tree, settings, pairs)
-        of_pair, _ = _owners(tuple(range(len(pairs))), second, runs)
+        of_pair = _of_points(tuple(range(len(pairs))), runs)
         stiffness = xp.where(passing[np.array(of_pair)], 0.0, stiffness)
     return Pairs(
         first,
@@ -206,100 +258,32 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
     )
 
 
-def _owners(
-    first: tuple[int, ...], second: tuple[int, ...], runs: tuple[Alike, ...]
-) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the bodies of every point, in the order of `Pairs.owners`."""
+def _leave_out_the_others(creature: Creature, settings: SelfCollision, pose: _NeutralPose) -> None:
+    """Decide why the other pairs of a whole plan are left out, so that a replay checks it."""
+    tree = pose.tree
 
-    def repeated(bodies: tuple[int, ...]) -> tuple[int, ...]:
-        found, start = (), 0
-        for run in runs:
-            found += bodies[start : start + run.count] * KINDS[run.kind][1]
-            start += run.count
-        return found
+    def why() -> tuple[LeftOut, list[_Case]]:
+        left = left_out(creature, tree, settings)
+        return left, [case for case in map(pose.case, left.others) if pose.passes(case)]
 
-    return repeated(first), repeated(second)
+    def still(reasons: tuple[LeftOut, list[_Case]]) -> Condition:
+        left, beside = reasons
+        passing = [pair for pair in left.others if pair not in [case.pair for case in beside]]
+        holds = [pose.passes(case) for case in beside]
+        if passing:
+            holds.append(passing_at_rest(creature, tree, settings, passing).all())
+        return all_hold([still_apart(creature, tree, left), *holds])
 
-
-def _is_line(box: RoundedBox) -> bool:
-    """Return whether a box extends along x alone, or not at all."""
-    return not box.half_extents[1:].any()
-
-
-def _case(
-    tree: Tree, turned: np.ndarray, boxes: list[RoundedBox], first: int, second: int
-) -> tuple[str, tuple[tuple[int, int, int], tuple[int, int, int]]]:
-    """Return the kind of a pair, and its `Alike.turned`.
-
-    Args:
-        tree: the creature, of known numbers.
-        turned: rotations ``(b, 3, 3)`` of its bodies in the neutral pose.
-        boxes: rounded boxes of its bodies.
-        first: first body.
-        second: second body.
-    """
-    plain = (0, 1, 2)
-    both = boxes[first], boxes[second]
-    if any(box.radius > 0 for box in both):
-        if _is_line(both[0]):
-            return ("lines" if _is_line(both[1]) else "line and box"), (plain, plain)
-        longest = (int(np.argmax(box.half_extents)) for box in both)
-        one, two = ((x, (x + 1) % 3, (x + 2) % 3) for x in longest)
-        return "rounded", (one, two)
-    chains = [set(chain_to_root(tree, body)) for body in (first, second)]
-    dofs = [i for i, body in enumerate(tree.dof_bodies) if body in chains[0] ^ chains[1]]
-    if any(tree.dof_kinds[i] != "turn" for i in dofs):
-        return "boxes", (plain, plain)
-    axes = np.array([turned[tree.dof_bodies[i]] @ tree.joint_axes[:, i] for i in dofs])
-    common = [
-        np.flatnonzero(np.linalg.norm(np.cross(turned[body].T, axes[:1]), axis=1) < _PARALLEL)
-        for body in (first, second)
-    ]
-    if np.linalg.norm(np.cross(axes, axes[0]), axis=1).max() > _PARALLEL or not all(
-        map(len, common)
-    ):
-        return "boxes", (plain, plain)
-    one, two = (((z + 1) % 3, (z + 2) % 3, z) for (z,) in map(np.ndarray.tolist, common))
-    return "flat", (one, two)
+    chosen(why, still)
 
 
-def _still(
-    tree: Tree, turned: Numbers, boxes: list[RoundedBox], run: Alike, first: int, second: int
-) -> Condition:
-    """Return whether a pair still fits the kind and the axes of a run (see `_case`)."""
-    both = boxes[first], boxes[second]
-    if run.kind in ("flat", "boxes"):
-        return _case(tree, turned, boxes, first, second) == run[:2]
-    if run.kind == "rounded":
-        # The axis that counts as x must be the longest.
-        halves = zip(both, run.turned, strict=True)
-        return all_hold(
-            (box.half_extents[order[0]] >= box.half_extents).all() for box, order in halves
-        )
-    lines = both if run.kind == "lines" else both[:1]
-    return all_hold((box.half_extents[1:] == 0).all() for box in lines)
-
-
-def _passes(
-    case: tuple[str, tuple[tuple[int, int, int], ...], tuple[int, int]],
-    turned: Numbers,
-    centres: list[Numbers],
-    boxes: list[RoundedBox],
-) -> Condition:
-    """Return whether two boxes turn about a common axis, always apart along that axis.
-
-    Args:
-        case: kind and axes of the pair, and the pair.
-        turned: rotations ``(b, 3, 3)`` of the bodies in the neutral pose.
-        centres: centres of the boxes in the neutral pose, m.
-        boxes: rounded boxes of the bodies.
-    """
-    kind, (order, other_order), (first, second) = case
-    if kind != "flat":
-        return False
-    aside = turned[first][:, order[2]] @ (centres[second] - centres[first])
-    sides = boxes[first].half_extents[order[2]] + boxes[second].half_extents[other_order[2]]
-    return abs(aside) > sides
+def _of_points(each: tuple[int, ...], runs: tuple[Alike, ...]) -> tuple[int, ...]:
+    """Return a number of every pair for its points, in the order of `Pairs.owners`."""
+    found, start = (), 0
+    for run in runs:
+        found += each[start : start + run.count] * KINDS[run.kind][1]
+        start += run.count
+    return found
 
 
 def placed_boxes(pairs: Pairs, kin: Kinematics) -> tuple[Array, Array, Array]:
@@ -338,13 +322,7 @@ class PointMotion(NamedTuple):
 
 
 def parting_acceleration(normal: Array, carried: Array, points: Iterable[PointMotion]) -> Array:
-    """Return the separation acceleration of points along their normals, m/s^2.
-
-    Args:
-        normal: unit vector from the first body to the second.
-        carried: fractions of the normal that turn with each body.
-        points: motion of the first body's point, and of the second body's point.
-    """
+    """Return the separation acceleration of points along their normals, m/s^2."""
     turning, both = jnp.zeros_like(normal), []
     for fraction, point in zip(carried, points, strict=True):
         turning = turning + fraction[None] * point.angular
@@ -359,53 +337,36 @@ def parting_acceleration(normal: Array, carried: Array, points: Iterable[PointMo
 def separations(pairs: Pairs, kin: Kinematics) -> Separation:
     """Return the separations at all points of all pairs, in the world frame."""
     centre, half, radius = placed_boxes(pairs, kin)
+    placed = centre, kin.rotation, half, radius
     found, start = [], 0
     for run in pairs.runs:
-        chosen = [
-            np.array(bodies[start : start + run.count]) for bodies in (pairs.first, pairs.second)
-        ]
+        bodies = [np.array(x[start : start + run.count]) for x in (pairs.first, pairs.second)]
         find, _ = KINDS[run.kind]
         if pairs.looped:
-            found += _one_by_one(run, chosen, (centre, kin.rotation, half, radius))
+            found += _one_by_one(run, bodies, placed)
         else:
-            sides = [
-                run.boxes(
-                    take(centre, own),
-                    take(kin.rotation, own, 2),
-                    take(half, own),
-                    take(radius, own, 0),
-                    side,
-                )
-                for side, own in enumerate(chosen)
-            ]
-            found += find(*sides)
+            picks = (lambda x, axis, own=own: take(x, own, axis) for own in bodies)
+            found += find(*(run.boxes(placed, pick, side) for side, pick in enumerate(picks)))
         start += run.count
     axis = 1 - kin.origin.ndim
     return jax.tree.map(lambda *parts: jnp.concatenate(parts, axis), *found)
 
 
+def picking(body: Array) -> Callable[[Array, int], Array]:
+    """Return a function that picks one body, whose index may be traced, and keeps its axis."""
+    return lambda x, axis: jax.lax.dynamic_index_in_dim(x, body, axis)
+
+
 def _one_by_one(
-    run: Alike, chosen: list[np.ndarray], placed: tuple[Array, Array, Array, Array]
+    run: Alike, bodies: list[np.ndarray], placed: tuple[Array, ...]
 ) -> list[Separation]:
-    """Return the separations of the pairs of a run, in a loop over the pairs.
+    """Return the separations of the pairs of a run, in a loop over the pairs."""
 
-    Args:
-        run: kind of the pairs.
-        chosen: first and second body of each pair.
-        placed: centres, axes, half extents and radii of all bodies' boxes.
-    """
+    def look(carry: None, pair: Array) -> tuple[None, list[Separation]]:
+        boxes = (run.boxes(placed, picking(pair[side]), side) for side in range(2))
+        return carry, KINDS[run.kind][0](*boxes)
 
-    def of(body: Array, side: int) -> RoundedBoxes:
-        centre, axes, half, radius = (
-            jax.lax.dynamic_index_in_dim(x, body, axis)
-            for x, axis in zip(placed, (1, 2, 1, 0), strict=True)
-        )
-        return run.boxes(centre, axes, half, radius, side)
-
-    def look(carry: None, bodies: Array) -> tuple[None, list[Separation]]:
-        return carry, KINDS[run.kind][0](of(bodies[0], 0), of(bodies[1], 1))
-
-    _, found = jax.lax.scan(look, None, jnp.asarray(np.stack(chosen, 1), jnp.int32))
+    _, found = jax.lax.scan(look, None, jnp.asarray(np.stack(bodies, 1), jnp.int32))
 
     def together(x: Array) -> Array:
         """Move the axis of pairs behind the components, in place of the one pair."""

@@ -82,6 +82,12 @@ class Separation(NamedTuple):
     carried: Float[Array, "2 p *n"]
 
 
+def within(box: RoundedBoxes, point: Array) -> Array:
+    """Return the point of a box, without its radius, that is nearest to another point."""
+    own = jnp.clip(matvec_t(box.axes, point - box.centre), -box.half_extents, box.half_extents)
+    return box.centre + matvec(box.axes, own)
+
+
 def separation_of_lines(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     """Return two separations of pairs of lines (capsules, balls).
 

@@ -23,8 +23,8 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.linear import cross, dot, matvec, matvec_t
 from evo_cpg.creature.algebra.numerics import is_traced
 from evo_cpg.native.fuse import while_each
-from evo_cpg.physics.contact.separation import RoundedBoxes
-from evo_cpg.physics.contact.terrain import Part, nearest
+from evo_cpg.physics.contact.separation import RoundedBoxes, within
+from evo_cpg.physics.contact.terrain import GroundPart, nearest
 
 # A part is fast if it moves farther in a step than this fraction of the margin, or of `_SIZES`
 # times its own size. The rest of the margin is for parts that speed up within the step.
@@ -59,7 +59,7 @@ class Moving(NamedTuple):
     angular: Float[Array, "3 p *n"]
 
 
-class Outline(NamedTuple):
+class PartShapes(NamedTuple):
     """Whether parts are ellipsoids, and the meshes around these. Other parts are rounded boxes.
 
     Attributes:
@@ -75,12 +75,7 @@ class Outline(NamedTuple):
 def fast_from(
     margin: Float[Array, ""] | float, size: Float[Array, "p *#n"]
 ) -> Float[Array, "p *#n"]:
-    """Return the displacement in a step from which a part is fast, m.
-
-    Args:
-        margin: margin of the ground, m.
-        size: distance from the middle of the part to its end, m.
-    """
+    """Return the displacement in a step from which a part is fast, m."""
     return _FAST * jnp.minimum(margin, _SIZES * size)
 
 
@@ -108,7 +103,7 @@ def moved(parts: Moving, time: Float[Array, "p *n"]) -> Moving:
 
 def times_of_contact(
     parts: Moving,
-    outline: Outline,
+    outline: PartShapes,
     obstacles: RoundedBoxes,
     margin: Float[Array, ""] | float,
     h: float,
@@ -150,22 +145,20 @@ def times_of_contact(
         time = jnp.where(goes_on, later, time)
         return None, (time, (goes_on & (time < h)).astype(time.dtype), last)
 
-    def unmet(given: tuple) -> Array:
-        _, going, _, count = given
-        return (going > 0).any((0, 1)) & (count < _ROUNDS)
-
     def closer(given: tuple) -> tuple:
         *found, count = given
         _, found = jax.lax.scan(beside, None, (obstacles, *found))
         return *found, count + 1
 
     start = none, going, none, jnp.zeros(none.shape[2:], jnp.int32)
-    time, _, gap, _ = while_each(unmet, closer, start)
+    time, _, gap, _ = while_each(
+        lambda given: (given[1] > 0).any((0, 1)) & (given[-1] < _ROUNDS), closer, start
+    )
     return time, gap + time * speed[None]
 
 
 def time_of_crossing(
-    floor: tuple[Part, ...],
+    floor: tuple[GroundPart, ...],
     points: Float[Array, "3 p *n"],
     velocity: Float[Array, "3 p *n"],
     radius: Float[Array, "p *#n"] | float,
@@ -193,10 +186,6 @@ def time_of_crossing(
     fast, end = h * speed > least, h + beyond / speed
     none = jnp.zeros_like(points[0])
 
-    def unsettled(given: tuple) -> Array:
-        count = given[-1]
-        return fast.any(0) & (count < _SAMPLES + _HALVINGS)
-
     def closer(given: tuple) -> tuple:
         low, high, deepest, count = given
         found = high > 0
@@ -209,7 +198,9 @@ def time_of_crossing(
         return jnp.where(meets, low, time), high, deepest, count + 1
 
     start = none, none, none, jnp.zeros(none.shape[1:], jnp.int32)
-    return while_each(unsettled, closer, start)[1]
+    return while_each(
+        lambda given: fast.any(0) & (given[-1] < _SAMPLES + _HALVINGS), closer, start
+    )[1]
 
 
 def _held(values: Any) -> Any:
@@ -217,7 +208,7 @@ def _held(values: Any) -> Any:
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if is_traced(x) else x, values)
 
 
-def _reach(parts: Moving, outline: Outline) -> Float[Array, "p *n"]:
+def _reach(parts: Moving, outline: PartShapes) -> Float[Array, "p *n"]:
     """Return the distance from a part's centre to its farthest point, without its radius, m."""
     half = parts.at.half_extents
     if not outline.ellipsoids:
@@ -229,7 +220,7 @@ def _reach(parts: Moving, outline: Outline) -> Float[Array, "p *n"]:
 
 
 def _apart_along(
-    parts: RoundedBoxes, outline: Outline, obstacle: RoundedBoxes
+    parts: RoundedBoxes, outline: PartShapes, obstacle: RoundedBoxes
 ) -> tuple[Float[Array, "3 p *n"], Float[Array, "p *n"]]:
     """Return a direction from an obstacle to parts, and the gap along that direction, m.
 
@@ -237,9 +228,9 @@ def _apart_along(
     obstacle's axes, and the normal at the near point of an ellipsoid.
     """
     to = obstacle.axes
-    first = _within(obstacle, parts.centre)
-    own = _within(parts, first)
-    displacement = own - _within(obstacle, own)
+    first = within(obstacle, parts.centre)
+    own = within(parts, first)
+    displacement = own - within(obstacle, own)
     away = parts.centre - obstacle.centre
     along = matvec_t(to, away)
     directions = [
@@ -264,7 +255,7 @@ def _apart_along(
     return best, gap
 
 
-def _extent(parts: RoundedBoxes, outline: Outline, normal: Array) -> Array:
+def _extent(parts: RoundedBoxes, outline: PartShapes, normal: Array) -> Array:
     """Return the extent of parts from their centres against a direction, m."""
     own = matvec_t(parts.axes, normal)
     if not outline.ellipsoids:
@@ -273,12 +264,6 @@ def _extent(parts: RoundedBoxes, outline: Outline, normal: Array) -> Array:
     if outline.corners is None:
         return reach
     return jnp.maximum(reach, -(outline.corners * own[:, None]).sum(0).min(0))
-
-
-def _within(box: RoundedBoxes, point: Array) -> Array:
-    """Return the point of a box, without its radius, that is nearest to another point."""
-    own = jnp.clip(matvec_t(box.axes, point - box.centre), -box.half_extents, box.half_extents)
-    return box.centre + matvec(box.axes, own)
 
 
 def _length(vector: Float[Array, "3 *rest"]) -> Float[Array, "*rest"]:

@@ -26,7 +26,7 @@ _FLOOR = 1e-18
 Axis = Literal["x", "y"]
 
 
-class Part(eqx.Module):
+class GroundPart(eqx.Module):
     """A solid part of the ground, at rest."""
 
     @abc.abstractmethod
@@ -36,7 +36,7 @@ class Part(eqx.Module):
         """Return the signed distance of points, m, positive outside, and the normal there."""
 
 
-class Plane(Part):
+class Plane(GroundPart):
     """Flat ground, level or sloping.
 
     Attributes:
@@ -48,13 +48,13 @@ class Plane(Part):
     height: Number = 0.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """Return the signed distance and the normal (see `Part.distance`)."""
+        """Return the signed distance and the normal (see `GroundPart.distance`)."""
         normal = array_of(self.normal)
         normal = expand_dims_like(normal / xp.linalg.norm(normal), point)
         return dot(normal, point) - self.height, normal
 
 
-class Shore(Part):
+class Shore(GroundPart):
     """Level ground, a slope, and level ground again: land that runs into water.
 
     Attributes:
@@ -72,7 +72,7 @@ class Shore(Part):
     stop_height: Number = -1.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """Return the signed distance and the normal (see `Part.distance`)."""
+        """Return the signed distance and the normal (see `GroundPart.distance`)."""
         along = point["xy".index(self.axis)]
         slope = (self.stop_height - self.start_height) / (self.stop - self.start)
         inside = jnp.clip(along, self.start, self.stop)
@@ -83,7 +83,7 @@ class Shore(Part):
         return _above(point, height, *gradient)
 
 
-class Relief(Part):
+class Relief(GroundPart):
     """Heights on a regular grid, bilinear in between, and constant beyond its edges.
 
     Attributes:
@@ -97,33 +97,24 @@ class Relief(Part):
     spacing: float = eqx.field(static=True, default=0.1)
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """Return the signed distance and the normal (see `Part.distance`)."""
-        height, along_x, along_y = self._look_up(point[0], point[1])
-        return _above(point, height, along_x, along_y)
-
-    def _look_up(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Return the height and its derivatives along x and y."""
-        heights = jnp.asarray(self.heights, x.dtype)
-        (i, u, on_x), (j, v, on_y) = (
-            self._cell(value - first, count)
-            for value, first, count in zip((x, y), self.corner, heights.shape, strict=True)
-        )
+        """Return the signed distance and the normal (see `GroundPart.distance`)."""
+        heights, cells = jnp.asarray(self.heights, point.dtype), []
+        for value, first, count in zip(point, self.corner, heights.shape, strict=False):
+            steps = (value - first) / self.spacing
+            inside = jnp.clip(steps, 0.0, count - 1.0)
+            cell = jnp.clip(jnp.floor(inside).astype(jnp.int32), 0, count - 2)
+            on_grid = (steps > 0) & (steps < count - 1)
+            cells.append((cell, inside - cell, on_grid))
+        (i, u, on_x), (j, v, on_y) = cells
         a, b = heights[i, j], heights[i + 1, j]
         c, d = heights[i, j + 1], heights[i + 1, j + 1]
         near, far = a + u * (b - a), c + u * (d - c)
-        slope_x = jnp.where(on_x, ((1 - v) * (b - a) + v * (d - c)) / self.spacing, 0.0)
-        slope_y = jnp.where(on_y, (far - near) / self.spacing, 0.0)
-        return near + v * (far - near), slope_x, slope_y
-
-    def _cell(self, offset: Array, count: int) -> tuple[Array, Array, Array]:
-        """Return the cell's index, the position in it (0 to 1), and whether it is on the grid."""
-        steps = offset / self.spacing
-        inside = jnp.clip(steps, 0.0, count - 1.0)
-        cell = jnp.clip(jnp.floor(inside).astype(jnp.int32), 0, count - 2)
-        return cell, inside - cell, (steps > 0) & (steps < count - 1)
+        along_x = jnp.where(on_x, ((1 - v) * (b - a) + v * (d - c)) / self.spacing, 0.0)
+        along_y = jnp.where(on_y, (far - near) / self.spacing, 0.0)
+        return _above(point, near + v * (far - near), along_x, along_y)
 
 
-class Boulder(Part):
+class Boulder(GroundPart):
     """A sphere, above the ground or partly buried.
 
     Attributes:
@@ -135,13 +126,13 @@ class Boulder(Part):
     radius: Number
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """Return the signed distance and the normal (see `Part.distance`)."""
+        """Return the signed distance and the normal (see `GroundPart.distance`)."""
         away = point - expand_dims_like(array_of(self.centre), point)
         length = jnp.sqrt(dot(away, away) + _FLOOR)
         return length - self.radius, away / length[None]
 
 
-class Block(Part):
+class Block(GroundPart):
     """An upright box: a wall, a step, a pillar.
 
     Attributes:
@@ -155,7 +146,7 @@ class Block(Part):
     heading: Number = 0.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """Return the signed distance and the normal (see `Part.distance`)."""
+        """Return the signed distance and the normal (see `GroundPart.distance`)."""
         away = point - expand_dims_like(array_of(self.centre), point)
         c, s = cosine_sine(self.heading)
         own = jnp.stack([c * away[0] + s * away[1], c * away[1] - s * away[0], away[2]])
@@ -179,7 +170,7 @@ Obstacle = Block | Boulder
 
 
 def nearest(
-    parts: tuple[Part, ...], point: Float[Array, "3 *rest"]
+    parts: tuple[GroundPart, ...], point: Float[Array, "3 *rest"]
 ) -> tuple[Float[Array, "*rest"], Float[Array, "3 *#rest"]]:
     """Return the signed distance of points from the nearest part, m, and that part's normal."""
     gap, normal = parts[0].distance(point)

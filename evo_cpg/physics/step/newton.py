@@ -51,22 +51,21 @@ class _Bracket(NamedTuple):
 
     Attributes:
         low: a length at which the potential falls.
-        low_slope: derivative at the lower end, halved if that end has stayed.
+        at_low: derivative at the lower end, halved if that end has stayed.
         high: a length at which the potential rises.
-        high_slope: derivative at the upper end, halved if that end has stayed.
+        at_high: derivative at the upper end, halved if that end has stayed.
         length: the latest length.
-        slope: derivative at the latest length.
+        derivative: derivative at the latest length.
         moved: end that moved last: 1 the upper, -1 the lower, 0 none.
-        evaluations: number of evaluations of the derivative.
         pair_sums: `PairForces.sums` at the latest length.
     """
 
     low: Float[Array, "*n"]
-    low_slope: Float[Array, "*n"]
+    at_low: Float[Array, "*n"]
     high: Float[Array, "*n"]
-    high_slope: Float[Array, "*n"]
+    at_high: Float[Array, "*n"]
     length: Float[Array, "*n"]
-    slope: Float[Array, "*n"]
+    derivative: Float[Array, "*n"]
     moved: Int[Array, "*n"]
     evaluations: Int[Array, "*n"]
     pair_sums: Any
@@ -80,26 +79,14 @@ def tolerances(like: Array) -> tuple[float, float]:
 def full_step(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
 ) -> Float[Array, "v *n"]:
-    """Return the accelerations under the force laws linearized at an iterate.
-
-    Args:
-        problem: problem of the step.
-        radius: radii of the friction cones, N.
-        y: the iterate.
-    """
+    """Return the accelerations under the force laws linearized at an iterate."""
     return problem.motion(problem.linearized(radius, joint_part(y), problem.velocity(y)))
 
 
 def damped_step(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
 ) -> Iterate:
-    """Return the next iterate.
-
-    Args:
-        problem: problem of the step.
-        radius: radii of the friction cones, N.
-        y: the iterate.
-    """
+    """Return the next iterate."""
     velocity = problem.velocity(y)
     linear = problem.linearized(radius, joint_part(y), velocity)
     end = problem.motion(linear)
@@ -133,7 +120,7 @@ def line_search(
     turning, pairs = joint_part(direction), problem.equations.pairs
     change = None if velocity is None else problem.change_of_velocity(direction)
     parting = None if pairs is None else pairs.change(turning)
-    linear_slope = dot(direction, problem.resistance(start))
+    linear_part = dot(direction, problem.resistance(start))
     curvature = dot(direction, matvec(problem.mass, direction))
 
     def at(length: Array) -> tuple[Array, Array | None]:
@@ -143,12 +130,12 @@ def line_search(
             return y, None
         return y, velocity + length[None, None] * change
 
-    def slope(length: Array, laws: Linearization | None = None) -> tuple[Array, Any]:
+    def derivative_at(length: Array, laws: Linearization | None = None) -> tuple[Array, Any]:
         """Return phi' at a length, W, and the sums of the pairs there."""
         y, point_velocity = at(length)
         if laws is None:
             laws = problem.linearized(radius, joint_part(y), point_velocity)
-        total = h * (linear_slope + length * curvature - dot(turning, problem.torque(y, laws)))
+        total = h * (linear_part + length * curvature - dot(turning, problem.torque(y, laws)))
         if change is not None and laws.contact is not None:
             total = total - (change * laws.contact.force).sum((0, 1))
         if parting is not None and laws.pairs is not None:
@@ -156,30 +143,40 @@ def line_search(
         return total, None if laws.pairs is None else laws.pairs.sums
 
     one = jnp.ones_like(curvature)
-    (start_slope, _), (end_slope, end_sums) = slope(0 * one, linear), slope(one)
+    start_derivative, _ = derivative_at(0 * one, linear)
+    end_derivative, end_sums = derivative_at(one)
 
     def unfinished(bracket: _Bracket) -> Bool[Array, "*n"]:
-        steep = jnp.abs(bracket.slope) > _FLAT * jnp.abs(start_slope)
+        steep = jnp.abs(bracket.derivative) > _FLAT * jnp.abs(start_derivative)
         return steep & (bracket.evaluations < _EVALUATIONS)
 
     def narrowed(bracket: _Bracket) -> _Bracket:
-        low, low_slope, high, high_slope, length, here, moved, evaluations, _ = bracket
+        low, at_low, high, at_high, length, here, moved, evaluations, _ = bracket
         rises = here > 0
         end_to_move = jnp.where(rises, 1, -1).astype(jnp.int32)
         again = moved == end_to_move
         low, high = jnp.where(rises, low, length), jnp.where(rises, length, high)
         # Illinois rule: halve the derivative at an end that stays twice.
-        low_slope = jnp.where(rises, jnp.where(again, 0.5 * low_slope, low_slope), here)
-        high_slope = jnp.where(rises, here, jnp.where(again, 0.5 * high_slope, high_slope))
-        length = low - low_slope * (high - low) / (high_slope - low_slope)
-        found, pair_sums = slope(length)
-        slopes = low, low_slope, high, high_slope, length, found
-        return _Bracket(*slopes, end_to_move, evaluations + 1, pair_sums)
+        at_low = jnp.where(rises, jnp.where(again, 0.5 * at_low, at_low), here)
+        at_high = jnp.where(rises, here, jnp.where(again, 0.5 * at_high, at_high))
+        length = low - at_low * (high - low) / (at_high - at_low)
+        found, pair_sums = derivative_at(length)
+        ends = low, at_low, high, at_high, length, found
+        return _Bracket(*ends, end_to_move, evaluations + 1, pair_sums)
 
-    none = jnp.zeros(start_slope.shape, jnp.int32)
+    none = jnp.zeros(start_derivative.shape, jnp.int32)
     # A line along which the potential falls to its end needs no search.
-    overshoots = (start_slope < -least) & (end_slope > 0)
-    slope_now = jnp.where(overshoots, end_slope, 0.0)
-    first = _Bracket(0 * one, start_slope, one, end_slope, one, slope_now, none, none, end_sums)
+    overshoots = (start_derivative < -least) & (end_derivative > 0)
+    first = _Bracket(
+        low=0 * one,
+        at_low=start_derivative,
+        high=one,
+        at_high=end_derivative,
+        length=one,
+        derivative=jnp.where(overshoots, end_derivative, 0.0),
+        moved=none,
+        evaluations=none,
+        pair_sums=end_sums,
+    )
     last = while_each(unfinished, narrowed, first)
     return Iterate(*at(last.length), last.pair_sums)

@@ -50,7 +50,7 @@ from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.spatial_algebra import Wrench
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.tree.tendon import static_force, torque_of
-from evo_cpg.physics.water.weight import weight
+from evo_cpg.physics.water.force_law import weight
 
 
 class FrictionState(NamedTuple):
@@ -121,7 +121,11 @@ def static_forces(
         moment, force = moment + cross(offset, force_on) @ owner, force + force_on @ owner
     # Moments about the world's origin add up over the bodies that a joint carries.
     about = moment + cross(kin.origin, force)
-    carried = _carried(tree)
+    # A table with 1 where a degree of freedom carries a body.
+    chains = np.eye(tree.body_count)
+    for i in range(1, tree.body_count):
+        chains[i] += chains[tree.parents[i]]
+    carried = chains[:, list(tree.dof_bodies)]
     joint = take(kin.origin, np.array(tree.dof_bodies, int))
     beyond = Wrench(about @ carried - cross(joint, force @ carried), force @ carried)
     on_joints = joints.torque_on_each(kin.axes, beyond)
@@ -130,14 +134,6 @@ def static_forces(
     if tree.hanging is not None:
         on_root = jnp.zeros_like(total), jnp.zeros_like(turning)
     return jnp.concatenate([*on_root, on_joints + joint_torque(tree, state.q)]), touch
-
-
-def _carried(tree: Tree) -> Float[np.ndarray, "b d"]:
-    """Return a table with 1 where a degree of freedom carries a body."""
-    chains = np.eye(tree.body_count)
-    for i in range(1, tree.body_count):
-        chains[i] += chains[tree.parents[i]]
-    return chains[:, list(tree.dof_bodies)]
 
 
 def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
@@ -174,7 +170,10 @@ def _ground(
     bodies = np.array(contact_model.bodies)
     offset, _, gap, normal, *_ = contact_points(contact_model, kin)
     stiffness = expand_dims_like(resting_stiffness(contact_model, h), gap)
-    point, place = _on_body(contact_model, kin, offset)
+    point, place = (
+        matvec_t(take(kin.rotation, bodies, 2), offset),
+        take(kin.origin, bodies) + offset,
+    )
     depth = jnp.maximum(-gap, 0.0)
     now = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), friction.point)
     slip = friction.slip + now - friction.place
@@ -187,11 +186,3 @@ def _ground(
     tangential = jnp.where(slides, most / size, 1.0)[None] * slip
     push = stiffness[None] * (depth[None] * normal - jnp.where(gap < 0, tangential, 0.0))
     return push, Touch(point, place, stiffness * depth, slip, limit)
-
-
-def _on_body(
-    contact_model: ContactModel, kin: Kinematics, offset: Float[Array, "3 p"]
-) -> tuple[Float[Array, "3 p"], Float[Array, "3 p"]]:
-    """Return points in their body's axes, and in the world."""
-    bodies = np.array(contact_model.bodies)
-    return matvec_t(take(kin.rotation, bodies, 2), offset), take(kin.origin, bodies) + offset

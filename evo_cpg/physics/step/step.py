@@ -29,9 +29,13 @@ from evo_cpg.physics.step.equations import (
 )
 from evo_cpg.physics.step.step_solver import coldstart, solve_step
 from evo_cpg.physics.step.world import World
-from evo_cpg.physics.tree.holding import holding_wrench
+from evo_cpg.physics.tree.articulated import Accelerations
+from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force
 from evo_cpg.physics.tree.joint_torque import Laws, MotorCommand
+from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.muscle import metabolic_power
+from evo_cpg.physics.tree.root import root_part
+from evo_cpg.physics.tree.spatial_algebra import Inertia, Wrench, inertial_wrench, plus
 from evo_cpg.physics.tree.state import State, integrate
 from evo_cpg.physics.tree.tendon import length_of, torque_of
 
@@ -134,11 +138,8 @@ def _step(
     solution = StepSolution(found.root, found.qdd, motor, tension=tension)
     new_state, effort = _finish(world.tree, h, state, command, solution)
     if world.held:
-        effort = effort._replace(
-            holding=holding_wrench(
-                world.tree, equations.kin, equations.inertia, equations.bias, found
-            )
-        )
+        kin, inertia, bias = equations.kin, equations.inertia, equations.bias
+        effort = effort._replace(holding=holding_wrench(world.tree, kin, inertia, bias, found))
     return new_state, effort
 
 
@@ -158,9 +159,31 @@ def _finish(
         pull = torque_of(tree.tendons, solution.tension, len(torque))
         rate = length_of(tree.tendons, 0.5 * (state.qd + new_state.qd))
         energy, torque = energy + h * jnp.abs(solution.tension * rate).sum(0), torque + pull
-    forces = (None, None) if solution.contact is None else solution.contact
-    ends = solution.pairs, solution.residual, solution.warmstart
-    return new_state, Effort(torque, energy, *forces, *ends, tension=solution.tension)
+    return new_state, Effort(
+        torque,
+        energy,
+        solution.contact_frame_force,
+        solution.contact_force,
+        solution.pair_force,
+        solution.residual,
+        solution.warmstart,
+        tension=solution.tension,
+    )
+
+
+def holding_wrench(
+    tree: Tree, kin: Kinematics, inertia: Inertia, bias: Wrench, found: Accelerations
+) -> Float[Array, "6 *n"]:
+    """Return the moment (N m) and force (N) that hold a root still, as in a flume, world axes.
+
+    The moment is about the root's centre. A held root has no acceleration, so inverse dynamics give
+    the wrench: ``f = sum_i X_i^T (I_i a_i + p_i)``, with the inertias I + h D and the bias wrenches
+    p of the step. X moves a wrench to the root's centre. The wrench includes the reaction to the
+    implicit drag, so the momentum of the step balances to rounding.
+    """
+    accelerations = body_accelerations(tree, kin, jnp.concatenate(found))
+    total = plus(inertial_wrench(inertia, accelerations), bias)
+    return root_part(generalized_force(tree, kin, total))
 
 
 def _can_overload(tree: Laws) -> bool:

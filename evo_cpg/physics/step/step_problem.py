@@ -31,35 +31,23 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import dot, matvec, where_each
-from evo_cpg.creature.algebra.numerics import Number, xp
+from evo_cpg.creature.algebra.numerics import xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import solve_symmetric
-from evo_cpg.physics.contact.contact import (
-    ContactLinearization,
-    bounded,
-    change_of_velocity,
-    cone_radius,
-    contact_inertia,
-    contact_wrench,
-    friction_change,
-    lifting_power,
-    linearize_contacts,
-    linearized_force,
-)
+from evo_cpg.physics.contact.contact import ContactLinearization
 from evo_cpg.physics.contact.pair_contacts import PairForces
 from evo_cpg.physics.step.equations import Equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.ball_limit import BallForce
-from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force, mass_matrix
-from evo_cpg.physics.tree.joint_torque import changes_overload, linearized_torque
-from evo_cpg.physics.tree.root import (
-    joint_part,
-    plus_joint_block,
-    plus_joint_diagonal,
-    plus_torque,
+from evo_cpg.physics.tree.generalized import (
+    body_accelerations,
+    generalized_equations,
+    generalized_force,
+    mass_matrix,
 )
-from evo_cpg.physics.tree.spatial_algebra import Wrench
+from evo_cpg.physics.tree.joint_torque import changes_overload, linearized_torque
+from evo_cpg.physics.tree.root import JOINTS, joint_part, plus_joint_diagonal, plus_torque
 from evo_cpg.physics.tree.tendon import TendonForce
 
 # Fraction of the other forces (drag, springs, velocity products) in the norm of all forces. It
@@ -101,9 +89,6 @@ class StepProblem(NamedTuple):
     """Minimisation problem of a step.
 
     Attributes:
-        world: the creature and its environment.
-        h: step, s.
-        equations: equations of motion of this step.
         mass: M, ``(v, v, *n)``, kg, kg m and kg m^2.
         force: M y_free, ``(v, *n)``: moment (N m) and force (N) at the root, torques (N m).
     """
@@ -117,29 +102,28 @@ class StepProblem(NamedTuple):
     @classmethod
     def of(cls, world: World, h: float, equations: Equations) -> "StepProblem":
         """Return the problem of a step."""
-        tree, kin, bias = world.tree, equations.kin, equations.bias
-        mass = plus_joint_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
-        force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
-        force = plus_torque(force, equations.passive)
+        mass, force = generalized_equations(
+            world.tree,
+            equations.kin,
+            equations.inertia,
+            equations.bias,
+            equations.passive,
+            equations.derivative,
+        )
         if equations.tendons is not None:
             mass, force = equations.tendons.springs().added_to(mass, force)
         return cls(world, h, equations, mass, force)
 
-    def with_restitution(self, restitution: Float[Array, "*n"]) -> "StepProblem":
-        """Return the problem with a fraction (0 to 1) of the restitution."""
+    def under(
+        self, restitution: Float[Array, "*n"], bias: Float[Array, "k *n"] | None = None
+    ) -> "StepProblem":
+        """Return the problem with a fraction (0 to 1) of the restitution, and another pair bias."""
         equations = self.equations
-        if equations.contacts is None:
-            return self
-        contacts = bounded(equations.contacts, restitution)
-        return self._replace(equations=equations._replace(contacts=contacts))
-
-    def with_pair_bias(self, bias: Float[Array, "k *n"]) -> "StepProblem":
-        """Return the problem with another velocity-product bias of its pairs."""
-        equations = self.equations
-        if equations.pairs is None:
-            return self
-        pairs = equations.pairs.with_bias(bias)
-        return self._replace(equations=equations._replace(pairs=pairs))
+        if equations.contacts is not None:
+            equations = equations._replace(contacts=equations.contacts.bounded(restitution))
+        if equations.pairs is not None and bias is not None:
+            equations = equations._replace(pairs=equations.pairs.with_bias(bias))
+        return self._replace(equations=equations)
 
     def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
         """Return the contact points' final velocities, contact frame, m/s. None without ground."""
@@ -150,10 +134,10 @@ class StepProblem(NamedTuple):
 
     def change_of_velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"]:
         """Return the change of the contact points' velocities due to accelerations, m/s."""
-        contact_model, contacts = self.world.contact_model, self.equations.contacts
-        assert contact_model is not None and contacts is not None
+        contacts = self.equations.contacts
+        assert contacts is not None
         accelerations = body_accelerations(self.world.tree, self.equations.kin, y)
-        return change_of_velocity(contact_model, contacts, accelerations, self.h)
+        return contacts.change_of_velocity(accelerations)
 
     def linearized(
         self,
@@ -162,27 +146,20 @@ class StepProblem(NamedTuple):
         velocity: Float[Array, "3 p *n"] | None,
         pair_sums: Any = None,
     ) -> Linearization:
-        """Return the laws linearized at a motion.
-
-        Args:
-            radius: radii of the friction cones, N.
-            qdd: joint accelerations, rad/s^2.
-            velocity: velocities of the contact points, m/s, or None without ground.
-            pair_sums: `PairForces.sums` at this motion, or None to compute them.
-        """
+        """Return the laws linearized at a motion."""
         tree, equations = self.world.tree, self.equations
         state, motor = equations.state, equations.motor
         torque, derivative = linearized_torque(tree, motor, state, qdd, self.h)
-        contact_model, contacts, linear = self.world.contact_model, self.equations.contacts, None
-        if contact_model is not None and contacts is not None and velocity is not None:
-            linear = linearize_contacts(contact_model, contacts, radius, velocity, self.h)
-        apart = self.equations.pairs
-        pushes = None if apart is None else apart.at(qdd, pair_sums)
-        tendons = equations.tendons
-        pulls = None if tendons is None else tendons.linearized(qdd, self.h)
-        balls = equations.balls
-        stops = None if balls is None else balls.linearized(qdd, self.h)
-        return Linearization(torque, derivative, linear, pushes, pulls, stops)
+        contacts, pairs = equations.contacts, equations.pairs
+        tendons, balls = equations.tendons, equations.balls
+        return Linearization(
+            torque,
+            derivative,
+            None if contacts is None or velocity is None else contacts.linearized(radius, velocity),
+            None if pairs is None else pairs.at(qdd, pair_sums),
+            None if tendons is None else tendons.linearized(qdd, self.h),
+            None if balls is None else balls.linearized(qdd, self.h),
+        )
 
     def motion(self, linear: Linearization) -> Float[Array, "v *n"]:
         """Return the accelerations under linearized laws.
@@ -205,19 +182,17 @@ class StepProblem(NamedTuple):
         return where_each(pushed, joined, free)
 
     def _by_elimination(self, linear: Linearization) -> Float[Array, "v *n"]:
-        tree, equations, h = self.world.tree, self.equations, self.h
-        contact_model, contacts = self.world.contact_model, equations.contacts
+        tree, h, equations = self.world.tree, self.h, self.equations
+        contacts = equations.contacts
         matrix, force, torque = self.mass, self.force, linear.torque
-        if contact_model is not None and contacts is not None and linear.contact is not None:
-            blocks = contact_inertia(contact_model, contacts, linear.contact, equations.inertia, h)
+        if contacts is not None and linear.contact is not None:
+            blocks = linear.contact.inertia(contacts, equations.inertia)
             matrix = matrix + mass_matrix(tree, equations.kin, blocks)
-            force = force + self._ground(
-                linearized_force(linear.contact, contacts.unconstrained_velocity)
-            )
+            force = force + self._ground(linear.contact.at(contacts.unconstrained_velocity))
         matrix = plus_joint_diagonal(matrix, h * linear.derivative)
         if linear.pairs is not None:
             pushes, stiffening = linear.pairs.newton()
-            torque, matrix = torque + pushes, plus_joint_block(matrix, stiffening)
+            torque, matrix = torque + pushes, matrix.at[JOINTS, JOINTS].add(stiffening)
         if linear.tendons is not None:
             matrix, force = linear.tendons.added_to(matrix, force)
         if linear.balls is not None:
@@ -226,19 +201,15 @@ class StepProblem(NamedTuple):
 
     def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
         """Return the accelerations without pairs, by the articulated-body algorithm."""
-        equations, h = self.equations, self.h
-        contact_model, contacts = self.world.contact_model, equations.contacts
+        equations, h, contacts = self.equations, self.h, self.equations.contacts
         inertia, bias = equations.inertia, equations.bias
-        if contact_model is not None and contacts is not None and linear.contact is not None:
-            blocks = contact_inertia(contact_model, contacts, linear.contact, inertia, h)
+        if contacts is not None and linear.contact is not None:
+            blocks = linear.contact.inertia(contacts, inertia)
             inertia = jax.tree.map(jnp.add, inertia, blocks)
-            force = linearized_force(linear.contact, contacts.unconstrained_velocity)
-            wrench = contact_wrench(contact_model, contacts, force, bias)
+            wrench = contacts.wrench(linear.contact.at(contacts.unconstrained_velocity), bias)
             bias = jax.tree.map(jnp.subtract, bias, wrench)
-        torque, resistance = (
-            equations.passive + linear.torque,
-            equations.derivative + h * linear.derivative,
-        )
+        torque = equations.passive + linear.torque
+        resistance = equations.derivative + h * linear.derivative
         found = solve(self.world.tree, equations.kin, inertia, bias, torque, resistance)
         return jnp.concatenate(found)
 
@@ -247,10 +218,6 @@ class StepProblem(NamedTuple):
 
         Both are norms of generalized forces. Each force is divided by the root of its inertia, the
         diagonal of M. The norm is therefore one of accelerations, weighted with masses.
-
-        Args:
-            y: accelerations.
-            linear: laws linearized at y.
         """
         law = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
         if linear.contact is not None:
@@ -269,7 +236,8 @@ class StepProblem(NamedTuple):
         limits of joints, and a thousandth of the other forces.
         """
         torque = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
-        total = self.load(linear) ** 2 / self._total_mass() + self._square(torque)
+        mass = xp.sum(self.world.tree.mass)
+        total = self.load(linear) ** 2 / mass + self._square(torque)
         return total + _OTHER_FORCES**2 * self._square(self.force)
 
     def resistance(self, y: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
@@ -298,15 +266,15 @@ class StepProblem(NamedTuple):
             velocity: velocities of the contact points in the solution, m/s.
             linear: laws linearized at the solution.
         """
-        contact_model = self.world.contact_model
-        if contact_model is None or velocity is None:
+        contacts = self.equations.contacts
+        if contacts is None or velocity is None:
             return jnp.zeros(linear.torque.shape[1:], linear.torque.dtype)
-        change = friction_change(contact_model, radius, allowed, velocity, self.h)
+        change = contacts.friction_change(radius, allowed, velocity)
         return jnp.sqrt((change * change).sum(0)) / self.load(linear)
 
     def load(self, linear: Linearization) -> Float[Array, "*n"]:
         """Return the total force of ground and pairs, or the weight if that is more, N."""
-        weight = self.world.gravity * self._total_mass()
+        weight = self.world.gravity * xp.sum(self.world.tree.mass)
         carried = jnp.zeros_like(linear.torque[:0]).sum(0)
         if linear.contact is not None:
             carried = carried + linear.contact.force[2].sum(0)
@@ -316,10 +284,10 @@ class StepProblem(NamedTuple):
 
     def cone_radius(self, velocity: Float[Array, "3 p *n"] | None) -> Float[Array, "p *n"]:
         """Return the radii of the friction cones from the normal forces at a velocity, N."""
-        contact_model, contacts = self.world.contact_model, self.equations.contacts
-        if contact_model is None or contacts is None or velocity is None:
+        contacts = self.equations.contacts
+        if contacts is None or velocity is None:
             return self.force[:0]
-        return cone_radius(contact_model, contacts, velocity, self.h)
+        return contacts.cone_radius(velocity)
 
     def must_reduce_restitution(
         self, y: Float[Array, "v *n"], linear: Linearization
@@ -335,54 +303,31 @@ class StepProblem(NamedTuple):
             return jnp.zeros(linear.torque.shape[1:], bool)
         force = linear.contact.force
         mean = state.rates + 0.5 * self.h * y
-        power = dot(mean, self._ground(force)) - lifting_power(contacts, force)
+        lifting = jnp.maximum(contacts.rest_velocity * force[2], 0.0).sum(0)
+        power = dot(mean, self._ground(force)) - lifting
         whirls = (self.h * jnp.abs(state.qd + self.h * joint_part(y)) > _LARGEST_TURN).any(0)
         return ((power > 0) | whirls) & (contacts.bounce > 0).any(0)
 
-    def touches(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
-        """Return for which individuals a motion would need contact forces."""
-        contacts, pairs, velocity = self.equations.contacts, self.equations.pairs, self.velocity(y)
-        found = jnp.zeros(y.shape[1:], bool)
-        if contacts is not None and velocity is not None:
-            found = found | (contacts.target_velocity > velocity[2]).any(0)
-        if pairs is not None:
-            found = found | pairs.touches(joint_part(y))
-        return found
+    def needs_contact_or_other_limits(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
+        """Return for which individuals a free motion is wrong.
 
-    def changes_overload(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
-        """Return for which individuals a motion overloads other motors than zero acceleration does.
-
-        `step_solver.free_motion` holds motors at their limits, and joints at sticking or sliding.
-        Its torques are then wrong.
+        `step_solver.free_motion` has no contact forces. It holds motors at their limits, and joints
+        at sticking or sliding, as at zero acceleration.
         """
-        equations, qdd, h = self.equations, joint_part(y), self.h
+        equations, qdd, h, velocity = self.equations, joint_part(y), self.h, self.velocity(y)
         found = changes_overload(self.world.tree, equations.motor, equations.state, qdd, h)
+        if equations.contacts is not None and velocity is not None:
+            found = found | (equations.contacts.target_velocity > velocity[2]).any(0)
+        if equations.pairs is not None:
+            found = found | equations.pairs.touches(qdd)
         tendons = equations.tendons
         return found if tendons is None else found | tendons.changes_overload(qdd, h)
-
-    def commanded_torque(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-        """Return the torques that motors and muscles command at the end of the step, N m."""
-        return self.equations.motor.at(self.world.tree, qdd, self.h)
 
     @property
     def pair_bias(self) -> Float[Array, "k *n"]:
         """Velocity-product bias of the pairs (`pair_contacts.PairContacts`)."""
         pairs = self.equations.pairs
         return self.force[:0] if pairs is None else pairs.bias
-
-    def pair_bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "k *n"]:
-        """Return the velocity-product bias of the pairs at the joint rates after the step."""
-        pairs = self.equations.pairs
-        return self.force[:0] if pairs is None else pairs.bias_at(qdd)
-
-    def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "k *n"]) -> Bool[Array, "*n"]:
-        """Return for which individuals another velocity-product bias would move touching pairs."""
-        pairs = self.equations.pairs
-        return jnp.zeros(qdd.shape[1:], bool) if pairs is None else pairs.drifts(qdd, bias)
-
-    def _total_mass(self) -> Number:
-        """Return the mass of the creature, kg."""
-        return xp.sum(self.world.tree.mass)
 
     def _square(self, force: Float[Array, "v *n"]) -> Float[Array, "*n"]:
         """Return the sum of squared generalized forces, each divided by its inertia in M."""
@@ -391,9 +336,9 @@ class StepProblem(NamedTuple):
 
     def _ground(self, force: Float[Array, "3 p *n"]) -> Float[Array, "v *n"]:
         """Return the generalized force of forces on the contact points."""
-        contact_model, equations = self.world.contact_model, self.equations
-        assert contact_model is not None and equations.contacts is not None
-        wrench = contact_wrench(contact_model, equations.contacts, force, equations.bias)
+        equations = self.equations
+        assert equations.contacts is not None
+        wrench = equations.contacts.wrench(force, equations.bias)
         return generalized_force(self.world.tree, equations.kin, wrench)
 
 

@@ -26,16 +26,12 @@ class World(eqx.Module):
     """A creature and its environment, as `evo_cpg.physics.step.step` simulates them.
 
     Attributes:
-        tree: the creature.
         gravity: acceleration of gravity along -z, m/s^2.
-        water: the medium, or None on dry land.
         forces: force laws besides weight, buoyancy, joints and contact, in the order of their sum.
         contact_model: the contact points, or None without ground.
         cells: simple volumes that make up the bodies. Empty without a water surface.
         pairs: bodies that must not pass through each other, or None if none can meet.
-        held: whether the root is held still (`evo_cpg.physics.tree.holding`). Steps that need
-        iteration
-            cannot hold it.
+        held: whether the root is held still. Steps that need iteration cannot hold it.
     """
 
     tree: Tree
@@ -55,12 +51,7 @@ class World(eqx.Module):
         return f"World(gravity {self.gravity} m/s^2, {water}, {ground})"
 
     def bodies(self, kin: Kinematics, h: float) -> Bodies:
-        """Return the pose and motion of all bodies, as input of the force laws.
-
-        Args:
-            kin: kinematics of the bodies.
-            h: length of the physics step, s.
-        """
+        """Return the pose and motion of all bodies, as input of the force laws."""
         return bodies_in(self.tree, self.gravity, self.water, self.cells, h, kin)
 
     def law(self, kind: type[_Law]) -> _Law | None:

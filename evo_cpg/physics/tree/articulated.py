@@ -9,7 +9,7 @@ derivative ``-dtau/dqdd``, the diagonal ``T``. The velocities at the end of a st
 The solver is the algorithm of Featherstone 2008, table 7.1, with ``I_i + h D_i`` in place of
 ``I_i`` and ``S^T I^A S + T`` in place of ``S^T I^A S``. The first pass, outwards, is
 `evo_cpg.physics.tree.kinematics.kinematics`. `solve` does the other two passes. The algebra of one
-joint and its symbols are in `evo_cpg.physics.tree.joint_elimination`.
+joint and its symbols are in `evo_cpg.physics.tree.joint_kinds`.
 
 Differs from the table in the place of the velocity-product accelerations c_i. Their sums from the
 root are A0_i of `Kinematics`, and p_i includes the wrench for them. The passes solve only for the
@@ -32,7 +32,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree import root
-from evo_cpg.physics.tree.joint_elimination import joints_of
+from evo_cpg.physics.tree.joint_kinds import joints_of
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.per_body import PerBody, in_dof_order
 from evo_cpg.physics.tree.spatial_algebra import (
@@ -95,7 +95,7 @@ def solve(
     if tree.hanging is None:
         free = root.solved(I_A.root(), p_A.root())
         a = PerBody([jax.tree.map(jnp.zeros_like, free) if held else free], batch_ndim)
-        of_root = root.vector(a.root())
+        of_root = jnp.concatenate(a.root())
     else:
         joint = joints_of(tree.hanging, kin.axes, torque, torque_derivative)
         still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))

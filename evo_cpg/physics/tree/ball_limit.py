@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import dot, expand_dims_like
-from evo_cpg.creature.ball_limits import BallLimits
-from evo_cpg.creature.creature import SPANNING
+from evo_cpg.creature.axis_kinds import SPANNING
+from evo_cpg.creature.laws import BallLimits
 from evo_cpg.physics.tree.joint_torque import expected_limit_torque, limit_torque
 from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.root import joint_part, joint_rows, plus_torque

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.linear import expand_dims_like, transpose
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree import joints, root
 from evo_cpg.physics.tree.kinematics import Kinematics
@@ -39,7 +39,7 @@ from evo_cpg.physics.tree.spatial_algebra import (
 def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
     """Return the accelerations ``(3, b, *n)`` of all bodies, without those of `Kinematics`."""
     batch_ndim, qdd = y.ndim - 1, root.joint_part(y)
-    a = PerBody([root.acceleration(y)], batch_ndim)
+    a = PerBody([Motion(y[:3], y[3 : root.ROOT_DOFS])], batch_ndim)
     if tree.hanging is not None:
         still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
         i = tree.hanging
@@ -66,7 +66,21 @@ def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Arra
         S = kin.axes.of(tree.hanging, batch_ndim)
         torques.append(in_dof_order(joints.torque_of(S, f[:1]), batch_ndim))
         on_root = jax.tree.map(jnp.zeros_like, on_root)
-    return root.vector(on_root, torques[::-1])
+    return jnp.concatenate([*on_root, *torques[::-1]])
+
+
+def generalized_equations(
+    tree: Tree,
+    kin: Kinematics,
+    inertia: Inertia,
+    bias: Wrench,
+    torque: Float[Array, "d *n"],
+    resistance: Float[Array, "d *#n"],
+) -> tuple[Float[Array, "v v *n"], Float[Array, "v *n"]]:
+    """Return the matrix and the force of the equation that `articulated.solve` solves."""
+    matrix = root.plus_joint_diagonal(mass_matrix(tree, kin, inertia), resistance)
+    force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
+    return matrix, root.plus_torque(force, torque)
 
 
 def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "v v *n"]:
@@ -74,7 +88,9 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
     I_c = PerBody.of(inertia, inertia.linear.ndim - 3)
     for i in reversed(tree.groups):
         I_c = I_c.plus(i.parents, inertia_at_parent(I_c[i.bodies], kin.offset[:, i.bodies]))
-    block, size = root.mass_block(I_c.root()), root.size_of(tree.dof_count)
+    whole, size = I_c.root(), root.ROOT_DOFS + tree.dof_count
+    rows = [[whole.angular, whole.mixed], [transpose(whole.mixed), whole.linear]]
+    block = jnp.concatenate([jnp.concatenate(row, 1) for row in rows])
     if tree.hanging is not None:
         one = expand_dims_like(np.eye(len(block)), block)
         block = jnp.broadcast_to(one, block.shape).astype(block.dtype)
@@ -92,9 +108,11 @@ def _joint_elements(
 ) -> tuple[np.ndarray, Float[Array, "m *n"]]:
     """Return the joint elements of the mass matrix on and below its diagonal.
 
-    ``f = I^c S`` of every degree of freedom is moved from body to body up to the root. At each body
-    its product with the axes of the body's joint gives elements. The components of a free root are
-    elements, too.
+    The force ``f = I^c S`` that a unit acceleration of a degree of freedom needs climbs from its
+    body to the root. All degrees of freedom climb together, one body in each round of the loop. At
+    every body, the product of f with the axes of the body's joint gives elements of the row. Axes
+    of one joint meet twice, so only those up to the degree of freedom itself count. At a free root,
+    the components of f are the elements.
 
     Returns:
         Rows and columns, ``(m, 2)``, and the elements.
@@ -112,14 +130,14 @@ def _joint_elements(
         ]
         one, other = np.array(met, int).reshape(-1, 2).T
         values.append(joints.torque_on_each(kin.axes.take(other), f, one))
-        places.append(root.joint_rows(np.stack([dofs[one], other], 1)))
+        places.append(root.ROOT_DOFS + np.stack([dofs[one], other], 1))
         f, body = wrench_at_parent(f, take(kin.offset, body)), np.array(tree.parents)[body]
         top, below = np.flatnonzero(body == 0), np.flatnonzero(body > 0)
         if tree.hanging is not None:
             top, below = top[:0], np.flatnonzero(body >= 0)
-        for k, part in enumerate(root.components(f) if len(top) else []):
+        for k, part in enumerate([*f.moment, *f.force] if len(top) else []):
             values.append(take(part, top, 0))
-            places.append(np.stack([root.joint_rows(dofs[top]), np.full(len(top), k)], 1))
+            places.append(np.stack([root.ROOT_DOFS + dofs[top], np.full(len(top), k)], 1))
         f = Wrench(take(f.moment, below), take(f.force, below))
         body, dofs = body[below], dofs[below]
     return np.concatenate(places), jnp.concatenate(values)

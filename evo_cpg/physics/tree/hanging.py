@@ -16,8 +16,7 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec, matvec_t
 from evo_cpg.creature.algebra.rotation import matrix_to_quaternion, quaternion_to_matrix
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.tree import joints
-from evo_cpg.physics.tree.links import Link, linked
+from evo_cpg.physics.tree.joint_kinds import Link, linked, local_frames
 
 
 class Base(NamedTuple):
@@ -51,7 +50,7 @@ def pose(
     """
     group = tree.hanging
     assert group is not None
-    local = joints.local_frames(tree, q)[group.bodies]
+    local = local_frames(tree, q)[group.bodies]
     link, _, _ = linked(tree, group, fixed_link(base), local, qd)
     rotation, origin, angular, linear = link.rotation[:, :, 0], *(x[:, 0] for x in link[1:4])
     arm = matvec(rotation, expand_dims_like(tree.root_centre, origin))
@@ -74,7 +73,7 @@ def pushed(
     """
     group = tree.hanging
     assert group is not None
-    local = joints.local_frames(tree, q)[group.bodies]
+    local = local_frames(tree, q)[group.bodies]
     _, _, S = linked(tree, group, fixed_link(base), local, jnp.zeros_like(q))
     assert S.linear is not None
     return matvec_t(S.linear[:, np.array(tree.root_slides), 0], change)

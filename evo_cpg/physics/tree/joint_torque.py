@@ -29,8 +29,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
-from evo_cpg.creature.ball_limits import BallLimits
-from evo_cpg.creature.tendons import Tendons
+from evo_cpg.creature.laws import BallLimits, Tendons
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.muscle import pull_of
 from evo_cpg.physics.tree.per_body import take
@@ -170,13 +169,7 @@ def limit_torque(
 def friction_torque(
     tree: Laws, rate: Float[Array, "d *n"], h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
-    """Return the torque of dry friction (N m), and its decrease per rate (N m s/rad).
-
-    Args:
-        tree: the creature, with dry friction.
-        rate: joint rates at the end of the step, rad/s.
-        h: step, s.
-    """
+    """Return the torque of dry friction (N m), and its decrease per rate (N m s/rad)."""
     assert tree.dry_friction is not None
     loss = expand_dims_like(tree.dry_friction.loss, rate)
     resistance = expand_dims_like(tree.dry_friction.inertia * (_STICKING / h), rate)
@@ -186,20 +179,9 @@ def friction_torque(
 
 
 def linearized_torque(
-    tree: Laws,
-    motor: MotorTorque,
-    state: Coordinates,
-    qdd: Float[Array, "d *n"],
-    h: float,
+    tree: Laws, motor: MotorTorque, state: Coordinates, qdd: Float[Array, "d *n"], h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of motors, limits and friction, linearized at accelerations.
-
-    Args:
-        tree: the creature.
-        motor: commanded torque.
-        state: angles and rates at the start of the step.
-        qdd: accelerations, rad/s^2.
-        h: step, s.
 
     Returns:
         Torque at zero acceleration (N m), and its decrease per end-of-step rate (N m s/rad).
@@ -218,11 +200,7 @@ def linearized_torque(
 
 
 def changes_overload(
-    tree: Laws,
-    motor: MotorTorque,
-    state: Coordinates,
-    qdd: Float[Array, "d *n"],
-    h: float,
+    tree: Laws, motor: MotorTorque, state: Coordinates, qdd: Float[Array, "d *n"], h: float
 ) -> Bool[Array, "*n"]:
     """Return for which individuals accelerations overload other motors than zero acceleration.
 
@@ -259,21 +237,15 @@ def expected_limit_torque(
 
 
 def motor_torque(tree: Laws, state: Coordinates, command: MotorCommand, h: float) -> MotorTorque:
-    """Return the commanded torque of motors and muscles.
-
-    Args:
-        tree: the creature.
-        state: joint angles and rates of the creature.
-        command: command to motors and muscles.
-        h: step, s.
-    """
+    """Return the commanded torque of motors and muscles."""
     rates = state.qd
     torque = expand_dims_like(tree.servo_gain, rates) * (command.target_rate - rates)
-    if has_springs(tree):
+    stiffness = tree.servo_stiffness
+    if not isinstance(stiffness, np.ndarray) or stiffness.any():
         ahead = state.q + h * rates
         angle = command.target_angle
         error = -ahead if angle is None else angle - ahead
-        torque = torque + expand_dims_like(tree.servo_stiffness, rates) * error
+        torque = torque + expand_dims_like(stiffness, rates) * error
     if tree.torque_motors is not None and command.torque is not None:
         driven = expand_dims_like(np.array(tree.torque_motors.driven), rates).astype(bool)
         torque = torque + jnp.where(driven, clamp_torque(tree, command.torque), 0.0)
@@ -281,12 +253,6 @@ def motor_torque(tree: Laws, state: Coordinates, command: MotorCommand, h: float
         return MotorTorque(torque)
     pull = pull_of(tree.muscles, command.activation, state.q, rates)
     return MotorTorque(torque + pull.torque(state.q, rates), pull.derivative(h))
-
-
-def has_springs(tree: Laws) -> bool:
-    """Return whether any motor pulls towards an angle."""
-    stiffness = tree.servo_stiffness
-    return not isinstance(stiffness, np.ndarray) or bool(stiffness.any())
 
 
 def overloaded(tree: Laws, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:

@@ -21,10 +21,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree import hanging, joints, root
+from evo_cpg.physics.tree.joint_kinds import Link, linked, local_frames
 from evo_cpg.physics.tree.joints import Subspace
-from evo_cpg.physics.tree.links import Link, linked
 from evo_cpg.physics.tree.per_body import PerBody, of_joints
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 from evo_cpg.physics.tree.state import State
@@ -51,12 +52,12 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
     batch_ndim = state.q.ndim - 1
     if tree.hanging is None:
         # The root comes before the joints, because another order changes the rounding.
-        rest, rotation = jnp.zeros_like(state.position), root.rotation(state.orientation)
+        rest, rotation = jnp.zeros_like(state.position), quaternion_to_matrix(state.orientation)
         first = Link(rotation, state.position, *root.motion(state.velocity))
-        bodies, local = PerBody([first], batch_ndim), joints.local_frames(tree, state.q)
+        bodies, local = PerBody([first], batch_ndim), local_frames(tree, state.q)
         offsets, axes = [rest[:, None]], []
     else:
-        local = joints.local_frames(tree, state.q)
+        local = local_frames(tree, state.q)
         i, world = tree.hanging, hanging.fixed_link(hanging.base_of(state.base))
         first, offset, S = linked(tree, i, world, local[i.bodies], state.qd)
         bodies = PerBody[Link]([], batch_ndim).followed_by(first)
@@ -79,14 +80,7 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
 def motion_of_bodies(
     tree: Tree, kin: Kinematics, velocity: Float[Array, "6 *n"], qd: Float[Array, "d *n"]
 ) -> BodyMotion:
-    """Return the motion of the bodies with other velocities of the root and the joints.
-
-    Args:
-        tree: the creature.
-        kin: kinematics with the poses of the bodies.
-        velocity: velocity of a free root, as in `State`.
-        qd: joint rates, rad/s.
-    """
+    """Return the motion of the bodies with other velocities of the root and the joints."""
     batch_ndim = qd.ndim - 1
     if tree.hanging is None:
         bodies = PerBody([root.motion(velocity)], batch_ndim)

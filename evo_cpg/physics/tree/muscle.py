@@ -41,7 +41,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
-from evo_cpg.creature.muscles import Muscles
+from evo_cpg.creature.laws import Muscles
 
 # Width of the force-length curve, in fibre lengths (Zajac 1989).
 _WIDTH = 0.45
@@ -103,24 +103,15 @@ def pull_of(
     strain, slowness = (expand_dims_like(hill * x, q) for x in (muscles.strain, muscles.slowness))
     curvature = expand_dims_like(muscles.curvature, q)
     speed, change = slowness * rate, strain * q
-    force = [
-        active * length_factor(1.0 + side * change)
-        for active, side in ((positive, -1.0), (negative, 1.0))
-    ]
+    force = []
+    for active, side in ((positive, -1.0), (negative, 1.0)):
+        # fl, the force of an isometric muscle of this length over its largest force.
+        away = (1.0 + side * change - 1.0) * (1.0 / _WIDTH)
+        force.append(active * jnp.exp(-away * away))
     resisted = force[0] * resistance(speed, curvature) + force[1] * resistance(-speed, curvature)
     return Pull(
         strength * (force[0] - force[1]), stiffness, damping + strength * slowness * resisted
     )
-
-
-def length_factor(length: Array) -> Array:
-    """Return fl, the force of an isometric muscle over its largest force.
-
-    Args:
-        length: length of the fibres over their optimal length.
-    """
-    away = (length - 1.0) * (1.0 / _WIDTH)
-    return jnp.exp(-away * away)
 
 
 def resistance(speed: Array, curvature: Array) -> Array:

@@ -67,10 +67,26 @@ class PerBody(Generic[Value]):
             stacked: the values.
         """
         axis, structure = -self._batch_ndim - 1, jax.tree.structure(stacked)
-        columns = [
-            _added([jax.tree.leaves(value)[k] for value in self._values], bodies, part, axis)
-            for k, part in enumerate(jax.tree.leaves(stacked))
-        ]
+        columns = []
+        for k, parts in enumerate(jax.tree.leaves(stacked)):
+            totals = [jax.tree.leaves(value)[k] for value in self._values]
+            waiting = list(range(len(bodies)))
+            if len(set(bodies)) == 1:
+                totals[bodies[0]] = totals[bodies[0]] + parts.sum(axis)
+                waiting = []
+            while waiting:
+                # One value per body and round, so that each round is one operation.
+                now = [
+                    j
+                    for k, j in enumerate(waiting)
+                    if bodies[j] not in {bodies[i] for i in waiting[:k]}
+                ]
+                own = take(parts, np.array(now), axis)
+                sums = jnp.stack([totals[bodies[j]] for j in now], axis) + own
+                for j, total in zip(now, jnp.unstack(sums, axis=axis), strict=True):
+                    totals[bodies[j]] = total
+                waiting = [j for j in waiting if j not in now]
+            columns.append(totals)
         values = [structure.unflatten(leaves) for leaves in zip(*columns, strict=True)]
         return PerBody(values, self._batch_ndim)
 
@@ -132,21 +148,3 @@ def _unstacked(stacked: Value, batch_ndim: int) -> list[Value]:
     leaves, structure = jax.tree.flatten(stacked)
     columns = [jnp.unstack(leaf, axis=-batch_ndim - 1) for leaf in leaves]
     return [structure.unflatten(own) for own in zip(*columns, strict=True)]
-
-
-def _added(totals: list[Array], bodies: Sequence[int], parts: Array, axis: int) -> list[Array]:
-    totals = list(totals)
-    if len(set(bodies)) == 1:
-        totals[bodies[0]] = totals[bodies[0]] + parts.sum(axis)
-        return totals
-    waiting = list(range(len(bodies)))
-    while waiting:
-        # One value per body and round, so that each round is one operation.
-        now = [
-            j for k, j in enumerate(waiting) if bodies[j] not in {bodies[i] for i in waiting[:k]}
-        ]
-        sums = jnp.stack([totals[bodies[j]] for j in now], axis) + take(parts, np.array(now), axis)
-        for j, total in zip(now, jnp.unstack(sums, axis=axis), strict=True):
-            totals[bodies[j]] = total
-        waiting = [j for j in waiting if j not in now]
-    return totals

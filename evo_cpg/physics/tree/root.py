@@ -10,8 +10,6 @@ are zero, with a mass matrix of 1. Other modules rely only on the root coming fi
 coordinates, on displacement before rotation (`evo_cpg.physics.step.statics`).
 """
 
-from collections.abc import Sequence
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -23,9 +21,8 @@ from evo_cpg.creature.algebra.linear import (
     matmul_t,
     matvec,
     matvec_t,
-    transpose,
 )
-from evo_cpg.creature.algebra.rotation import integrate_quaternion, quaternion_to_matrix
+from evo_cpg.creature.algebra.rotation import integrate_quaternion
 from evo_cpg.native.fuse import symmetric
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion, Inertia, Motion, Wrench
 
@@ -44,29 +41,14 @@ LENGTHS, SYMMETRIES = 3, (0, 1, 5)
 # Pose and velocity.
 
 
-def angular(velocity: Float[Array, "6 *n"]) -> Float[Array, "3 *n"]:
-    """Return the angular part of a velocity of the root, rad/s."""
-    return velocity[:3]
-
-
-def linear(velocity: Float[Array, "6 *n"]) -> Float[Array, "3 *n"]:
-    """Return the linear part of a velocity of the root, m/s."""
-    return velocity[3:]
-
-
 def at_rest(joint_rates: Float[Array, "d *n"]) -> Float[Array, "6 *n"]:
     """Return the velocity of a root at rest, for joint rates of the same batch."""
     return jnp.zeros((ROOT_DOFS, *joint_rates.shape[1:]), joint_rates.dtype)
 
 
-def rotation(orientation: Float[Array, "4 *n"]) -> Float[Array, "3 3 *n"]:
-    """Return the matrix that rotates vectors from root axes to world axes."""
-    return quaternion_to_matrix(orientation)
-
-
 def motion(velocity: Float[Array, "6 *n"]) -> BodyMotion:
     """Return velocity and velocity-product acceleration of the root's body."""
-    w, v = angular(velocity), linear(velocity)
+    w, v = velocity[:3], velocity[3:]
     return BodyMotion(w, v, jnp.zeros_like(w), cross(v, w))
 
 
@@ -77,17 +59,8 @@ def moved(
     h: float | Float[Array, ""],
 ) -> tuple[Float[Array, "3 *n"], Float[Array, "4 *n"]]:
     """Return the pose after h seconds (negative: before) at a constant velocity."""
-    return (
-        position + h * linear(velocity),
-        integrate_quaternion(orientation, angular(velocity), h),
-    )
-
-
-def displaced(
-    position: Float[Array, "3"], orientation: Float[Array, "4"], x: Float[Array, " k"]
-) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
-    """Return the pose that the root's static coordinates x reach from a given pose."""
-    return position + x[:LENGTHS], integrate_quaternion(orientation, x[LENGTHS:ROOT_DOFS], 1.0)
+    turned = integrate_quaternion(orientation, velocity[:3], h)
+    return position + h * velocity[3:], turned
 
 
 # Generalized vectors.
@@ -103,19 +76,9 @@ def joint_part(vector: Float[Array, "v *n"]) -> Float[Array, "d *n"]:
     return vector[JOINTS]
 
 
-def size_of(dof_count: int) -> int:
-    """Return the size of a generalized vector, from the number of joint degrees of freedom."""
-    return ROOT_DOFS + dof_count
-
-
 def joint_rows(dofs: np.ndarray) -> np.ndarray:
     """Return the indices of the joints' degrees of freedom in a generalized vector."""
     return ROOT_DOFS + dofs
-
-
-def acceleration(y: Float[Array, "v *n"]) -> Motion:
-    """Return the root's part of a vector of generalized accelerations."""
-    return Motion(y[:3], y[3:ROOT_DOFS])
 
 
 def solved(inertia: Inertia, bias: Wrench) -> Motion:
@@ -133,39 +96,9 @@ def solved(inertia: Inertia, bias: Wrench) -> Motion:
     return Motion(turning, moving)
 
 
-def vector(
-    part: Motion | Wrench, joints: Sequence[Float[Array, "_ *n"]] = ()
-) -> Float[Array, "v *n"]:
-    """Return the generalized vector of the root's acceleration or wrench, then the joints'."""
-    return jnp.concatenate([*part, *joints])
-
-
-def components(part: Wrench) -> list[Float[Array, "*n"]]:
-    """Return the components of wrenches on the root, in the order of generalized vectors."""
-    return [*part.moment, *part.force]
-
-
-def mass_block(inertia: Inertia) -> Float[Array, "6 6 *n"]:
-    """Return the root's block of the mass matrix, from a composite inertia."""
-    rows = [[inertia.angular, inertia.mixed], [transpose(inertia.mixed), inertia.linear]]
-    return jnp.concatenate([jnp.concatenate(row, 1) for row in rows])
-
-
 def plus_torque(force: Float[Array, "v *n"], torque: Float[Array, "d *n"]) -> Float[Array, "v *n"]:
     """Add joint torques to a generalized force."""
     return force.at[JOINTS].add(torque)
-
-
-def joint_block(matrix: Float[Array, "v v *n"]) -> Float[Array, "d d *n"]:
-    """Return the joints' part of a generalized matrix."""
-    return matrix[JOINTS, JOINTS]
-
-
-def plus_joint_block(
-    matrix: Float[Array, "v v *n"], block: Float[Array, "d d *n"]
-) -> Float[Array, "v v *n"]:
-    """Add a matrix of the joints to a generalized matrix."""
-    return matrix.at[JOINTS, JOINTS].add(block)
 
 
 def plus_joint_diagonal(

@@ -16,14 +16,7 @@ from typing import NamedTuple
 
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import (
-    cross,
-    matmul,
-    matmul_t,
-    matvec,
-    matvec_t,
-    skew,
-)
+from evo_cpg.creature.algebra.linear import cross, matmul, matmul_t, matvec, matvec_t, skew
 from evo_cpg.native.fuse import symmetric
 
 

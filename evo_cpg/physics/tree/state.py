@@ -10,8 +10,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import array_of
+from evo_cpg.creature.algebra.rotation import integrate_quaternion
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.tree import hanging, joints, root
+from evo_cpg.physics.tree import hanging, joint_kinds, root
 from evo_cpg.physics.tree.hanging import Base
 
 
@@ -19,8 +20,8 @@ class State(eqx.Module):
     """Pose and velocity of a tree. Trailing axes are individuals.
 
     The first three fields belong to the root (`evo_cpg.physics.tree.root`), the next two to the
-    joints (`evo_cpg.physics.tree.joints`). If the root hangs on the world, its three fields follow
-    from the others (`placed`), and its joint is the first one.
+    joints (`evo_cpg.physics.tree.joint_kinds`). If the root hangs on the world, its three fields
+    follow from the others (`placed`), and its joint is the first one.
 
     Attributes:
         position: position of the root's centre in the world, m.
@@ -43,12 +44,12 @@ class State(eqx.Module):
     @property
     def angular_velocity(self) -> Float[Array, "3 *n"]:
         """Angular velocity of the root in the world, rad/s."""
-        return root.angular(self.velocity)
+        return self.velocity[:3]
 
     @property
     def linear_velocity(self) -> Float[Array, "3 *n"]:
         """Linear velocity of the root's centre in the world, m/s."""
-        return root.linear(self.velocity)
+        return self.velocity[3:]
 
     @property
     def rates(self) -> Float[Array, "v *n"]:
@@ -57,7 +58,7 @@ class State(eqx.Module):
 
     def moved(self, tree: Tree, h: float) -> "State":
         """Return the state after h seconds (negative: before) at constant velocities."""
-        q = joints.moved(tree, self.q, self.qd, h)
+        q = joint_kinds.moved(tree, self.q, self.qd, h)
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
         pose = root.moved(self.position, self.orientation, self.velocity, h)
@@ -65,11 +66,11 @@ class State(eqx.Module):
 
     def displaced(self, tree: Tree, x: Float[Array, " v"]) -> "State":
         """Return the state at static coordinates from this pose (`step.statics`)."""
-        q = joints.displaced(tree, self.q, root.joint_part(x))
+        q = joint_kinds.displaced(tree, self.q, root.joint_part(x))
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
-        pose = root.displaced(self.position, self.orientation, x)
-        return State(*pose, self.velocity, q, self.qd)
+        turned = integrate_quaternion(self.orientation, x[root.LENGTHS : root.ROOT_DOFS], 1.0)
+        return State(self.position + x[: root.LENGTHS], turned, self.velocity, q, self.qd)
 
     def placed(self, tree: Tree) -> "State":
         """Return the state with a root that hangs put where its joint holds it."""
@@ -86,15 +87,7 @@ def integrate(
     qdd: Float[Array, "d *n"],
     h: float,
 ) -> State:
-    """Take a semi-implicit Euler step: the new velocities move the positions.
-
-    Args:
-        tree: the creature.
-        state: state at the start of the step.
-        acceleration: acceleration of a free root, rad/s^2 and m/s^2.
-        qdd: joint accelerations, rad/s^2.
-        h: step, s.
-    """
+    """Take a semi-implicit Euler step: the new velocities move the positions."""
     velocity, qd = state.velocity + h * acceleration, state.qd + h * qdd
     return dataclasses.replace(state, velocity=velocity, qd=qd).moved(tree, h)
 

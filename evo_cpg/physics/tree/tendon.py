@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
-from evo_cpg.creature.tendons import Tendons
+from evo_cpg.creature.laws import Tendons
 from evo_cpg.physics.tree.joint_torque import (
     MotorCommand,
     MotorTorque,
@@ -33,7 +33,7 @@ from evo_cpg.physics.tree.joint_torque import (
     motor_torque,
 )
 from evo_cpg.physics.tree.per_body import spread, take
-from evo_cpg.physics.tree.root import joint_part, joint_rows, plus_torque
+from evo_cpg.physics.tree.root import ROOT_DOFS, joint_part, plus_torque
 from evo_cpg.physics.tree.state import State
 
 
@@ -53,11 +53,8 @@ class TendonLaws(NamedTuple):
     """Laws of the tendons in a step.
 
     Attributes:
-        tendons: the tendons.
-        lengths: lengths at the start of the step.
         passive: force of springs and dampers at the present rates.
         derivative: T of springs and dampers, with the armature.
-        motor: forces that the motors command.
     """
 
     tendons: Tendons
@@ -96,7 +93,6 @@ class TendonForce(NamedTuple):
     """Force of the tendons as ``force - resistance C qdd``.
 
     Attributes:
-        tendons: the tendons.
         force: force at zero joint acceleration.
         resistance: decrease of the force per acceleration of the length.
     """
@@ -126,7 +122,7 @@ class TendonForce(NamedTuple):
         coefficients = expand_dims_like(tendons.coefficients, self.force)
         product = take(coefficients, one, 0) * take(coefficients, other, 0)
         values = product * take(self.resistance, owners[one], 0)
-        matrix = matrix.at[joint_rows(dofs[one]), joint_rows(dofs[other])].add(values)
+        matrix = matrix.at[ROOT_DOFS + dofs[one], ROOT_DOFS + dofs[other]].add(values)
         torque = torque_of(tendons, self.force, len(joint_part(force)))
         return matrix, plus_torque(force, torque)
 

@@ -15,21 +15,20 @@ enters sets more water in motion, which takes the momentum ``dM V_r`` in a step 
 A body that leaves gets no momentum back. So the surface never adds energy.
 """
 
-import functools
 from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.decisions import Condition, chosen
-from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
+from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.linear import as_matrix_of, cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.water.buoyancy import displacement
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part, blocks
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart, blocks
 
 # Points of the quadrature of Lamb's integrals: the error is 1e-9 for axes of 1 to 100.
 _NODES = 200
@@ -57,7 +56,7 @@ class AddedMass(ForceLaw):
         """Return the wrench on bodies that neither accelerate nor enter the water."""
         return carried_water(self.inertia(bodies), bodies.velocity, bodies.stream)
 
-    def parts(self, bodies: Bodies) -> tuple[Part, ...]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart, ...]:
         """Return the parts of the carried water and of the impact of water set in motion.
 
         The impact has no bounce: the water gets the velocity after the impact.
@@ -65,14 +64,14 @@ class AddedMass(ForceLaw):
         own, pose, displaced = self.inertia(bodies), bodies.pose, bodies.displaced
         steady = carried_water(own, bodies.velocity, bodies.stream)
         if pose is None or displaced is None:
-            return (Part(steady, None, own),)
+            return (WrenchPart(steady, None, own),)
         sinking = bodies.h * jnp.concatenate(
             [cross(pose[:3], bodies.velocity[:3]), bodies.kin.linear[2:]]
         )
         ahead = displacement(bodies.cells, pose + sinking).volume
         entering = self._entering(bodies, ahead - displaced.volume)
         impact = -(matvec(entering, bodies.relative) / bodies.h)
-        return Part(steady, None, own), Part(impact, blocks(entering))
+        return WrenchPart(steady, None, own), WrenchPart(impact, blocks(entering))
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench of the velocity products (`ForceLaw.averaged`)."""
@@ -81,7 +80,7 @@ class AddedMass(ForceLaw):
 
     def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *#n"]:
         """Return M of the bodies' parts under water (`ForceLaw.inertia`)."""
-        added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
+        added = as_matrix_of(self.carried, bodies.velocity)
         if bodies.displaced is None:
             return added
         return added * bodies.under_water[None, None]
@@ -102,19 +101,13 @@ class AddedMass(ForceLaw):
 
     def _entering(self, bodies: Bodies, gained: Float[Array, "b *n"]) -> Float[Array, "6 6 b *n"]:
         """Return the inertia of the water that entering volumes set in motion."""
-        added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
+        added = as_matrix_of(self.carried, bodies.velocity)
         volume = expand_dims_like(bodies.tree.volume, gained)
         return added * (jnp.maximum(gained, 0.0) / volume)[None, None]
 
 
 def added_inertia(creature: Creature, tree: Tree, density: Number) -> Float[Numbers, "6 6 b"]:
-    """Return the inertia M of the water around each body, in the body's working frame.
-
-    Args:
-        creature: the animal.
-        tree: tree of the creature.
-        density: density of the water, kg/m^3.
-    """
+    """Return the inertia M of the water around each body, in the body's working frame."""
     shapes = {body.name: body.shape for body in creature.bodies}
     inertias = []
     for name, centre in zip(tree.names, tree.centre.T, strict=True):
@@ -151,14 +144,10 @@ def ellipsoid(shape: Shape) -> Float[Numbers, " 6"]:
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         difference, total = axes[j] ** 2 - axes[k] ** 2, axes[j] ** 2 + axes[k] ** 2
-        if chosen(functools.partial(_is_oblong, difference, total)):
+        if chosen(lambda d=difference, t=total: abs(d) > _ROUND * t):
             turn = alpha[j] - alpha[k]
             angular[i] = -(difference**2) * turn / (2 * difference + total * turn) / 5
     return shape.volume * xp.concatenate([xp.array(angular), linear])
-
-
-def _is_oblong(difference: Number, total: Number) -> Condition:
-    return abs(difference) > _ROUND * total
 
 
 def carried_water(
@@ -166,13 +155,7 @@ def carried_water(
     velocity: Float[Array, "6 b *n"],
     stream: Float[Array, "3 #b *#n"],
 ) -> Float[Array, "6 b *n"]:
-    """Return the wrench of the carried water on bodies that do not accelerate, in body axes.
-
-    Args:
-        inertia: M of each body.
-        velocity: velocity of each body, angular, then linear.
-        stream: velocity of the water.
-    """
+    """Return the wrench of the carried water on bodies that do not accelerate, in body axes."""
     w, s = velocity[:3], jnp.broadcast_to(stream, velocity[3:].shape)
     v = velocity[3:] - s
     momentum = matvec(inertia, jnp.concatenate([w, v]))

@@ -86,15 +86,10 @@ def _horner(coefficients: tuple[float, ...], x: Array) -> Array:
     return value  # pyright: ignore[reportReturnType]
 
 
-def _disc_polynomials() -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the coefficients of e and g of a disc, by rising powers of ``s``."""
-    c0, c1, c2 = _DENSITIES["disc"]
-    e = _integrated(_integrated((c0, 0.0, c1 - c0, 0.0, c2 - c1, 0.0, -c2)))
-    return e, _integrated(e)
-
-
-# e and g of a disc within it.
-_DISC_E, _DISC_G = _disc_polynomials()
+# e and g of a disc within it, by rising powers of s.
+_C0, _C1, _C2 = _DENSITIES["disc"]
+_DISC_E = _integrated(_integrated((_C0, 0.0, _C1 - _C0, 0.0, _C2 - _C1, 0.0, -_C2)))
+_DISC_G = _integrated(_DISC_E)
 
 # Product of two differences in depth (m^2) up to which a corner counts as level with the others.
 _LEAST_SIDES = 1e-12
@@ -123,7 +118,7 @@ class Cells(eqx.Module):
     triangles: Float[np.ndarray, "f 3 3"] | None = None
 
 
-class Displacement(NamedTuple):
+class DisplacedWater(NamedTuple):
     """Part of each body that is under water.
 
     Attributes:
@@ -163,7 +158,7 @@ def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
     return tuple(groups)
 
 
-def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Displacement:
+def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> DisplacedWater:
     """Return volume and first moment of the part of each body that is under water.
 
     Args:
@@ -192,19 +187,13 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
         parts = jnp.concatenate([fraction[None], fraction[None] * centre + moment])
         owner = group.volume[None] * (bodies == np.arange(pose.shape[1])[:, None])
         total = total + matmul_t(parts, expand_dims_like(owner, parts, parts.ndim))
-    return Displacement(total[0], total[1:])
+    return DisplacedWater(total[0], total[1:])
 
 
 def buoyancy(
-    displaced: Displacement, up: Float[Array, "3 b *n"], specific_weight: Float[Array, ""] | float
+    displaced: DisplacedWater, up: Float[Array, "3 b *n"], specific_weight: Float[Array, ""] | float
 ) -> Float[Array, "6 b *n"]:
-    """Return the buoyancy wrench on each body, in body axes.
-
-    Args:
-        displaced: result of `displacement`.
-        up: upward unit vector in the axes of each body.
-        specific_weight: rho g of the water, N/m^3.
-    """
+    """Return the buoyancy wrench on each body in water of a weight rho g (N/m^3), body axes."""
     return specific_weight * jnp.concatenate(
         [cross(displaced.moment, up), displaced.volume[None] * up]
     )

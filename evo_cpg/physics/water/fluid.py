@@ -27,31 +27,146 @@ patch under water.
 
 import dataclasses
 import functools
-from typing import ClassVar, Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.decisions import chosen
-from evo_cpg.creature.algebra.mixed_array import MixedArray
-from evo_cpg.creature.algebra.numerics import Number, xp
+from evo_cpg.creature.algebra.decisions import Condition, all_hold, chosen
+from evo_cpg.creature.algebra.numerics import MixedArray, Number, Numbers, smooth_step, xp
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part
-from evo_cpg.physics.water.surface_points import (
-    Places,
-    alike,
-    merge_alike,
-    outer_products,
-    places_of,
-    runs,
-    still_alike,
-    velocity_rows,
-    wet_fraction,
-)
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart
+
+# Decimals to which equal numbers are rounded, and tolerance for numbers to stay equal (m, m^2).
+_DECIMALS, _SAME = 9, 1e-9
+
+# Largest component of a normal along the axis from which tangents are made. A normal's least
+# component is at most 0.58.
+_ACROSS = 0.9
+
+# Height over which a level patch gets wet, as a fraction of its size, so that forces do not jump.
+_LEAST_SLOPE = 0.1
+
+
+class PointPlaces(NamedTuple):
+    """Places of the points of a patch, for their depth.
+
+    Attributes:
+        points: positions in the body's working frame, m.
+        normals: outward unit normals.
+        extents: half the edge of a square of a point's area, m.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    extents: np.ndarray
+
+
+def wet_fraction(places: PointPlaces | None, pose: Float[Array, "4 k *n"]) -> Float[Array, "p kn"]:
+    """Return the fraction under water of the patch around each point, a cubic in its depth.
+
+    Raises:
+        ValueError: if the patches were made for water without a surface.
+    """
+    if places is None:
+        raise ValueError("patches know no depth; make them with make_patches(..., surfacing=True)")
+    flat = pose.reshape(4, -1)
+    up, height = flat[:3], flat[3:]
+    points, normals, extents = (jnp.asarray(column, flat.dtype) for column in places)
+    steepness = normals @ up
+    spread = extents[:, None] * jnp.sqrt(1.0 - (1.0 - _LEAST_SLOPE**2) * steepness * steepness)
+    # Points with the same normal and area share the quotient.
+    return smooth_step(0.5 - (height + points @ up) * (0.5 / spread))
+
+
+def groups_of(
+    surfaces: Sequence[tuple[tuple[Numbers, ...], ...]], layout: PointLayout
+) -> list[tuple[int, ...]]:
+    """Return the bodies grouped by their arrays: points of surfaces, or other constants.
+
+    The layout "merged" groups equal bodies. Any other layout keeps each body alone.
+    """
+    if layout != "merged":
+        return [(i,) for i in range(len(surfaces))]
+
+    def alike() -> list[tuple[int, ...]]:
+        groups: dict[bytes, list[int]] = {}
+        for i, own in enumerate(surfaces):
+            columns = (column for surface in own for column in surface)
+            key = b"|".join(np.round(column, _DECIMALS).tobytes() for column in columns)
+            groups.setdefault(key, []).append(i)
+        return [tuple(bodies) for bodies in groups.values()]
+
+    def still(groups: list[tuple[int, ...]]) -> Condition:
+        return all_hold(
+            (xp.abs(one - same) <= _SAME).all()
+            for first, *others in groups
+            for other in others
+            for own, theirs in zip(surfaces[first], surfaces[other], strict=True)
+            for one, same in zip(own, theirs, strict=True)
+        )
+
+    return chosen(alike, still)
+
+
+def places_of(surface: Surface) -> PointPlaces:
+    """Return the places of surface points."""
+    # Points without area have no force, so any extent serves.
+    areas = xp.where(surface.areas > 0, surface.areas, 1.0)
+    return PointPlaces(surface.points, surface.normals, xp.sqrt(areas) / 2)
+
+
+def velocity_rows(surface: Surface) -> list[Numbers]:
+    """Return rows ``(points, 6)`` for the normal and two tangential velocities of a twist."""
+    points, normals, _ = surface
+
+    def still(axes: np.ndarray) -> Condition:
+        """Return whether no axis is nearly along its normal, so that the axes give tangents."""
+        return (xp.abs(normals[np.arange(len(axes)), axes]) < _ACROSS).all()
+
+    across = xp.cross(normals, np.eye(3)[chosen(lambda: np.abs(normals).argmin(-1), still)])
+    first = across / xp.linalg.norm(across, axis=-1, keepdims=True)
+    second = xp.cross(normals, first)
+    return [
+        xp.concatenate([xp.cross(points, direction), direction], -1)
+        for direction in (normals, first, second)
+    ]
+
+
+def merge_alike(rows: Numbers, areas: Numbers) -> tuple[Numbers, Numbers]:
+    """Return one row for all rows that are equal up to their sign, with summed areas."""
+
+    def choose() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return a sign for each row, the first row of each kind, and the members of each kind."""
+        rounded = np.round(rows, _DECIMALS) + 0.0
+        leading = np.take_along_axis(rounded, (rounded != 0).argmax(1)[:, None], 1)
+        signs = np.where(leading < 0, -1.0, 1.0)
+        _, first, inverse = np.unique(
+            rounded * signs + 0.0, axis=0, return_index=True, return_inverse=True
+        )
+        # Keep the order of the points: the order of the rows would change with a body's size.
+        order = np.argsort(first)
+        return signs, first[order], (inverse.ravel() == order[:, None]).astype(float)
+
+    def still(merged: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Condition:
+        signs, kept, members = merged
+        signed = rows * signs
+        return (xp.abs(signed - signed[kept[members.argmax(0)]]) <= _SAME).all()
+
+    signs, kept, members = chosen(choose, still)
+    return (rows * signs)[kept], members @ areas
+
+
+def outer_products(rows: Numbers) -> Numbers:
+    """Return the (angular, mixed, linear) blocks of ``w w^T`` of each row, ``(27, points)``."""
+    outer = xp.einsum("pi,pj->ijp", rows, rows)
+    return xp.stack([outer[:3, :3], outer[:3, 3:], outer[3:, 3:]]).reshape(27, -1)
+
 
 # Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 _SPEED_FLOOR = 1e-12
@@ -86,8 +201,8 @@ class Patch(NamedTuple):
     tangential: np.ndarray
     tangential_area: np.ndarray
     tangential_outer: np.ndarray
-    normal_places: Places | None = None
-    tangential_places: Places | None = None
+    normal_places: PointPlaces | None = None
+    tangential_places: PointPlaces | None = None
 
 
 class Drag(ForceLaw):
@@ -111,12 +226,12 @@ class Drag(ForceLaw):
         """Return the drag wrench on every body (`ForceLaw.wrench`)."""
         return self.parts(bodies)[0].wrench
 
-    def parts(self, bodies: Bodies) -> tuple[Part]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
         assert bodies.water is not None
         density = bodies.water.density
         wrench, derivative = drag(self, density, bodies.relative, bodies.pose)
-        return (Part(wrench, bodies.h * derivative),)
+        return (WrenchPart(wrench, bodies.h * derivative),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> None:
         """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
@@ -156,11 +271,7 @@ def make_patches(
         )
         for i, name in enumerate(tree.names)
     ]
-    groups = (
-        chosen(lambda: alike(placed), lambda groups: still_alike(placed, groups))
-        if layout == "merged"
-        else [(i,) for i in range(len(placed))]
-    )
+    groups = groups_of(placed, layout)
     return tuple(
         _patch(bodies, *placed[bodies[0]], law == "normal" and layout == "merged", surfacing)
         for bodies in groups
@@ -186,18 +297,31 @@ def drag(
         The wrench (moment, force) and the blocks (angular-angular, angular-linear,
         linear-linear) of D.
     """
-    batch = velocity.shape[2:]
+    inputs = [x for x in (velocity, pose) if x is not None]
+    return over_patches(law.patches, inputs, functools.partial(_patch_drag, law, density))
+
+
+def over_patches(
+    patches: Sequence[Any], inputs: list[Array], evaluate: Callable
+) -> tuple[Float[Array, "6 b *n"], Float[Array, "3 3 3 b *n"]]:
+    """Return wrench and D of all bodies from those of some patches, and 0 for other bodies.
+
+    Args:
+        patches: patches with `bodies` in increasing order.
+        inputs: quantities of all bodies ``(k, b, *n)``, the velocity first.
+        evaluate: function that returns wrench and D of a run of consecutive bodies, from its patch,
+            its slice of all bodies, and its inputs.
+    """
+    velocity = inputs[0]
     pieces = []
-    for patch in law.patches:
-        evaluate = functools.partial(_patch_drag, law, density, patch)
-        for run in runs(patch.bodies):
-            part = [x[:, run] for x in (velocity, pose) if x is not None]
-            pieces.append((run.start, *evaluate(*part)))
-    wet = {body for patch in law.patches for body in patch.bodies}
-    none = (
-        jnp.zeros((6, 1, *batch), velocity.dtype),
-        jnp.zeros((3, 3, 3, 1, *batch), velocity.dtype),
-    )
+    for patch in patches:
+        splits = np.flatnonzero(np.diff(patch.bodies) != 1) + 1
+        for run in np.split(np.array(patch.bodies), splits):
+            own = slice(int(run[0]), int(run[-1]) + 1)
+            pieces.append((own.start, *evaluate(patch, own, *(x[:, own] for x in inputs))))
+    wet = {body for patch in patches for body in patch.bodies}
+    batch, dtype = velocity.shape[2:], velocity.dtype
+    none = jnp.zeros((6, 1, *batch), dtype), jnp.zeros((3, 3, 3, 1, *batch), dtype)
     pieces += [(body, *none) for body in range(velocity.shape[1]) if body not in wet]
     _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
     return jnp.concatenate(wrenches, 1), jnp.concatenate(derivatives, 3)
@@ -207,13 +331,15 @@ def _patch_drag(
     law: Drag,
     density: Number,
     patch: Patch,
+    run: slice,
     velocity: Float[Array, "6 k *n"],
     pose: Float[Array, "4 k *n"] | None = None,
 ) -> tuple[Float[Array, "6 k *n"], Float[Array, "3 3 3 k *n"]]:
-    """Return the wrench and D of one patch.
+    """Return the wrench and D of some bodies of a patch.
 
     Constant factors are multiplied into the constant matrices, so a point takes few operations.
     """
+    del run
     flat = velocity.reshape(6, -1)
 
     def product(constant: np.ndarray | Array | MixedArray, x: Array) -> Array:

@@ -1,6 +1,6 @@
 """Force laws: forces on the bodies of a creature besides weight, joints and contact.
 
-A law computes the wrench on every body. The implicit step (`evo_cpg.physics.step.body_equations`)
+A law computes the wrench on every body. The implicit step (`evo_cpg.physics.step.equations`)
 also needs the derivative ``S = d wrench / d V`` by the velocity V of the body. The step uses the
 symmetric and skew parts of S and takes the wrench as
 
@@ -25,11 +25,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec, matvec_t, transpose
-from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.creature.algebra.numerics import Number, xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.physics.water.buoyancy import Cells, Displacement, displacement
+from evo_cpg.physics.water.buoyancy import Cells, DisplacedWater, buoyancy, displacement
 from evo_cpg.physics.water.water import Water
 
 
@@ -65,7 +65,7 @@ class Bodies:
     velocity: Float[Array, "6 b *n"]
     stream: Float[Array, "3 #b *#n"]
     pose: Float[Array, "4 b *n"] | None
-    displaced: Displacement | None
+    displaced: DisplacedWater | None
 
     @property
     def relative(self) -> Float[Array, "6 b *n"]:
@@ -77,11 +77,6 @@ class Bodies:
         """Velocity of the centres of the shapes relative to the water, m/s."""
         relative = self.relative
         return relative[3:] + cross(relative[:3], expand_dims_like(self.tree.centre, relative))
-
-    @property
-    def up(self) -> Float[Array, "3 b *n"]:
-        """Upward unit vector."""
-        return self.kin.rotation[2]
 
     @property
     def under_water(self) -> Float[Array, "b *n"]:
@@ -102,10 +97,7 @@ class Bodies:
         return self.tree.names.index(name)
 
     def wrench_on(
-        self,
-        name: str,
-        force: Float[Array, "3 *n"],
-        moment: Float[Array, "3 *n"] | None = None,
+        self, name: str, force: Float[Array, "3 *n"], moment: Float[Array, "3 *n"] | None = None
     ) -> Float[Array, "6 b *n"]:
         """Return the wrench of a force on one body, and zero on the others.
 
@@ -136,7 +128,8 @@ def bodies_in(
     kin: Kinematics,
 ) -> Bodies:
     """Return the bodies of a creature for force laws. `Bodies` has the arguments."""
-    velocity, pose, displaced = body_velocity(kin), None, None
+    velocity = in_body_axes(kin.rotation, kin.angular, kin.linear)
+    pose, displaced = None, None
     if water is None:
         stream = jnp.zeros((3, 1) + (1,) * (velocity.ndim - 2), velocity.dtype)
     else:
@@ -146,11 +139,6 @@ def bodies_in(
             pose = jnp.concatenate([kin.rotation[2], (kin.origin[2] - water.surface)[None]])
             displaced = displacement(cells, pose)
     return Bodies(tree, gravity, water, cells, h, kin, velocity, stream, pose, displaced)
-
-
-def body_velocity(kin: Kinematics) -> Float[Array, "6 b *n"]:
-    """Return the velocities of the origins in body axes: angular (rad/s), then linear (m/s)."""
-    return in_body_axes(kin.rotation, kin.angular, kin.linear)
 
 
 def in_body_axes(
@@ -165,7 +153,7 @@ def blocks(m: Float[Array, "6 6 *rest"]) -> Float[Array, "3 3 3 *rest"]:
     return jnp.stack([m[:3, :3], m[:3, 3:], m[3:, 3:]])
 
 
-class Part(NamedTuple):
+class WrenchPart(NamedTuple):
     """Part of a law in the form of the implicit step: ``wrench - D (V_1 - V_0) - M A``.
 
     Attributes:
@@ -212,9 +200,6 @@ class ForceLaw(eqx.Module):
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench on every body, in body axes.
 
-        Args:
-            bodies: poses and motion of the bodies.
-
         Returns:
             The moment about each body's origin (N m), then the force (N). `Bodies.wrench_on`
             returns the wrench of a force at a centre of mass.
@@ -234,7 +219,7 @@ class ForceLaw(eqx.Module):
 
         return jax.vmap(along, out_axes=1)(jnp.asarray(np.eye(6), velocity.dtype))
 
-    def parts(self, bodies: Bodies) -> tuple[Part, ...]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart, ...]:
         """Return the parts of the law for the step, by default one, with ``D = -1/2 S_sym``."""
 
         def equations(kin: Kinematics) -> tuple[Array, Array]:
@@ -245,7 +230,7 @@ class ForceLaw(eqx.Module):
         # A separate program, so that a message names a law that native code does not support.
         name = f"{type(self).__name__}.wrench"
         found = fuse(equations, bodies.kin, batch_ndim=bodies.velocity.ndim - 2, name=name)
-        return (Part(*found),)
+        return (WrenchPart(*found),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"] | None:
         """Return the part of the wrench that a step averages over its start and its end.
@@ -279,3 +264,36 @@ class ForceLaw(eqx.Module):
         """Return the law with its drag multiplied by a factor. By default it has no drag."""
         del factor
         return self
+
+
+def weight(bodies: Bodies) -> Float[Array, "6 b *n"]:
+    """Return the wrench of weight and buoyancy on every body, in body axes.
+
+    They are one law, and no `ForceLaw`. In deep water their difference ``(rho V - m) g`` is one
+    number (Iwadate 2010, eq. 7), because a sum of two forces has larger rounding errors. A body
+    whose centre of mass is not that of its volume has both forces, each at its own centre. Both are
+    gradients of a potential, which energy balances count as stored energy.
+    """
+    tree, water, displaced = bodies.tree, bodies.water, bodies.displaced
+    under = water.density * tree.volume if water is not None and displaced is None else 0.0
+    up, com = bodies.kin.rotation[2], expand_dims_like(tree.com, bodies.kin.rotation[2])
+    if tree.centre_of_volume is None:
+        force = expand_dims_like((under - tree.mass) * bodies.gravity, up[0])[None] * up
+        wrench = jnp.concatenate([cross(com, force), force])
+    else:
+        pull = expand_dims_like(-tree.mass * bodies.gravity, up[0])[None] * up
+        displaced_weight = xp.broadcast_to(under * bodies.gravity, tree.mass.shape)
+        lift = expand_dims_like(displaced_weight, up[0])[None] * up
+        moment = cross(com, pull) + cross(expand_dims_like(tree.centre, up), lift)
+        wrench = jnp.concatenate([moment, pull + lift])
+    if water is None or displaced is None:
+        return wrench
+    return wrench + buoyancy(displaced, up, water.density * bodies.gravity)
+
+
+def buoyancy_alone(bodies: Bodies) -> Float[Array, "6 b *n"]:
+    """Return the wrench of buoyancy on every body, in body axes."""
+    up = bodies.kin.rotation[2]
+    pull = expand_dims_like(bodies.tree.mass * bodies.gravity, up[0])[None] * up
+    offset = expand_dims_like(bodies.tree.com, up)
+    return weight(bodies) + jnp.concatenate([cross(offset, pull), pull])

@@ -37,7 +37,7 @@ fraction of the body under water.
 | v_n, v_1, v_2 | velocity along the rows of ``PlateLift.frame`` |
 """
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -46,7 +46,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.decisions import Condition, all_hold, chosen
-from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec, matvec_t
+from evo_cpg.creature.algebra.linear import (
+    as_matrix_of,
+    cross,
+    dot,
+    expand_dims_like,
+    matvec,
+    matvec_t,
+)
 from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
@@ -54,7 +61,7 @@ from evo_cpg.creature.slender import LEAST_BODIES, slender_chains
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.per_body import spread, take
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart
 
 # Reduction of the potential slope, and vortex lift of a rectangular plate. Polhamus's 3.14 is for
 # deltas, and too large for rectangles.
@@ -86,6 +93,37 @@ _SPEED_FLOOR = 1e-12
 _RESOLUTION = 16
 
 
+class _Flow(NamedTuple):
+    """Flow at the plates.
+
+    Attributes:
+        centre: centres of the plates from the bodies' origins, m.
+        frame: normal and two tangents of each plate, as rows.
+        local: velocity of the centre through the water along the normal and the tangents, m/s.
+        speed: speed of the centre, m/s.
+        slip: speed along the plate, m/s.
+        sine: sine of the angle of attack.
+        aspect: aspect ratio.
+        per_sine: C_N over the sine.
+        pressure: ``1/2 rho S`` of the parts under water, kg/m.
+    """
+
+    centre: Float[Array, "3 p *#n"]
+    frame: Float[Array, "3 3 p *#n"]
+    local: Float[Array, "3 p *n"]
+    speed: Float[Array, "p *n"]
+    slip: Float[Array, "p *n"]
+    sine: Float[Array, "p *n"]
+    aspect: Float[Array, "p *n"]
+    per_sine: Float[Array, "p *n"]
+    pressure: Float[Array, "p *n"]
+
+    @property
+    def resistance(self) -> Float[Array, "p *n"]:
+        """Additional force against the normal velocity, over this velocity, N s/m."""
+        return self.pressure * self.speed * (self.per_sine - broadside(self.aspect) * self.sine)
+
+
 class PlateLift(ForceLaw):
     """Lift of plates, in addition to their form drag.
 
@@ -114,23 +152,29 @@ class PlateLift(ForceLaw):
 
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
         """Return the lift on every body (`ForceLaw.wrench`)."""
-        velocity = self._own(bodies.through_water)
-        frame = expand_dims_like(self.frame, velocity, velocity.ndim + 1)
-        local = matvec(frame, velocity)
-        force = -frame[0] * (self._against(bodies, local) * local[0])[None]
-        moment = cross(self._centre(bodies), force)
+        flow = self._flow(bodies)
+        force = -flow.frame[0] * (flow.resistance * flow.local[0])[None]
+        moment = cross(flow.centre, force)
         if self.has_moment:
-            moment = moment + matvec_t(frame, self._moment(bodies, local))
+            # The moment of the whole normal force about the centre, in plate axes.
+            whole = -flow.pressure * flow.speed * flow.local[0] * flow.per_sine
+            chord = jnp.sqrt(expand_dims_like(self.area, flow.slip) / flow.aspect)
+            # The lever 1 - sin a along the flow is (cos a)^2 / (1 + sin a), here over the slip.
+            lever = _AHEAD * chord * flow.slip / (flow.speed * flow.speed * (1.0 + flow.sine))
+            turning = whole * lever
+            none = jnp.zeros_like(turning)
+            own = jnp.stack([none, turning * flow.local[2], -turning * flow.local[1]])
+            moment = moment + matvec_t(flow.frame, own)
         return self._spread(bodies, jnp.concatenate([moment, force]))
 
-    def parts(self, bodies: Bodies) -> tuple[Part]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the lift with ``c w w^T`` as D, for the row w of the normal velocity."""
         row, c = self._resistance(bodies)
         angular, linear = row[:3], row[3:]
         pairs = ((angular, angular), (angular, linear), (linear, linear))
         outer = jnp.stack([c[None, None] * a[:, None] * b[None] for a, b in pairs])
         flat = self._spread(bodies, (bodies.h * outer).reshape(27, *c.shape))
-        return (Part(self.wrench(bodies), flat.reshape(3, 3, 3, *flat.shape[1:])),)
+        return (WrenchPart(self.wrench(bodies), flat.reshape(3, 3, 3, *flat.shape[1:])),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench of the derivatives that D leaves out (`ForceLaw.averaged`)."""
@@ -140,77 +184,49 @@ class PlateLift(ForceLaw):
 
         whole = jax.jvp(wrench, (start.velocity,), (moving.velocity,))[1]
         row, c = self._resistance(start)
-        own = 2.0 * c * dot(row, self._own(moving.velocity))
+        own = 2.0 * c * dot(row, take(moving.velocity, np.array(self.bodies)))
         return whole + self._spread(start, row * own[None])
-
-    def _own(self, x: Float[Array, "k b *n"]) -> Float[Array, "k p *n"]:
-        """Return a quantity of the plates."""
-        return take(x, np.array(self.bodies))
 
     def _spread(self, bodies: Bodies, own: Float[Array, "k p *n"]) -> Float[Array, "k b *n"]:
         """Return a quantity of the plates as a quantity of all bodies."""
         return spread(own, self.bodies, bodies.tree.body_count)
 
-    def _centre(self, bodies: Bodies) -> Float[Array, "3 p *#n"]:
-        return expand_dims_like(bodies.tree.centre[:, np.array(self.bodies)], bodies.velocity)
-
     def _resistance(self, bodies: Bodies) -> tuple[Float[Array, "6 p *n"], Float[Array, "p *n"]]:
         """Return the row of the normal velocity, and the force over this velocity, N s/m."""
-        velocity = self._own(bodies.through_water)
-        frame = expand_dims_like(self.frame, velocity, velocity.ndim + 1)
-        normal = jnp.broadcast_to(frame[0], velocity.shape)
-        row = jnp.concatenate([cross(self._centre(bodies), normal), normal])
-        return row, self._against(bodies, matvec(frame, velocity))
+        flow = self._flow(bodies)
+        normal = jnp.broadcast_to(flow.frame[0], flow.local.shape)
+        return jnp.concatenate([cross(flow.centre, normal), normal]), flow.resistance
 
-    def _pressure(self, bodies: Bodies, local: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:
-        """Return ``1/2 rho S`` of the parts under water, kg/m."""
-        assert bodies.water is not None
-        wet = self._own(bodies.under_water[None])[0]
-        area = expand_dims_like(self.weight * self.area, local[0])
-        return 0.5 * bodies.water.density * area * wet
-
-    def _flow(self, local: Float[Array, "3 p *n"]) -> tuple[Array, Array, Array, Array, Array]:
-        """Return speed, speed along the plate (m/s), sine, cosine, and aspect ratio."""
+    def _flow(self, bodies: Bodies) -> _Flow:
+        own = np.array(self.bodies)
+        velocity = take(bodies.through_water, own)
+        frame = as_matrix_of(self.frame, velocity)
+        local = matvec(frame, velocity)
         normal, first, second = local
         along = first * first + second * second + _SPEED_FLOOR
-        speed = jnp.sqrt(normal * normal + along)
-        slip = jnp.sqrt(along)
+        speed, slip = jnp.sqrt(normal * normal + along), jnp.sqrt(along)
         one, other = expand_dims_like(self.lengths, local)
         across = other * other * first * first + one * one * second * second
         square = (across + one * other * _SPEED_FLOOR) / along
-        aspect = square / expand_dims_like(self.area, normal)
-        return speed, slip, jnp.abs(normal) / speed, slip / speed, aspect
-
-    def _against(self, bodies: Bodies, local: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:
-        """Return the additional force against the normal velocity, over this velocity, N s/m.
-
-        Args:
-            bodies: the bodies.
-            local: velocity through the water along the normal and the tangents, m/s.
-        """
-        speed, _, sine, cosine, aspect = self._flow(local)
-        added = per_sine(sine, cosine, aspect) - broadside(aspect) * sine
-        return self._pressure(bodies, local) * speed * added
-
-    def _moment(self, bodies: Bodies, local: Float[Array, "3 p *n"]) -> Float[Array, "3 p *n"]:
-        """Return the moment of the whole normal force about the centre in plate axes, N m."""
-        speed, slip, sine, cosine, aspect = self._flow(local)
-        whole = -self._pressure(bodies, local) * speed * local[0] * per_sine(sine, cosine, aspect)
-        chord = jnp.sqrt(expand_dims_like(self.area, slip) / aspect)
-        # The lever 1 - sin a along the flow is (cos a)^2 / (1 + sin a), here over the slip.
-        lever = _AHEAD * chord * slip / (speed * speed * (1.0 + sine))
-        turning = whole * lever
-        return jnp.stack([jnp.zeros_like(turning), turning * local[2], -turning * local[1]])
+        aspect, sine = square / expand_dims_like(self.area, normal), jnp.abs(normal) / speed
+        assert bodies.water is not None
+        wet = take(bodies.under_water, own, 0)
+        area = expand_dims_like(self.weight * self.area, normal)
+        return _Flow(
+            centre=expand_dims_like(bodies.tree.centre[:, own], bodies.velocity),
+            frame=frame,
+            local=local,
+            speed=speed,
+            slip=slip,
+            sine=sine,
+            aspect=aspect,
+            per_sine=per_sine(sine, slip / speed, aspect),
+            pressure=0.5 * bodies.water.density * area * wet,
+        )
 
 
 def per_sine(sine: Array, cosine: Array, aspect: Array) -> Array:
-    """Return C_N over the sine of the angle of attack, a number of order 1.
-
-    Args:
-        sine: sine of the angle of attack, 0 to 1.
-        cosine: cosine of the angle.
-        aspect: aspect ratio, span over mean chord.
-    """
+    """Return C_N over the sine of the angle of attack, a number of order 1."""
     potential = 2.0 * jnp.pi * aspect / (2.0 + jnp.sqrt(aspect * aspect + 4.0))
     attached = _SLOPE * potential * cosine + _VORTEX * sine
     nose = 1.0 / (1.0 - _NOSE + _NOSE * sine)
@@ -245,7 +261,13 @@ def make_plate_lift(
     }
     shapes = {body.name: body.shape for body in creature.bodies}
     free = [i for i, name in enumerate(tree.names) if name not in chained]
-    weights = [_weight(shapes[tree.names[i]]) for i in free]
+    weights = []
+    for i in free:
+        thickness, width, _ = xp.sort(shapes[tree.names[i]].stretch[0])
+        ratio = thickness / xp.maximum(width, 1e-12)
+        thin = smooth_step((_THICK - ratio) / (_THICK - _THIN))
+        # A body of size 0 has no lift.
+        weights.append(xp.where(width > 0, thin, 0.0))
 
     def choose() -> tuple[int, ...]:
         kept = zip(free, weights, strict=True)
@@ -269,14 +291,6 @@ def make_plate_lift(
         xp.array([weight for i, weight in zip(free, weights, strict=True) if i in plates]),
         has_moment,
     )
-
-
-def _weight(shape: Shape) -> Number:
-    """Return 1 for a thin body, 0 for a thick one or one of size 0, and a cubic in between."""
-    half, _ = shape.stretch
-    thickness, width, _ = xp.sort(half)
-    ratio = thickness / xp.maximum(width, 1e-12)
-    return xp.where(width > 0, smooth_step((_THICK - ratio) / (_THICK - _THIN)), 0.0)
 
 
 def _plate(shape: Shape) -> tuple[Numbers, Numbers, Number]:

@@ -3,7 +3,7 @@
 Lighthill's large-amplitude elongated-body theory (1971), in three dimensions. The centreline of the
 body has the unit tangent t towards the head, and the velocity V relative to the water. Let
 ``u = V . t``, ``w = V - u t`` and ``p = M_a w``, with the added mass M_a of a section
-(`evo_cpg.physics.water.sections`). The water's force on the body per length is
+(`sections`). The water's force on the body per length is
 
     f = -dp/dt + d/da (u p - 1/2 (w . p) t),    a from the tail to the head.
 
@@ -32,6 +32,18 @@ smooth function of the angle between V and t, which is 0 for u < 0 and 1 for ``u
 power ``q . V = -1/2 u w . p`` is then never positive: an edge only takes energy from the body. The
 theory is silent about u < 0 at a tail, where it would return energy.
 
+The water around a slender body moves across the body only. A section sets the mass ``m_k`` per
+length in motion for each of two directions ``e_k`` across the body (Lamb 1932, section 71):
+
+    ellipse    rho pi a^2, with the half-width a normal to the motion,
+    rectangle  rho pi a^2 c(b/a), with the half-thickness b along the motion.
+
+The factor c of a rectangle is from a panel method. The section of a tapered body is its mean
+section. A body of finite length carries less: all sections of a chain are multiplied by Lamb's
+coefficient for a spheroid with the length of the chain and the width of its widest body. The
+inertia M of a body is the integral of its section's added mass along its centreline. It has no part
+along the body and none in rolling.
+
 The derivative of q by V is ``t p^T - p t^T - u M_a``. Its first part is skew, and its second part
 resists. The smooth function counts as constant within a step.
 """
@@ -43,15 +55,95 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.decisions import some_hold
-from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like
+from evo_cpg.creature.algebra.decisions import chosen, some_hold
+from evo_cpg.creature.algebra.linear import as_matrix_of, cross, dot, expand_dims_like
 from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
 from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.creature.shapes import Ellipsoid
 from evo_cpg.creature.slender import LEAST_BODIES, SlenderChain, slender_chains
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.per_body import spread, take
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part, blocks
-from evo_cpg.physics.water.sections import Sections, chain_inertia, sections
+from evo_cpg.physics.water.added_mass import ellipsoid
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart, blocks
+
+# Added mass of a rectangle over rho pi a^2, for thicknesses b/a (panel method).
+_THICKNESS = np.array([0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
+_RECTANGLE = np.array([1.0, 1.14, 1.22, 1.36, 1.51, 1.70, 1.98, 2.23])
+
+# Least size of a section, m, so that bodies without size have no 0 / 0.
+_LEAST = 1e-9
+
+
+class Sections(NamedTuple):
+    """Sections of the bodies of a chain, from the nose to the tail, in geometric frames.
+
+    Attributes:
+        directions: two unit vectors across each body.
+        masses: added mass per length for motion along each direction, kg/m.
+        sharp: whether the edges of each body are sharp.
+    """
+
+    directions: Float[Numbers, "n 2 3"]
+    masses: Float[Numbers, "n 2"]
+    sharp: tuple[bool, ...]
+
+
+def sections(creature: Creature, chain: SlenderChain, density: Number) -> Sections:
+    """Return the sections of a chain."""
+    shapes = [creature.bodies[body].shape for body in chain.bodies]
+    directions, masses, widths, sharp = [], [], [], []
+    for shape, tangent, length in zip(shapes, chain.tangents, chain.lengths, strict=True):
+        half, axes = shape.stretch
+        along = chosen(lambda axes=axes, t=tangent: int(np.argmax(np.abs(t @ axes))))
+        one, other = (half[(along + k) % 3] for k in (1, 2))
+        first = axes[:, (along + 1) % 3]
+        first = first - tangent * (tangent @ first)
+        first = first / xp.maximum(xp.linalg.norm(first), _LEAST)
+        directions.append(xp.stack([first, xp.cross(tangent, first)]))
+        sharp.append(all(cell.profile == "box" for cell in shape.cells()))
+        if sharp[-1]:
+            own = _rectangle(other, one), _rectangle(one, other)
+        else:
+            # The mean section; bodies that overlap at joints have no more than the largest one.
+            mean = shape.volume / xp.maximum(length, _LEAST)
+            fullness = xp.minimum(mean / xp.maximum(np.pi * one * other, _LEAST**2), 1.0)
+            own = fullness * np.pi * other**2, fullness * np.pi * one**2
+        masses.append(xp.array(own))
+        widths.append(2 * xp.maximum(one, other))
+    # Lamb's k_2 of a spheroid: its added mass across over that of its sections.
+    long, wide = (xp.maximum(x, _LEAST) for x in (chain.length, xp.max(xp.array(widths))))
+    spheroid = Ellipsoid((long / 2, wide / 2, wide / 2))
+    slenderness = ellipsoid(spheroid)[4] / spheroid.volume
+    return Sections(xp.stack(directions), density * slenderness * xp.stack(masses), tuple(sharp))
+
+
+def chain_inertia(
+    tree: Tree, creature: Creature, chain: SlenderChain, found: Sections
+) -> dict[int, Float[Numbers, "6 6"]]:
+    """Return M of each body of a chain in its working frame, by the body's index in the tree."""
+    inertias = {}
+    for k, body in enumerate(chain.bodies):
+        i = tree.names.index(creature.bodies[body].name)
+        section = xp.einsum(
+            "k,ki,kj->ij", found.masses[k], found.directions[k], found.directions[k]
+        )
+        middle = (chain.front[k] + chain.rear[k]) / 2 + tree.centre[:, i]
+        # Two Gauss points are exact: M is quadratic along the centreline.
+        reach = chain.tangents[k] * chain.lengths[k] / np.sqrt(12)
+        total = 0.0
+        for x, y, z in (middle - reach, middle + reach):
+            shift = xp.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+            rows = xp.concatenate([shift, np.eye(3)], 1)
+            total = total + chain.lengths[k] / 2 * rows.T @ section @ rows
+        inertias[i] = total
+    return inertias
+
+
+def _rectangle(half_width: Number, half_thickness: Number) -> Number:
+    """Return the added mass over density of a rectangle that moves along its thickness, m^2."""
+    ratio = half_thickness / xp.maximum(half_width, _LEAST)
+    return np.pi * half_width**2 * xp.interp(ratio, _THICKNESS, _RECTANGLE)
+
 
 # Ratio u / |w| at which an edge sheds all water, 79 degrees from the tangent.
 _ALL_SHED = 0.2
@@ -84,25 +176,20 @@ class _Flow(NamedTuple):
     """Motion and momentum of the water at every edge.
 
     Attributes:
-        velocity: velocity of the edge relative to the water, m/s.
         tangent: unit vector from the edge into the body.
         directions: two unit vectors across the body.
         masses: shed added mass per length under water, times the fraction that is shed, kg/m.
         along: u, m/s.
         across: velocity along each of the directions, m/s.
+        momentum: momentum p of the shed water per length, kg/s.
     """
 
-    velocity: Float[Array, "3 e *n"]
     tangent: Float[Array, "3 e *n"]
     directions: Float[Array, "3 2 e *n"]
     masses: Float[Array, "2 e *n"]
     along: Float[Array, "e *n"]
     across: Float[Array, "2 e *n"]
-
-    @property
-    def momentum(self) -> Float[Array, "3 e *n"]:
-        """Momentum p of the shed water per length, kg/s."""
-        return (self.directions * (self.masses * self.across)[None]).sum(1)
+    momentum: Float[Array, "3 e *n"]
 
 
 class ReactiveThrust(ForceLaw):
@@ -110,7 +197,6 @@ class ReactiveThrust(ForceLaw):
 
     Attributes:
         bodies: index of the body of each edge in the tree.
-        edges: the edges.
     """
 
     of_water: ClassVar[bool] = True
@@ -121,18 +207,17 @@ class ReactiveThrust(ForceLaw):
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench of q on every body (`ForceLaw.wrench`)."""
         flow = self._flow(bodies)
-        momentum = flow.momentum
         carried = (flow.masses * flow.across**2).sum(0)
-        force = 0.5 * carried[None] * flow.tangent - flow.along[None] * momentum
+        force = 0.5 * carried[None] * flow.tangent - flow.along[None] * flow.momentum
         return self._on_bodies(bodies, self._wrenches(force))
 
-    def parts(self, bodies: Bodies) -> tuple[Part]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the wrench, with half of ``u M_a`` as D (`ForceLaw.parts`)."""
         flow = self._flow(bodies)
         rows = jnp.stack([self._wrenches(flow.directions[:, k]) for k in range(2)])
         weights = 0.5 * bodies.h * flow.masses * flow.along[None]
         outer = (weights[:, None, None] * rows[:, :, None] * rows[:, None]).sum(0)
-        return (Part(self.wrench(bodies), self._on_bodies(bodies, blocks(outer))),)
+        return (WrenchPart(self.wrench(bodies), self._on_bodies(bodies, blocks(outer))),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench of ``t p^T - p t^T`` (`ForceLaw.averaged`)."""
@@ -150,7 +235,7 @@ class ReactiveThrust(ForceLaw):
     def _flow(self, bodies: Bodies) -> _Flow:
         velocity = self._velocity(bodies)
         tangent = expand_dims_like(self.edges.tangents, velocity)
-        directions = expand_dims_like(self.edges.directions, velocity, velocity.ndim + 1)
+        directions = as_matrix_of(self.edges.directions, velocity)
         masses = expand_dims_like(self.edges.masses, velocity)
         along = dot(tangent, velocity)
         across = (directions * velocity[:, None]).sum(0)
@@ -158,7 +243,9 @@ class ReactiveThrust(ForceLaw):
         shed = smooth_step(along / (_ALL_SHED * speed))
         if bodies.displaced is not None:
             shed = shed * take(bodies.under_water, np.array(self.bodies), 0)
-        return _Flow(velocity, tangent, directions, masses * shed[None], along, across)
+        masses = masses * shed[None]
+        momentum = (directions * (masses * across)[None]).sum(1)
+        return _Flow(tangent, directions, masses, along, across, momentum)
 
     def _wrenches(self, force: Float[Array, "3 e *n"]) -> Float[Array, "6 e *n"]:
         """Return the wrenches of forces at the edges."""
@@ -226,10 +313,7 @@ def _shedding(
             difference = masses - (cosines**2 * found.masses[other]).sum(-1)
             kept = xp.where(chain.lengths[other] > _MISSING, 0.0, masses)
             masses = xp.maximum(difference, 0.0) if found.sharp[own] else kept
-            if every_edge or _sheds(masses, found.masses[own]):
+            least = _NO_DIFFERENCE * found.masses[own]
+            if every_edge or some_hold(lambda own=masses, least=least: own > least):
                 edges.append((own, toward_tail, masses))
     return edges
-
-
-def _sheds(masses: Float[Numbers, " 2"], whole: Float[Numbers, " 2"]) -> bool:
-    return some_hold(lambda: masses > _NO_DIFFERENCE * whole)

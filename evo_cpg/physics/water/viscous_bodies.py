@@ -1,13 +1,46 @@
 """Builder of the drag of water with a viscosity (`evo_cpg.physics.water.viscous_drag`).
 
 The constants of a body come from its exposed surface and from the outline of its whole chain
-(`evo_cpg.creature.chain_outline`):
+(`evo_cpg.creature.slender`):
 
 - R of creeping flow is that of an ellipsoid with the proportions of the outline.
 - The coefficients of form drag give the outline its measured drag.
 - The distance x of the boundary layer runs from the nose of the chain, or from its tail. Across the
   centreline, x is the path around the body. It is the distance of the mean coefficient over the
   body, a quarter of the length for a single body.
+
+Resistance of an ellipsoid in creeping flow: with ``D^2 = (a^2 + l) (b^2 + l) (c^2 + l)``,
+``chi = int_0^inf dl / D`` and ``alpha_i = int_0^inf dl / ((a_i^2 + l) D)``, force and torque of the
+semi-axes a, b, c are (Oberbeck 1876, Jeffery 1922)
+
+    F_i = -16 pi mu U_i / (chi + a_i^2 alpha_i),
+    T_i = -16/3 pi mu w_i (a_j^2 + a_k^2) / (a_j^2 alpha_j + a_k^2 alpha_k).
+
+A sphere has 6 pi mu a and 8 pi mu a^3.
+
+Form drag along an axis of the shape is ``1/2 rho V^2 S C``, S being the area that meets the flow. C
+depends on the depth l along the flow and on the profile across it, p >= q. A thin plate across the
+flow has
+
+    C_plate = 2 - 0.87 / (1 + ((p/q - 1) / 26)^1.3),
+
+1.13 for a square, 2.0 for a long plate. Depth gives the flow time to follow the body:
+
+    round:  C = C_plate / (1 + c (l/q)^1.1),
+    box:    C = C_plate (1 - 0.27 e (1 - 1 / (1 + (0.55 l/q)^2))),  e = (2 - C_plate) / 0.87.
+
+The constant c gives ``1.25 - 0.785 / (1 + (p/q - 1) / 6)`` at ``l = q``.
+
+Cylinders with flat ends have their own values. Along the axis, x being ``l/q``,
+
+    C = C_plate (1 - 0.28 x^3 / (0.5 + x^3)).
+
+Across it they are round, with ``1.19 - 0.58 / (1 + e / (12 + 0.1 e))`` at ``l = q``,
+``e = p/q - 1``.
+
+So a sphere has 0.46, a long cylinder 1.25, a cube 1.06, a long bar 2.0, and a rod along the flow
+0.83. The values are those of a laminar boundary layer, without friction. `docs/models/fluid.md`
+compares them with measurements.
 """
 
 import numpy as np
@@ -15,21 +48,17 @@ from jaxtyping import Float
 
 from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
-from evo_cpg.creature.chain_outline import Outline, outline
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Surface
-from evo_cpg.creature.slender import slender_chains
+from evo_cpg.creature.slender import ChainOutline, chain_outline, slender_chains
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.water.form_coefficients import form_drag_coefficients, point_coefficients
-from evo_cpg.physics.water.stokes import ellipsoid_resistance
-from evo_cpg.physics.water.surface_points import (
-    Places,
-    alike,
+from evo_cpg.physics.water.fluid import (
+    PointPlaces,
+    groups_of,
     merge_alike,
     outer_products,
     places_of,
-    still_alike,
     velocity_rows,
 )
 from evo_cpg.physics.water.viscous_drag import ViscousDrag, ViscousPatch, Wetted
@@ -79,13 +108,13 @@ def make_viscous_drag(
         layout: "merged" merges equal bodies and points.
     """
     wetted: list[Wetted] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
-    places: list[Places] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
+    places: list[PointPlaces] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
     runs_along = [xp.zeros(2)] * tree.body_count
     mass = tree.rigid_mass
     for chain in slender_chains(creature):
         if not creature.bodies[chain.bodies[0]].shape.exists:
             continue
-        shape = outline(creature, chain)
+        shape = chain_outline(creature, chain)
         names = [creature.bodies[body].name for body in chain.bodies]
         fine = creature.bodies[chain.bodies[0]].shape.surface(_FINE)
         points = _form_points(shape, [form[name] for name in names], fine)
@@ -98,16 +127,14 @@ def make_viscous_drag(
             places[k] = places_of(placed)
             area, own = coefficients * surface.areas, skin[name]
             if len(names) == 1:
-                own = own._replace(areas=own.areas * _excess(own, fine))
+                # The few points of a thin body have more area than many points.
+                excess = fine.areas.sum() / xp.maximum(own.areas.sum(), _TINY**2)
+                own = own._replace(areas=own.areas * xp.minimum(1.0, excess))
             wetted[k] = _wetted(shape, i, tree.centre[:, k], placed, area, own, creep[i], mass[k])
             runs_along[k] = runs_here[i]
     wet = [k for k, own in enumerate(wetted) if own is not None]
     keys = [(tuple(wetted[k]), tuple(places[k])) for k in wet]
-    found = (
-        chosen(lambda: alike(keys), lambda found: still_alike(keys, found))
-        if layout == "merged"
-        else [(i,) for i in range(len(keys))]
-    )
+    found = groups_of(keys, layout)
     groups = [tuple(wet[i] for i in bodies) for bodies in found]
     patches = []
     for bodies in groups:
@@ -132,13 +159,8 @@ def make_viscous_drag(
     return ViscousDrag(viscosity, form_drag, tuple(patches))
 
 
-def _excess(surface: Surface, fine: Surface) -> Number:
-    """Return the factor that reduces the area of few points to that of many, at most 1."""
-    return xp.minimum(1.0, fine.areas.sum() / xp.maximum(surface.areas.sum(), _TINY**2))
-
-
 def _form_points(
-    shape: Outline, surfaces: list[Surface], fine: Surface
+    shape: ChainOutline, surfaces: list[Surface], fine: Surface
 ) -> list[tuple[Surface, Numbers]]:
     """Return the points of form drag of each body of a chain, and their coefficients k.
 
@@ -178,7 +200,7 @@ def _form_points(
     return found
 
 
-def _creep(shape: Outline) -> Float[Numbers, "n 6"]:
+def _creep(shape: ChainOutline) -> Float[Numbers, "n 6"]:
     """Return the resistances of each body about and along the axes of the outline, at its centre.
 
     The ellipsoid has the proportions of the outline and the volume of the bodies. A body gets its
@@ -194,7 +216,7 @@ def _creep(shape: Outline) -> Float[Numbers, "n 6"]:
     return xp.concatenate([about, part * force[None]], 1)
 
 
-def _lengths(shape: Outline) -> Float[Numbers, " n"]:
+def _lengths(shape: ChainOutline) -> Float[Numbers, " n"]:
     return shape.chain.lengths if len(shape.axes) > 1 else 2 * shape.halves[:, 0]
 
 
@@ -204,7 +226,7 @@ def _path(depth: Number, one: Number, other: Number) -> Number:
     return (depth**4 + narrow**4) ** 0.25
 
 
-def _runs_along(shape: Outline) -> Float[Numbers, "n 2"]:
+def _runs_along(shape: ChainOutline) -> Float[Numbers, "n 2"]:
     """Return the squared inverse distances of each body from the nose and from the tail, 1/m^2.
 
     The mean of ``x^-1/2`` over a body from x_0 to x_1 is ``2 / (sqrt(x_0) + sqrt(x_1))``.
@@ -223,7 +245,7 @@ def _runs_along(shape: Outline) -> Float[Numbers, "n 2"]:
 
 
 def _wetted(
-    shape: Outline,
+    shape: ChainOutline,
     i: int,
     middle: Float[Numbers, " 3"],
     placed: Surface,
@@ -269,3 +291,91 @@ def _wetted(
         diameter=xp.array([2 * xp.sqrt(half[1] * half[2])]),
         dip=dip,
     )
+
+
+# Points of the quadrature: the error is below 1e-6 for axes of 1 to 100.
+_NODES = 60
+
+
+def ellipsoid_resistance(
+    axes: Float[Numbers, " 3"],
+) -> tuple[Float[Numbers, " 3"], Float[Numbers, " 3"]]:
+    """Return force over viscosity and velocity (m), torque over viscosity and rate (m^3)."""
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    # l = s^2 (x / (1 - x))^2 maps (0, 1) to (0, infinity) and leaves a smooth integrand.
+    x = (nodes + 1) / 2
+    scale = axes.min() * axes.max()
+    squares = xp.square(axes)
+    shifted = squares[:, None] + (scale * (x / (1 - x)) ** 2)[None]
+    integrand = weights / 2 * scale * 2 * x / (1 - x) ** 3 / xp.sqrt(shifted.prod(0))
+    chi = integrand.sum()
+    part = squares * (integrand / shifted).sum(-1)
+    force = 16 * np.pi / (chi + part)
+    order, other = np.array([1, 2, 0]), np.array([2, 0, 1])
+    torque = 16 / 3 * np.pi * (squares[order] + squares[other]) / (part[order] + part[other])
+    return force, torque
+
+
+# Coefficients of the formulas above.
+_LONG_PLATE, _PLATE_LOSS, _PLATE_RATIO, _PLATE_POWER = 2.0, 0.87, 26.0, 1.3
+_LONG_CYLINDER, _END_LOSS, _END_RATIO = 1.25, 0.785, 6.0
+_ROUND_POWER, _BOX_LOSS, _BOX_DEPTH = 1.1, 0.27, 0.55
+_FLAT_LOSS, _FLAT_DEPTH = 0.28, 0.5
+_FLAT_CYLINDER, _FLAT_END_LOSS, _FLAT_RATIO, _FLAT_SLOPE = 1.19, 0.58, 12.0, 0.1
+
+# Corrections of the points' coefficients. Boxes need one.
+_ROUNDS = 12
+
+# Least coefficient, so that a body without area has finite coefficients.
+_NO_DRAG = 1e-12
+
+
+def form_drag_coefficients(
+    sizes: Float[Numbers, " 3"], sharpness: Number, bluntness: Float[Numbers, " 3"] | None = None
+) -> Float[Numbers, " 3"]:
+    """Return C for flow along each axis of a shape.
+
+    Args:
+        sizes: lengths of the shape along its axes, m.
+        sharpness: 0 for round shapes, 1 for boxes. Values between mix the two coefficients.
+        bluntness: fraction that consists of cylinders along each axis, or None without cylinders.
+    """
+    found = []
+    for axis in range(3):
+        one, other = (sizes[i] for i in range(3) if i != axis)
+        broad, narrow = xp.maximum(one, other), xp.minimum(one, other)
+        excess, depth = broad / narrow - 1, sizes[axis] / narrow
+        loss = 1 / (1 + (excess / _PLATE_RATIO) ** _PLATE_POWER)
+        plate = _LONG_PLATE - _PLATE_LOSS * loss
+        cylinder = _LONG_CYLINDER - _END_LOSS / (1 + excess / _END_RATIO)
+        rounded = plate / (1 + (plate / cylinder - 1) * depth**_ROUND_POWER)
+        box = plate * (1 - _BOX_LOSS * loss * (1 - 1 / (1 + (_BOX_DEPTH * depth) ** 2)))
+        if bluntness is not None:
+            total, cube = bluntness.sum(), depth**3
+            ends = plate * (1 - _FLAT_LOSS * cube / (_FLAT_DEPTH + cube))
+            slope = excess / (_FLAT_RATIO + _FLAT_SLOPE * excess)
+            cylinder = _FLAT_CYLINDER - _FLAT_END_LOSS / (1 + slope)
+            side = plate / (1 + (plate / cylinder - 1) * depth**_ROUND_POWER)
+            flat = bluntness[axis] * ends + (total - bluntness[axis]) * side
+            rounded = (1 - total) * rounded + flat
+        found.append((1 - sharpness) * rounded + sharpness * box)
+    return xp.array(found)
+
+
+def point_coefficients(
+    normals: Float[Numbers, "p 3"], areas: Float[Numbers, " p"], coefficients: Float[Numbers, " 3"]
+) -> Float[Numbers, " p"]:
+    """Return the coefficient k of each point, so that the points together have the form drag C.
+
+    A point has the force ``-1/2 rho k A |v_n| v_n n``. The coefficient of a point with the normal n
+    is ``1/k = sum_i n_i^2 / k_i``, so a point of a streamlined nose has the low drag of that
+    direction. The three k_i are found by ``k_i <- k_i C_i S_i / sum_p k A |n_i|^3``.
+    """
+    squares = xp.square(normals)
+    cubes = areas[:, None] * squares * xp.abs(normals)
+    target = 0.5 * coefficients * (areas[:, None] * xp.abs(normals)).sum(0)
+    own = xp.maximum(target, _NO_DRAG**2) / xp.maximum(cubes.sum(0), _NO_DRAG**2)
+    for _ in range(_ROUNDS):
+        force = cubes.T @ (1 / (squares @ (1 / xp.maximum(own, _NO_DRAG))))
+        own = own * (target + _NO_DRAG**2) / (force + _NO_DRAG**2)
+    return 1 / (squares @ (1 / xp.maximum(own, _NO_DRAG)))

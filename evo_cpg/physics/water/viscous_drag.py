@@ -3,12 +3,12 @@
 Three terms add up. Each one is small where it does not belong, so there is no switch:
 
 - Creeping flow, ``-mu R V``. R (6x6) is constant: the resistance of the ellipsoid of the whole
-  chain (`evo_cpg.physics.water.stokes`), divided among its bodies in proportion to their lengths.
+  chain (`evo_cpg.physics.water.viscous_bodies`), divided among its bodies by their lengths.
 - Boundary layer, ``-1/2 rho c_f s G V``. G (6x6) is the integral of the tangential velocities over
   the exposed surface. c_f is the local coefficient of a flat plate at ``Re_x = rho s x / mu``:
   ``0.664 Re_x^-1/2`` (laminar), ``0.0592 Re_x^-1/5`` (turbulent), with a smooth transition at 5e5.
 - Form drag, ``-1/2 rho q k A |v_n| v_n n`` at surface points. The constant k gives the whole chain
-  the drag of its shape (`evo_cpg.physics.water.form_coefficients`). For round bodies
+  the drag of its shape (`evo_cpg.physics.water.viscous_bodies`). For round bodies
   ``q = 1 - 0.3 * 4 y / (1 + y)^2`` with ``y = Re_d / 2500``: the drag of spheres and cylinders is
   lowest at Re 2500.
 
@@ -28,6 +28,7 @@ Differs from nature: the drag crisis beyond Re 2e5 is missing, and so is the his
 """
 
 import dataclasses
+import functools
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
@@ -35,8 +36,8 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.algebra.numerics import Number, Numbers
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, Part, blocks
-from evo_cpg.physics.water.surface_points import Places, runs, wet_fraction
+from evo_cpg.physics.water.fluid import PointPlaces, over_patches, wet_fraction
+from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart, blocks
 
 # Local friction coefficients 0.664 Re^-1/2 (Blasius) and 0.0592 Re^-1/5 (Prandtl), and the power of
 # the weight of the transition.
@@ -102,7 +103,7 @@ class ViscousPatch(NamedTuple):
     outer: Float[Numbers, "27 p"]
     forward: Float[Numbers, " k"]
     backward: Float[Numbers, " k"]
-    places: Places | None
+    places: PointPlaces | None
 
 
 class ViscousDrag(ForceLaw):
@@ -111,7 +112,6 @@ class ViscousDrag(ForceLaw):
     Attributes:
         viscosity: dynamic viscosity mu, Pa s.
         form_drag: factor of the form coefficients.
-        patches: the bodies.
         factor: factor of the whole drag.
     """
 
@@ -126,24 +126,15 @@ class ViscousDrag(ForceLaw):
         """Return the drag wrench on every body (`ForceLaw.wrench`)."""
         return self.parts(bodies)[0].wrench
 
-    def parts(self, bodies: Bodies) -> tuple[Part]:
+    def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
         velocity = bodies.relative
         inputs = [velocity]
         if bodies.pose is not None:
             inputs += [bodies.pose, bodies.under_water[None]]
-        pieces = []
-        for patch in self.patches:
-            for run in runs(patch.bodies):
-                part = [x[:, run] for x in inputs]
-                pieces.append((run.start, *self._patch(bodies, patch, run, *part)))
-        batch, dtype = velocity.shape[2:], velocity.dtype
-        none = jnp.zeros((6, 1, *batch), dtype), jnp.zeros((3, 3, 3, 1, *batch), dtype)
-        wet = {body for patch in self.patches for body in patch.bodies}
-        pieces += [(body, *none) for body in range(velocity.shape[1]) if body not in wet]
-        _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
-        derivative = jnp.concatenate(derivatives, 3)
-        return (Part(jnp.concatenate(wrenches, 1), bodies.h * derivative),)
+        evaluate = functools.partial(self._patch, bodies)
+        wrench, derivative = over_patches(self.patches, inputs, evaluate)
+        return (WrenchPart(wrench, bodies.h * derivative),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> None:
         """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""

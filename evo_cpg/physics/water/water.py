@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import array_of, expand_dims_like, matvec
+from evo_cpg.creature.algebra.linear import array_of, as_matrix_of, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Number, Triple
 
 Gradient = tuple[Triple, Triple, Triple]
@@ -48,7 +48,7 @@ class Current(Stream):
         velocity = expand_dims_like(array_of(self.origin), places)
         if self.gradient is None:
             return velocity
-        rows = expand_dims_like(array_of(self.gradient), places, places.ndim + 1)
+        rows = as_matrix_of(array_of(self.gradient), places)
         return velocity + matvec(rows, places)
 
 

@@ -1,30 +1,29 @@
 """Edits of copies: mirror a limb, repeat a segment, make a star of limbs, separate copies."""
 
 import copy as copying
-import itertools
 import re
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from evo_cpg.creature.tree import body_and_axis
-from evo_cpg.io.schema.copies import Copy, MirrorAxis, copies_named, fill
-from evo_cpg.io.schema.frames import opposed, reflected
+from evo_cpg.creature.axis_kinds import body_and_axis
+from evo_cpg.io.schema.copies import Copy, MirrorAxis, copies_named, fill, opposed, reflected
 from evo_cpg.io.schema.joint import JointConfig
 from evo_cpg.io.schema.tendon import TendonConfig
-from evo_cpg.view.drawing_page.document import Data, DrawingError
+from evo_cpg.view.drawing_page.document import Data, EditError
 from evo_cpg.view.drawing_page.lookup import (
     all_copies,
     bodies,
     entry_index,
     free_name,
     joint_of,
+    limb_of,
     parent_of,
+    reflected_if,
     tidy,
 )
-from evo_cpg.view.drawing_page.parts import rename_references
-from evo_cpg.view.drawing_page.placing import reflected_if
+from evo_cpg.view.drawing_page.parts import map_references, rename_references
 
 # Largest distance of a row's joint from the end of its bodies, over their half length.
 _GAP = 0.3
@@ -32,12 +31,7 @@ _MARKS = {"repeat": "{i}", "radial": "{j}", "mirror": "{side}"}
 
 
 def mirror(data: Data, name: str, axis: MirrorAxis = "y") -> str:
-    """Mirror a limb: the part, and everything that it carries.
-
-    Args:
-        data: data of the document.
-        name: name of the part.
-        axis: normal of the parent's plane in which the limb is mirrored.
+    """Mirror a limb, with everything that it carries, in the parent's plane normal to an axis.
 
     Returns:
         New name of the entry.
@@ -47,15 +41,15 @@ def mirror(data: Data, name: str, axis: MirrorAxis = "y") -> str:
     _require_uncopied(data, index, "mirror")
     side = "xyz".index(axis)
     if joint["at"][side] == 0:
-        raise DrawingError(
+        raise EditError(
             f"{entry['name']}: its joint is in the mirror plane, so both would be in one place. "
             f"Move it along {axis} first"
         )
     if joint["at"][side] < 0:
         # The written limb is on the positive side.
-        for each in _limb(data, index):
+        for each in limb_of(data, index):
             _reflect(data, each, axis)
-    _mark_limb(data, _limb(data, index), "{side}", front=True)
+    _mark_limb(data, limb_of(data, index), "{side}", front=True)
     bodies(data)[index]["mirror"] = axis
     return str(bodies(data)[index]["name"])
 
@@ -89,13 +83,13 @@ def separate(data: Data, name: str) -> None:
     entry, everything = bodies(data)[index], all_copies(data)
     own = [each for each in everything if each.entry == index]
     if len(own) == 1 and own[0].name == entry["name"]:
-        raise DrawingError(f"{entry['name']} is a single part")
+        raise EditError(f"{entry['name']} is a single part")
     if re.search(r"\{\w+\}", parent_of(entry) or ""):
-        raise DrawingError(
+        raise EditError(
             f"{entry['name']} is copied with its parent. Separate {parent_of(entry)} first"
         )
     # What the copies carry is copied with them, and would lose its pattern.
-    _separate_all(data, _limb(data, index))
+    _separate_all(data, limb_of(data, index))
 
 
 def _separate_all(data: Data, indices: list[int]) -> None:
@@ -117,20 +111,6 @@ def _separate_all(data: Data, indices: list[int]) -> None:
         made += [_single(entry, each) for each in everything if each.entry == i]
     creature = data["creature"]
     creature["bodies"] = made
-    for kind in ("light_sensors", "depth_sensors", "sensors"):
-        if not isinstance(creature.get(kind), list):
-            continue
-        eyes = []
-        for eye in creature[kind]:
-            eyes += [_own_eye(eye, each) for each in separated(eye.get("body"))] or [eye]
-        creature[kind] = eyes
-    pressed = creature.get("pressure_sensors")
-    if isinstance(pressed, list):
-        creature["pressure_sensors"] = [each for word in pressed for each in names(word)]
-    rule = creature.get("self_collision")
-    for kind, pairs in rule.items() if isinstance(rule, dict) else ():
-        each_pair = (itertools.product(*map(names, pair)) for pair in pairs)
-        rule[kind] = [list(pair) for some in each_pair for pair in some]
     tendons: list[Data] = []
     for tendon in creature.get("tendons") or []:
         if any(separated(body_and_axis(joint)[0]) for joint in tendon["joints"]):
@@ -140,6 +120,15 @@ def _separate_all(data: Data, indices: list[int]) -> None:
             tendons.append(tendon)
     if tendons:
         creature["tendons"] = tendons
+
+    def moved(sensor: Data, name: str) -> Data:
+        body = next(each for each in everything if each.name == name)
+        own = copying.deepcopy(sensor) | {"body": name}
+        for key in {"position", "axis"} & set(own) if body.mirror else ():
+            own[key] = tidy(reflected_if(sensor[key], body.mirror))
+        return own
+
+    map_references(data, names, moved)
 
 
 def _single(entry: Data, body: Copy) -> Data:
@@ -201,30 +190,22 @@ def _named(axis: tuple[float, ...]) -> str | list[float]:
     return tidy(axis)
 
 
-def _own_eye(eye: Data, body: Copy) -> Data:
-    made = copying.deepcopy(eye) | {"body": body.name}
-    if body.mirror:
-        for key in {"position", "axis"} & set(made):
-            made[key] = tidy(reflected_if(eye[key], body.mirror))
-    return made
-
-
 def _number(data: Data, name: str, key: str, count: int) -> str:
     if not 1 <= count <= 1000:
-        raise DrawingError(f"{key}: must be a whole number from 1 to 1000, got {count!r}")
+        raise EditError(f"{key}: must be a whole number from 1 to 1000, got {count!r}")
     index, mark = entry_index(data, name), _MARKS[key]
     entry = bodies(data)[index]
     if parent_of(entry) is None:
-        raise DrawingError(f"{name} is the root, which cannot be copied")
+        raise EditError(f"{name} is the root, which cannot be copied")
     if key in entry or mark in str(entry["name"]):
         if mark in (parent_of(entry) or ""):
-            raise DrawingError(f"{entry['name']} is copied with its parent {parent_of(entry)}")
+            raise EditError(f"{entry['name']} is copied with its parent {parent_of(entry)}")
         _recount(data, index, key, count)
         return str(bodies(data)[index]["name"])
     if count == 1:
         return str(entry["name"])
     if key == "radial":
-        _mark_limb(data, _limb(data, index), mark, front=False)
+        _mark_limb(data, limb_of(data, index), mark, front=False)
         bodies(data)[index][key] = count
         return str(bodies(data)[index]["name"])
     old = str(entry["name"])
@@ -256,7 +237,7 @@ def _row_behind(data: Data, name: str, count: int) -> str:
     index = entry_index(data, name)
     entry = bodies(data)[index]
     if re.search(r"\{\w+\}", str(entry["name"])):
-        raise DrawingError(f"{entry['name']} is copied already. Separate the copies first")
+        raise EditError(f"{entry['name']} is copied already. Separate the copies first")
     row = copying.deepcopy(entry)
     row["name"] = free_name(data, f"{entry['name']}_{{i}}")
     row["joint"]["parent"] = entry["name"]
@@ -274,8 +255,8 @@ def _row_behind(data: Data, name: str, count: int) -> str:
 
 
 def _recount(data: Data, index: int, key: str, count: int) -> None:
-    """Change the number of copies. Parts on the last body of a row stay on its last body."""
-    entry, limb = bodies(data)[index], _limb(data, index)
+    """ProposedEdit the number of copies. Parts on the last body of a row stay on its last body."""
+    entry, limb = bodies(data)[index], limb_of(data, index)
     own = [each for each in all_copies(data) if each.entry == index]
     was, mark = entry.get(key, 1), _MARKS[key][1:-1]
     entry[key] = count
@@ -288,21 +269,6 @@ def _recount(data: Data, index: int, key: str, count: int) -> None:
     if count == 1 and key == "radial":
         del entry[key]
         _mark_limb(data, limb, "{j}", front=False, remove=True)
-
-
-def _limb(data: Data, index: int) -> list[int]:
-    """Return the indices of an entry and of all entries that it carries, by their names."""
-    found, everything = [index], all_copies(data)
-    while True:
-        names = {each.name for each in everything if each.entry in found}
-        more = [
-            i
-            for i in range(len(bodies(data)))
-            if i not in found and any(x.entry == i and x.parent in names for x in everything)
-        ]
-        if not more:
-            return found
-        found += more
 
 
 def _mark_limb(data: Data, limb: list[int], mark: str, front: bool, remove: bool = False) -> None:
@@ -322,15 +288,15 @@ def _mark_limb(data: Data, limb: list[int], mark: str, front: bool, remove: bool
 
 
 def _require_uncopied(data: Data, index: int, key: str) -> None:
-    for i in _limb(data, index):
+    for i in limb_of(data, index):
         entry = bodies(data)[i]
         if _MARKS[key] in str(entry["name"]):
-            raise DrawingError(f"{entry['name']} is already copied by `{key}`")
+            raise EditError(f"{entry['name']} is already copied by `{key}`")
         numbered = re.search(r"\{[ij]\}", parent_of(entry) or "")
         if i != index and not numbered and re.search(r"\d$", parent_of(entry) or ""):
             carriers = [x for x in all_copies(data) if x.name == parent_of(entry)]
             if carriers and bodies(data)[carriers[0].entry]["name"] != parent_of(entry):
-                raise DrawingError(
+                raise EditError(
                     f"{entry['name']} is on {parent_of(entry)}, one body of a row. Separate the "
                     "row first"
                 )
@@ -359,9 +325,9 @@ def _reflect_shapes(entry: Data, axis: MirrorAxis) -> None:
     further = entry.get("parts") or []
     shapes = [entry.get("shape"), *(each.get("shape") for each in further)]
     if any(isinstance(shape, dict) and shape.get("type") == "mesh" for shape in shapes):
-        raise DrawingError(f"{entry['name']}: a mesh has no mirror image of its own in the file")
+        raise EditError(f"{entry['name']}: a mesh has no mirror image of its own in the file")
     if entry.get("inertia"):
-        raise DrawingError(f"{entry['name']}: an inertia in numbers cannot be mirrored here")
+        raise EditError(f"{entry['name']}: an inertia in numbers cannot be mirrored here")
     for shape in shapes:
         if isinstance(shape, dict) and shape.get("type") == "loft":
             for section in shape["sections"]:

@@ -5,22 +5,41 @@ is a function that changes the data. `yaml_edit` carries the change into the tex
 the texts, so it is exact.
 """
 
+import contextlib
 import copy
+import hashlib
+import json
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from evo_cpg.errors import UserError
-from evo_cpg.files import require_place, write_text
+from evo_cpg.files import OutputError, read_json, require_place, write_text
 from evo_cpg.io.errors import ConfigError, KeyProblem
-from evo_cpg.io.files import require_small
 from evo_cpg.io.load import read_yaml
-from evo_cpg.io.trust import beside
+from evo_cpg.io.trust import beside, require_small
 from evo_cpg.io.yaml_text import parse_yaml
-from evo_cpg.view.drawing_page.autosave import Autosave
-from evo_cpg.view.drawing_page.blank import blank
 from evo_cpg.view.drawing_page.yaml_edit import lost_comments, with_data
+
+_BLANK = """\
+# Drawn with `evo-cpg model`. Lengths are in m, angles in degrees. x is ahead, y left, z up.
+name: {name}
+creature:
+  name: {name}
+  materials:
+    flesh: {{density: 1000}}
+  bodies:
+    - name: body
+      shape: {{type: box, size: [0.2, 0.1, 0.1]}}
+      material: flesh
+world:
+  gravity: 9.81
+  water: {{density: 1000}}
+  ground: null
+"""
+
 
 Data = dict[str, Any]
 Edit = Callable[[Data], None]
@@ -29,7 +48,7 @@ Edit = Callable[[Data], None]
 _MOST = 1000
 
 
-class DrawingError(UserError):
+class EditError(UserError):
     """Raised for an edit that is not possible, with a message for the user."""
 
 
@@ -45,7 +64,7 @@ class Texts(NamedTuple):
     creature: str | None = None
 
 
-class Change(NamedTuple):
+class ProposedEdit(NamedTuple):
     """An edit that is worked out but not yet made.
 
     Attributes:
@@ -115,7 +134,8 @@ class Document:
         data = parse_yaml(self.texts.main)
         if self.texts.creature is not None:
             given = data["creature"]
-            changes = {k: v for k, v in given.items() if k != "file"} if _is_section(given) else {}
+            changes = dict(given) if isinstance(given, dict) else {}
+            changes.pop("file", None)
             data["creature"] = parse_yaml(self.texts.creature) | changes
         # Aliases are shared objects, and an edit must change one place only.
         return _unshared(data)
@@ -125,11 +145,11 @@ class Document:
         """Whether the texts differ from the files."""
         return self.texts != self._on_disk
 
-    def propose(self, edit: Edit) -> Change:
+    def propose(self, edit: Edit) -> ProposedEdit:
         """Work out an edit without making it.
 
         Raises:
-            DrawingError: the edit is not possible.
+            EditError: the edit is not possible.
         """
         data = self.data
         edit(data)
@@ -137,17 +157,18 @@ class Document:
         creature = self.texts.creature
         if creature is not None:
             given, whole = main.get("creature"), dict(data["creature"])
-            inside = set(given) - {"file"} if _is_section(given) else set()
-            own = {k: whole.pop(k) for k in list(whole) if k in inside}
+            if isinstance(given, dict):
+                own = {k: whole.pop(k) for k in list(whole) if k in given and k != "file"}
+                data["creature"] = {"file": given["file"], **own}
+            else:
+                data["creature"] = given
             creature = _written(creature, whole)
-            file = given["file"] if _is_section(given) else given
-            data["creature"] = {"file": file, **own} if _is_section(given) else file
         texts = Texts(_written(self.texts.main, data), creature)
         pairs = zip(self.texts, texts, strict=True)
         lost = [each for old, new in pairs if old and new for each in lost_comments(old, new)]
-        return Change(texts, tuple(lost))
+        return ProposedEdit(texts, tuple(lost))
 
-    def accept(self, change: Change) -> None:
+    def accept(self, change: ProposedEdit) -> None:
         """Make an edit."""
         if change.texts == self.texts:
             return
@@ -155,7 +176,7 @@ class Document:
         self._redo = []
         self._show(change.texts)
 
-    def apply(self, edit: Edit) -> Change:
+    def apply(self, edit: Edit) -> ProposedEdit:
         """Make an edit, and return what it changed."""
         change = self.propose(edit)
         self.accept(change)
@@ -189,13 +210,13 @@ class Document:
         A configuration that was deleted since it was opened is written again.
 
         Raises:
-            DrawingError: a file has changed since it was opened.
+            EditError: a file has changed since it was opened.
             OutputError: a file cannot be written.
         """
         require_place(self.path)
         if self._on_disk is None:
             if self.path.exists():
-                raise DrawingError(f"{self.path} exists. Save under another name")
+                raise EditError(f"{self.path} exists. Save under another name")
             write_text(self.path, self.texts.main)
             self._bytes[self.path] = "", "\n"
         else:
@@ -203,23 +224,17 @@ class Document:
                 mark, end = self._bytes[self.path]
                 write_text(self.path, mark + self._on_disk.main.replace("\n", end))
             if self._read() != self._on_disk:
-                raise DrawingError(
+                raise EditError(
                     f"{self.path} has changed on the disk since it was opened. Save under another "
                     "name, or open it again"
                 )
-            changed = [
-                (name, file, new)
-                for name, file, old, new in zip(
-                    Texts._fields,
-                    (self.path, self._creature_file()),
-                    self._on_disk,
-                    self.texts,
-                    strict=True,
-                )
-                if file is not None and new is not None and old != new
-            ]
-            for _, file, _ in changed:
-                require_place(file)
+            name = _creature_name(parse_yaml(self.texts.main))
+            own = None if name is None else beside(self.path, name)
+            changed = []
+            pairs = zip(self._on_disk, self.texts, strict=True)
+            for name, file, (old, new) in zip(Texts._fields, (self.path, own), pairs, strict=True):
+                if file is not None and new is not None and old != new:
+                    changed.append((name, require_place(file), new))
             for name, file, new in changed:
                 mark, end = self._bytes[file]
                 write_text(file, mark + new.replace("\n", end))
@@ -232,12 +247,12 @@ class Document:
         """Write one new file, with the creature inside, and go on with it.
 
         Raises:
-            DrawingError: the file exists.
+            EditError: the file exists.
             OutputError: the file cannot be written.
         """
         require_place(path)
         if path.exists():
-            raise DrawingError(f"{path} exists. Save under another name")
+            raise EditError(f"{path} exists. Save under another name")
         text = with_data(self.texts.main, self.data)
         write_text(path, text)
         self._autosave.drop()
@@ -250,7 +265,7 @@ class Document:
         if self.recovered:
             self.recovered = False
             # Undo may have returned to them already.
-            self.accept(Change([*self._undo, self.texts][0], ()))
+            self.accept(ProposedEdit([*self._undo, self.texts][0], ()))
 
     def _show(self, texts: Texts) -> None:
         self.texts = texts
@@ -281,10 +296,6 @@ class Document:
         read_yaml(file)
         return Texts(main, self._text(file))
 
-    def _creature_file(self) -> Path | None:
-        name = _creature_name(parse_yaml(self.texts.main))
-        return None if name is None else beside(self.path, name)
-
     def _text(self, file: Path) -> str:
         """Return the text of a file, and note its byte order mark and its ends of lines."""
         require_small(file)
@@ -307,11 +318,7 @@ def _written(text: str, data: Data) -> str:
     try:
         return with_data(text, data)
     except ValueError as error:
-        raise DrawingError(str(error)) from None
-
-
-def _is_section(given: Any) -> bool:
-    return isinstance(given, dict)
+        raise EditError(str(error)) from None
 
 
 def _unshared(value: Any) -> Any:
@@ -321,3 +328,74 @@ def _unshared(value: Any) -> Any:
     if isinstance(value, list):
         return [_unshared(each) for each in value]
     return copy.copy(value)
+
+
+class Autosave:
+    """Texts of a document that are not saved yet.
+
+    Args:
+        path: file of the document. The autosave of ``fish.yaml`` is ``.fish.yaml.autosave``.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path.parent / f".{path.name}.autosave"
+
+    def write(self, texts: Sequence[str | None], saved: Sequence[str | None] | None) -> str | None:
+        """Replace the autosave.
+
+        Args:
+            texts: texts of the document.
+            saved: texts of its files, without which the autosave means nothing, or None without
+                files.
+
+        Returns:
+            The problem if it cannot be written, such as a full disk, or None.
+        """
+        try:
+            write_text(self.path, json.dumps({"base": _digests(saved), "texts": texts}))
+        except OutputError as error:
+            return str(error)
+        return None
+
+    def read(self, saved: Sequence[str | None] | None) -> list[Any] | None:
+        """Return the texts, or None if there are none for these files.
+
+        Each file must have the text with which the edits began, or the text of the autosave if the
+        program ended while it saved. The autosave of other texts is kept beside this one, as
+        ``.fish.yaml.autosave.old``, because the next edit replaces this one.
+
+        Args:
+            saved: texts of the files, or None without files.
+        """
+        try:
+            found = read_json(self.path, dict[str, Any])
+        except (OSError, ValueError):
+            return None
+        base, texts = found.get("base"), found.get("texts")
+        if not (isinstance(texts, list) and len(texts) == 2 and isinstance(texts[0], str)):
+            return None
+        now, new = _digests(saved), _digests(texts)
+        same = isinstance(base, list) and len(base) == len(now)
+        if same and all(x in (base[i], new[i]) for i, x in enumerate(now)):
+            return texts
+        with contextlib.suppress(OSError):
+            os.replace(self.path, self.path.with_name(f"{self.path.name}.old"))
+        return None
+
+    def drop(self) -> None:
+        """Delete the autosave."""
+        with contextlib.suppress(OSError):
+            self.path.unlink(missing_ok=True)
+
+
+def blank(stem: str) -> str:
+    """Return the text of a new document.
+
+    Args:
+        stem: name of its file without the suffix, which names the animal, too.
+    """
+    return _BLANK.format(name=re.sub(r"[^A-Za-z0-9_]+", "_", stem).strip("_") or "animal")
+
+
+def _digests(texts: Sequence[str | None] | None) -> list[str]:
+    return [hashlib.sha256(repr(text).encode()).hexdigest() for text in texts or ()]

@@ -1,5 +1,6 @@
 """Parts of a creature in raw data: entries, their copies, and their places at rest."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,12 +10,14 @@ from jaxtyping import Float
 from evo_cpg.creature.creature import WORLD, Creature, neutral_pose
 from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.load import complete_config
-from evo_cpg.io.schema.copies import Copy, Entry, copies
+from evo_cpg.io.schema.copies import Copy, Entry, MirrorAxis, copies, reflected
 from evo_cpg.io.schema.creature import CreatureConfig
-from evo_cpg.view.drawing_page.document import Data, DrawingError
+from evo_cpg.view.drawing_page.document import Data, EditError
 
 # Number of digits to which the tool writes numbers.
 _DIGITS = 5
+# Distance from a plane of symmetry within which a place is in the plane, in half extents.
+_NEAR = 0.15
 
 
 class Posed(NamedTuple):
@@ -38,13 +41,13 @@ class Posed(NamedTuple):
         """Return the index of a body, or of the first body of an entry.
 
         Raises:
-            DrawingError: there is no such part.
+            EditError: there is no such part.
         """
         entries = [entry.name for entry in self.config.bodies]
         for i, each in enumerate(self.copies):
             if name in (each.name, entries[each.entry]):
                 return i
-        raise DrawingError(f"there is no part {name!r}")
+        raise EditError(f"there is no part {name!r}")
 
 
 def posed(data: Data, source: Path) -> Posed:
@@ -79,12 +82,12 @@ def bodies(data: Data) -> list[Data]:
     """Return the entries of the creature's bodies.
 
     Raises:
-        DrawingError: the data have none.
+        EditError: the data have none.
     """
     creature = data.get("creature")
     found = creature.get("bodies") if isinstance(creature, dict) else None
     if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
-        raise DrawingError("creature.bodies: must be a list of bodies")
+        raise EditError("creature.bodies: must be a list of bodies")
     return found
 
 
@@ -110,14 +113,14 @@ def all_copies(data: Data) -> list[Copy]:
     try:
         return copies(entries)
     except (KeyProblem, TypeError, ValueError) as error:
-        raise DrawingError(str(error)) from None
+        raise EditError(str(error)) from None
 
 
 def entry_index(data: Data, name: str) -> int:
     """Return the index of the entry with a name, or of the entry that a body is a copy of.
 
     Raises:
-        DrawingError: there is no such part.
+        EditError: there is no such part.
     """
     for i, entry in enumerate(bodies(data)):
         if entry.get("name") == name:
@@ -125,7 +128,7 @@ def entry_index(data: Data, name: str) -> int:
     for each in all_copies(data):
         if each.name == name:
             return each.entry
-    raise DrawingError(f"there is no part {name!r}")
+    raise EditError(f"there is no part {name!r}")
 
 
 def entry_of(data: Data, name: str) -> Data:
@@ -137,17 +140,28 @@ def joint_of(data: Data, name: str) -> Data:
     """Return the joint of a part.
 
     Raises:
-        DrawingError: there is no such part, or it has no joint.
+        EditError: there is no such part, or it has no joint.
     """
     joint = entry_of(data, name).get("joint")
     if not isinstance(joint, dict):
-        raise DrawingError(f"{name} is the root, which has no joint")
+        raise EditError(f"{name} is the root, which has no joint")
     return joint
 
 
 def copies_of(data: Data, index: int) -> list[Copy]:
     """Return the bodies that an entry stands for."""
     return [each for each in all_copies(data) if each.entry == index]
+
+
+def limb_of(data: Data, index: int) -> list[int]:
+    """Return the indices of an entry and of all entries that it carries."""
+    found, everything = [index], all_copies(data)
+    while True:
+        names = {each.name for each in everything if each.entry in found}
+        carried = {each.entry for each in everything if each.parent in names}
+        if carried <= set(found):
+            return found
+        found += sorted(carried - set(found))
 
 
 def free_name(data: Data, proposed: str) -> str:
@@ -164,7 +178,7 @@ def tidy(values: Any) -> Any:
     array = np.asarray(values, float)
     largest = np.abs(array).max(initial=0.0)
     if not np.isfinite(largest):
-        raise DrawingError("numbers must be finite")
+        raise EditError("numbers must be finite")
     digits = _DIGITS - 1 - int(np.floor(np.log10(largest))) if largest > 0 else 0
     rounded = np.round(array, digits)
 
@@ -172,3 +186,19 @@ def tidy(values: Any) -> Any:
         return [plain(each) for each in x] if isinstance(x, list) else int(x) if x == int(x) else x
 
     return plain(rounded.tolist())
+
+
+def reflected_if(place: Sequence[float] | np.ndarray, axis: MirrorAxis | None) -> np.ndarray:
+    """Return a position or direction as written in the entry of a body that may be mirrored."""
+    x, y, z = map(float, place)
+    return np.array(reflected((x, y, z), axis) if axis else (x, y, z))
+
+
+def on_planes(
+    place: np.ndarray, normal: np.ndarray, half_extents: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a place on a surface and its normal, moved into planes of symmetry that are close."""
+    near = np.abs(place) < _NEAR * np.asarray(half_extents, float)
+    # At a corner the normal may point along the plane's normal alone.
+    flat = np.where(near, 0.0, normal)
+    return np.where(near, 0.0, place), flat if flat.any() else normal

@@ -1,47 +1,41 @@
-"""Edits of parts: add, remove, rename, and change shapes."""
+"""Edits of parts and their sensors: add, remove, rename."""
 
+import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from evo_cpg.creature.algebra.rotation import euler_to_matrix
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.io.schema.copies import copies_named, fill
-from evo_cpg.io.schema.section import Finite, Vector
-from evo_cpg.view.drawing_page.document import Data, DrawingError
-from evo_cpg.view.drawing_page.lofting import loft_half_extents, new_loft, stretch_loft
+from evo_cpg.io.schema.section import Vector
+from evo_cpg.view.drawing_page.document import Data, EditError
+from evo_cpg.view.drawing_page.joints import facing
 from evo_cpg.view.drawing_page.lookup import (
-    Posed,
     all_copies,
     bodies,
     copies_of,
     entry_index,
     entry_of,
     free_name,
+    limb_of,
+    on_planes,
     parent_of,
     posed,
+    reflected_if,
     tidy,
 )
-from evo_cpg.view.drawing_page.placing import facing, on_planes, reflected_if
+from evo_cpg.view.drawing_page.shapes import fitting, half_extents, solid, surface
 
-# Size of a new part, relative to the smallest half extent of its parent, and its length over it.
-_SIZE, _SLENDER = 0.5, 5.0
 # Torque per rate error of a new motor over the inertia about its joint, 1/s. Animals that come with
 # the program have 1000 to 4000.
 _STIFF = 1000.0
 _AXES, _LIMITS = ("y", "z"), (-45, 45)
 _MARK = re.compile(r"\{(?:i|j|side)\}")
 
-# Lengths of a shape by its type. A factor for each of them comes from the axes of the body.
-_LENGTHS = {
-    "box": {"size": (0, 1, 2)},
-    "ellipsoid": {"radii": (0, 1, 2)},
-    "sphere": {"radius": None},
-    "capsule": {"length": 0, "radius": 1},
-    "cylinder": {"length": 0, "radius": 1},
-}
+Kind = Literal["light_sensors", "depth_sensors", "sensors"]
 
 
 def add_part(
@@ -54,17 +48,10 @@ def add_part(
     each: bool = True,
     shape: Data | None = None,
 ) -> str:
-    """Add a part on a surface.
+    """Add a part on a surface, at a place (m) with its outward normal in the parent's frame.
 
-    Args:
-        data: data of the document.
-        source: file of the document.
-        parent: name of the body that carries the part. It may be one of several copies.
-        place: place on its surface, in the frame of that body, m.
-        normal: outward normal of the surface there, in the same frame.
-        name: name of the new part.
-        each: whether all copies of the parent get one, or only this body.
-        shape: shape of the part, or None for a capsule that fits the parent.
+    The parent is a body, which may be one of several copies. ``each`` gives all of them a part.
+    Without a shape, the part is a capsule that fits the parent.
 
     Returns:
         Name of the new entry.
@@ -72,8 +59,8 @@ def add_part(
     here = posed(data, source)
     index = here.index(parent)
     body, on = here.copies[index], bodies(data)[here.copies[index].entry]
-    carrying = _solid(here, body.name)
-    at, out = _surface(place, normal, carrying.half_extents)
+    carrying = solid(here, body.name)
+    at, out = surface(place, normal, carrying.half_extents)
     carrier = body.name
     copied = len(copies_of(data, body.entry)) > 1
     if copied and each:
@@ -83,11 +70,16 @@ def add_part(
     side = "".join(f"{mark}_" for mark in marks if mark == "{side}")
     number = "_".join(mark for mark in marks if mark != "{side}")
     if not name or _MARK.search(name):
-        raise DrawingError(f"{name!r}: a name has no placeholders. Copies get them by themselves")
+        raise EditError(f"{name!r}: a name has no placeholders. Copies get them by themselves")
     own = free_name(data, f"{side}{name}{number}")
-    form = shape or _fitting(carrying)
-    rotation, child_at = facing(out, _reach(form))
+    form = shape or fitting(carrying)
+    rotation, child_at = facing(out, half_extents(form)[0])
     material = str(on.get("material"))
+    found = (data["creature"].get("materials") or {}).get(material)
+    density = float(found.get("density", 1000.0)) if isinstance(found, dict) else 1000.0
+    x, y, z = half_extents(form)
+    # Inertia of a box about its end.
+    inertia = density * 8 * x * y * z * (2 * x) ** 2 / 3
     entry: Data = {
         "name": own,
         "shape": form,
@@ -99,73 +91,11 @@ def add_part(
             **({"rotation_deg": tidy(rotation)} if np.any(rotation) else {}),
             "axes": list(_AXES),
             "limits_deg": list(_LIMITS),
-            "actuator": {"gain": _gain(form, _density(data, material))},
+            "actuator": {"gain": float(f"{_STIFF * inertia:.1e}") or 1e-9},
         },
     }
     bodies(data).append(entry)
     return own
-
-
-def add_shape(
-    data: Data,
-    source: Path,
-    part: str,
-    place: Vector,
-    normal: Vector,
-    shape: Data | None = None,
-) -> None:
-    """Add a further shape to a body, rigidly joined to it, on its surface.
-
-    Args:
-        data: data of the document.
-        source: file of the document.
-        part: name of the body. Copies of its entry get the shape, too.
-        place: place on its surface, in the frame of that body, m.
-        normal: outward normal of the surface there, in the same frame.
-        shape: the shape, or None for a capsule that fits the body.
-    """
-    here = posed(data, source)
-    body = here.copies[here.index(part)]
-    own = _solid(here, body.name)
-    at, out = _surface(place, normal, own.half_extents)
-    at, out = reflected_if(at, body.mirror), reflected_if(out, body.mirror)
-    form = shape or _fitting(own)
-    rotation, joint = facing(out, _reach(form))
-    centre = at - np.array(euler_to_matrix(*np.radians(rotation))) @ joint
-    further: Data = {"shape": form, "at": tidy(centre)}
-    if np.any(rotation):
-        further["rotation_deg"] = tidy(rotation)
-    entry = bodies(data)[body.entry]
-    entry["parts"] = [*(entry.get("parts") or []), further]
-
-
-def remove_shape(data: Data, name: str, index: int) -> None:
-    """Remove a further shape of a body by its number among them, from 0."""
-    entry = entry_of(data, name)
-    further = entry.get("parts") or []
-    if not 0 <= index < len(further):
-        raise DrawingError(f"{name} has no further shape {index}")
-    entry["parts"] = [each for i, each in enumerate(further) if i != index]
-    if not entry["parts"]:
-        del entry["parts"]
-
-
-def _solid(here: Posed, name: str) -> Any:
-    """Return the shape of a body, or its first further shape if it has no shape of its own."""
-    for each in here.creature.bodies:
-        if name in (each.name, each.whole) and each.shape.exists:
-            return each.shape
-    raise DrawingError(f"{name} has no shape, so it has no surface")
-
-
-def _surface(
-    place: Vector, normal: Vector, half_extents: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return a checked place and normal, in the body's planes of symmetry if they are close."""
-    at, out = np.asarray(place, float), np.asarray(normal, float)
-    if not np.linalg.norm(out) > 0:
-        raise DrawingError("the normal of a surface must not be zero")
-    return on_planes(at, out, half_extents)
 
 
 def remove_part(data: Data, name: str) -> None:
@@ -173,37 +103,16 @@ def remove_part(data: Data, name: str) -> None:
     index = entry_index(data, name)
     entries, everything = bodies(data), all_copies(data)
     if parent_of(entries[index]) is None:
-        raise DrawingError(f"{name} is the root, which carries all other parts")
-    gone = {index}
-    while True:
-        names = {copy.name for copy in everything if copy.entry in gone}
-        more = {copy.entry for copy in everything if copy.parent in names} | gone
-        if more == gone:
-            break
-        gone = more
+        raise EditError(f"{name} is the root, which carries all other parts")
+    gone = limb_of(data, index)
     left = [copy.name for copy in everything if copy.entry not in gone]
-    creature = data["creature"]
-    creature["bodies"] = [entry for i, entry in enumerate(entries) if i not in gone]
+    data["creature"]["bodies"] = [entry for i, entry in enumerate(entries) if i not in gone]
 
-    def is_gone(word: Any) -> bool:
-        here = copies_named(str(word), everything)
-        return bool(here) and not any(copy.name in left for copy in here)
+    def kept(word: str) -> list[str]:
+        here = copies_named(word, everything)
+        return [] if here and not any(copy.name in left for copy in here) else [word]
 
-    for kind in ("light_sensors", "depth_sensors", "sensors"):
-        if isinstance(creature.get(kind), list):
-            kept = [each for each in creature[kind] if not is_gone(each.get("body"))]
-            if len(kept) < len(creature[kind]):
-                creature[kind] = kept
-    if isinstance(creature.get("pressure_sensors"), list):
-        creature["pressure_sensors"] = [x for x in creature["pressure_sensors"] if not is_gone(x)]
-    rule = creature.get("self_collision")
-    for kind, pairs in rule.items() if isinstance(rule, dict) else ():
-        rule[kind] = [pair for pair in pairs if not any(map(is_gone, pair))]
-    if creature.get("tendons"):
-        for tendon in creature["tendons"]:
-            joints = tendon["joints"].items()
-            tendon["joints"] = {k: v for k, v in joints if not is_gone(k.rpartition(".")[0])}
-        creature["tendons"] = [each for each in creature["tendons"] if each["joints"]]
+    map_references(data, kept)
 
 
 def rename_part(data: Data, name: str, new: str) -> None:
@@ -217,233 +126,137 @@ def rename_part(data: Data, name: str, new: str) -> None:
         return
     if sorted(_MARK.findall(new)) != sorted(_MARK.findall(old)):
         marks = ", ".join(_MARK.findall(old)) or "no placeholders"
-        raise DrawingError(f"{new!r}: the name must contain {marks}, as {old!r} does")
+        raise EditError(f"{new!r}: the name must contain {marks}, as {old!r} does")
     if new != free_name(data, new):
-        raise DrawingError(f"{new!r}: another part has this name")
-    rename_references(data, dict(_renamed(data, old, new)))
+        raise EditError(f"{new!r}: another part has this name")
+    copied = copies_of(data, entry_index(data, old))
+    rename_references(data, {old: new} | {each.name: fill(new, each.marks) for each in copied})
     entry["name"] = new
-
-
-def _renamed(data: Data, old: str, new: str) -> Iterator[tuple[str, str]]:
-    """Yield names of copies before and after a change of the entry's name."""
-    yield old, new
-    for copy in copies_of(data, entry_index(data, old)):
-        yield copy.name, fill(new, copy.marks)
 
 
 def rename_references(data: Data, names: dict[str, str]) -> None:
     """Replace names of parts wherever the creature refers to them."""
-    creature = data["creature"]
     for entry in bodies(data):
         if parent_of(entry) in names:
             entry["joint"]["parent"] = names[entry["joint"]["parent"]]
-    for kind in ("light_sensors", "depth_sensors", "sensors"):
-        for each in creature.get(kind) or []:
-            if each.get("body") in names:
-                each["body"] = names[each["body"]]
+    map_references(data, lambda name: [names.get(name, name)])
+
+
+def map_references(
+    data: Data,
+    images: Callable[[str], list[str]],
+    moved: Callable[[Data, str], Data] = lambda sensor, name: sensor | {"body": name},
+) -> None:
+    """Replace each name of a part by others, in sensors, pairs that may collide, and tendons.
+
+    Args:
+        data: data of the document.
+        images: names in place of a name. Without any, what refers to the name is removed.
+        moved: sensor in place of another one, for the body of a name.
+    """
+    creature = data["creature"]
+    for kind in get_args(Kind):
+        if isinstance(creature.get(kind), list):
+            creature[kind] = [
+                each if name == str(each.get("body")) else moved(each, name)
+                for each in creature[kind]
+                for name in images(str(each.get("body")))
+            ]
     pressed = creature.get("pressure_sensors")
     if isinstance(pressed, list):
-        creature["pressure_sensors"] = [names.get(word, word) for word in pressed]
+        creature["pressure_sensors"] = [new for word in pressed for new in images(str(word))]
     rule = creature.get("self_collision")
     for kind, pairs in rule.items() if isinstance(rule, dict) else ():
-        rule[kind] = [[names.get(word, word) for word in pair] for pair in pairs]
+        found = (itertools.product(*(images(str(word)) for word in pair)) for pair in pairs)
+        rule[kind] = [list(pair) for some in found for pair in some]
     for tendon in creature.get("tendons") or []:
-        joints = [(key.rpartition("."), x) for key, x in tendon["joints"].items()]
-        tendon["joints"] = {
-            f"{names.get(body, body)}{dot}{axis}": x for (body, dot, axis), x in joints
+        joints = [(*body_and_axis(joint), x) for joint, x in tendon["joints"].items()]
+        tendon["joints"] = {f"{new}.{axis}": x for body, axis, x in joints for new in images(body)}
+    if creature.get("tendons"):
+        creature["tendons"] = [each for each in creature["tendons"] if each["joints"]]
+
+
+def add_eye(
+    data: Data,
+    source: Path,
+    part: str,
+    place: Vector,
+    axis: Vector,
+    each: bool = True,
+    field_of_view_deg: float = 180,
+) -> None:
+    """Add an eye to a body, at a place (m) that looks along an axis of the body's frame.
+
+    ``each`` gives all copies of the body an eye. The field of view is the full opening angle.
+    """
+    carrier, at, out = _place(data, source, part, place, axis, each)
+    _list(data, "light_sensors").append(
+        {
+            "body": carrier,
+            "position": tidy(at),
+            "axis": tidy(out / np.linalg.norm(out)),
+            "field_of_view_deg": tidy(field_of_view_deg),
         }
+    )
 
 
-def set_shape(data: Data, source: Path, name: str, type: str, further: int | None = None) -> None:
-    """Replace a shape of a part by one of another type, with about the same extents.
-
-    Args:
-        data: data of the document.
-        source: file of the document.
-        name: name of the part.
-        type: type of the new shape.
-        further: number of a further shape of the part, from 0, or None for its own shape.
-    """
-    entry = entry_of(data, name)
-    owner = entry if further is None else entry["parts"][further]
-    old = owner["shape"] or {}
-    if old.get("type") == "mesh":
-        here = posed(data, source)
-        index = here.creature.body_index(here.copies[here.index(name)].name)
-        index += 0 if further is None else further + 1
-        x, y, z = map(float, here.creature.bodies[index].shape.half_extents)
-    else:
-        x, y, z = _half_extents(old)
-    across = (y + z) / 2
-    made: dict[str, Data] = {
-        "box": {"size": [2 * x, 2 * y, 2 * z]},
-        "ellipsoid": {"radii": [x, y, z]},
-        "sphere": {"radius": (x * y * z) ** (1 / 3)},
-        "capsule": {"radius": across, "length": max(2 * x - 2 * across, 0.1 * across)},
-        "cylinder": {"radius": across, "length": 2 * x},
-    }
-    if type != "loft" and type not in made:
-        raise DrawingError(f"{type!r}: choose one of {', '.join([*made, 'loft'])}")
-    if type == "loft":
-        shape = new_loft((x, y, z))
-    else:
-        shape = {"type": type} | {key: tidy(value) for key, value in made[type].items()}
-    owner["shape"] = shape
-    if further is None:
-        factors = np.array(_half_extents(shape)) / np.array([x, y, z])
-        _carry(data, str(entry["name"]), factors)
+def add_depth_gauge(data: Data, source: Path, part: str, place: Vector, each: bool = True) -> None:
+    """Add a depth gauge on a surface, see `add_eye`."""
+    carrier, at, _ = _place(data, source, part, place, (0, 0, 1), each)
+    _list(data, "depth_sensors").append({"body": carrier, "position": tidy(at), "full_scale": 1})
 
 
-def resize(data: Data, name: str, key: str, value: Finite | Vector) -> None:
-    """Set a size of a part's shape, and move what sits on its surface.
-
-    Args:
-        data: data of the document.
-        name: name of the part.
-        key: key of the size in the shape.
-        value: new size, m.
-    """
-    entry = entry_of(data, name)
-    shape = entry["shape"]
-    if key not in _LENGTHS.get(shape.get("type"), {}):
-        raise DrawingError(f"{name}: its shape has no size {key!r}")
-    if isinstance(value, tuple) != isinstance(shape[key], list):
-        count = "three numbers" if isinstance(shape[key], list) else "one number"
-        raise DrawingError(f"{key}: must be {count}")
-    if not (np.asarray(value, float) > 0).all():
-        raise DrawingError(f"{key}: must be greater than 0, got {value}")
-    before = np.array(_half_extents(shape))
-    shape[key] = np.asarray(value).tolist()
-    _carry(data, str(entry["name"]), np.array(_half_extents(shape)) / before)
+def remove_sensor(data: Data, kind: Kind, index: int) -> None:
+    """Remove a sensor by its number in its list."""
+    found = data["creature"].get(kind)
+    if not isinstance(found, list) or not 0 <= index < len(found):
+        raise EditError(f"{kind} has no entry {index}")
+    del found[index]
 
 
-def stretch(data: Data, name: str, factors: Vector) -> None:
-    """Stretch a part along its own axes, and move what sits on its surface.
-
-    Args:
-        data: data of the document.
-        name: name of the part.
-        factors: factors along x, y and z.
-    """
-    ratios = np.asarray(factors, float)
-    if (ratios <= 0).any():
-        raise DrawingError("the factors of a stretch must be three positive numbers")
-    entry = entry_of(data, name)
-    shape = entry["shape"]
-    kind = shape.get("type")
-    if kind == "mesh":
-        if "file" not in shape:
-            raise DrawingError(f"{name}: only a mesh from a file can be stretched")
-        scale = np.broadcast_to(np.asarray(shape.get("scale", 1.0), float), 3)
-        shape["scale"] = tidy(scale * ratios)
-    elif kind == "loft":
-        stretch_loft(shape, ratios)
-    elif kind in _LENGTHS:
-        before = np.array(_half_extents(shape))
-        for key, axes in _LENGTHS[kind].items():
-            shape[key] = _stretched(kind, key, shape, axes, ratios)
-        ratios = np.array(_half_extents(shape)) / before
-    else:
-        raise DrawingError(f"{name}: a shape of type {kind!r} cannot be stretched")
-    _carry(data, str(entry["name"]), ratios)
-
-
-def _stretched(kind: str, key: str, shape: Data, axes: Any, factors: np.ndarray) -> Any:
-    if axes is None:
-        return tidy(shape[key] * _overall(factors))
-    if isinstance(axes, tuple):
-        return tidy(np.array(shape[key], float) * factors)
-    if key == "length" and kind == "capsule":
-        # The ends keep their radius, so the cylinder takes the whole change.
-        whole = shape["length"] + 2 * shape["radius"]
-        new_radius = shape["radius"] * _overall(factors[1:])
-        return tidy(max(whole * factors[0] - 2 * new_radius, 0.01 * new_radius))
-    if key == "length":
-        return tidy(shape[key] * factors[0])
-    return tidy(shape[key] * _overall(factors[1:]))
-
-
-def _overall(factors: np.ndarray) -> float:
-    """Return the factor that differs most from 1, for a size that several axes share."""
-    return float(factors[np.abs(np.log(factors)).argmax()])
-
-
-def _carry(data: Data, name: str, factors: np.ndarray) -> None:
-    """Move joints and sensors with the surface of a part that is stretched."""
-    entry = entry_of(data, name)
-    joint = entry.get("joint")
-    if isinstance(joint, dict) and "child_at" in joint:
-        joint["child_at"] = tidy(np.array(joint["child_at"], float) * factors)
-        for axis in joint["axes"] if isinstance(joint.get("axes"), list) else ():
-            if isinstance(axis, dict) and axis.get("at"):
-                axis["at"] = tidy(np.array(axis["at"], float) * factors)
-    for further in entry.get("parts") or []:
-        further["at"] = tidy(np.array(further["at"], float) * factors)
+def set_pressure(data: Data, part: str, on: bool) -> None:
+    """Give all bodies of a part pressure sensors, or remove them."""
     everything = all_copies(data)
-    own = {copy.name for copy in everything if copy.entry == entry_index(data, name)}
-    # The bodies of a row hang on each other, so `at` of the row moves, too.
-    for i in {copy.entry for copy in everything if copy.parent in own}:
-        carried = bodies(data)[i]["joint"]
-        carried["at"] = tidy(np.array(carried["at"], float) * factors)
-    for kind in ("light_sensors", "depth_sensors"):
-        for each in data["creature"].get(kind) or []:
-            if each.get("position") and any(
-                copy.name in own for copy in copies_named(str(each.get("body")), everything)
-            ):
-                each["position"] = tidy(np.array(each["position"], float) * factors)
+    given = data["creature"].get("pressure_sensors", "all")
+    names = [each.name for each in everything] if given == "all" else list(given)
+    index = next((x.entry for x in everything if x.name == part), None)
+    if index is None:
+        index = next((i for i, x in enumerate(bodies(data)) if x.get("name") == part), None)
+    if index is None:
+        raise EditError(f"there is no part {part!r}")
+    own = [each.name for each in copies_of(data, index)]
+    entry = str(bodies(data)[index]["name"])
+    kept: list[Any] = [name for name in names if name not in (*own, entry)]
+    kept += [entry] if on else []
+    plain = [each.name for each in everything]
+    listed = {x for name in kept for x in plain if name == x} | (set(own) if on else set())
+    data["creature"]["pressure_sensors"] = "all" if listed == set(plain) else kept
 
 
-def _half_extents(shape: Data | None) -> tuple[float, float, float]:
-    given = shape or {}
-    try:
-        x, y, z = map(float, _halves(given))
-    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
-        if isinstance(error, DrawingError):
-            raise
-        raise DrawingError(f"the sizes of a {given.get('type')} are missing or wrong") from None
-    if not min(x, y, z) > 0:
-        raise DrawingError(f"the sizes of a {given.get('type')} must be greater than 0")
-    return x, y, z
+def _place(
+    data: Data,
+    source: Path,
+    part: str,
+    place: Vector,
+    axis: Vector,
+    each: bool,
+) -> tuple[str, np.ndarray, np.ndarray]:
+    """Return the name of the carrier, and place and direction in the frame of its entry."""
+    here = posed(data, source)
+    body = here.copies[here.index(part)]
+    at, out = np.asarray(place, float), np.asarray(axis, float)
+    if not np.linalg.norm(out) > 0:
+        raise EditError("the axis of an eye must not be zero")
+    shape = here.creature.bodies[here.creature.body_index(body.name)].shape
+    at, out = on_planes(at, out, shape.half_extents)
+    if each and len(copies_of(data, body.entry)) > 1:
+        name = str(bodies(data)[body.entry]["name"])
+        return name, reflected_if(at, body.mirror), reflected_if(out, body.mirror)
+    return body.name, at, out
 
 
-def _halves(shape: Data) -> Sequence[float]:
-    """Return the half extents of a shape whose sizes may be wrong."""
-    match shape.get("type"):
-        case "box":
-            return [size / 2 for size in shape["size"]]
-        case "ellipsoid":
-            return shape["radii"]
-        case "sphere":
-            return [shape["radius"]] * 3
-        case "capsule":
-            return [shape["length"] / 2 + shape["radius"], shape["radius"], shape["radius"]]
-        case "cylinder":
-            return [shape["length"] / 2, shape["radius"], shape["radius"]]
-        case "loft":
-            return loft_half_extents(shape).tolist()
-        case other:
-            raise DrawingError(f"a shape of type {other!r} has no sizes that can be changed here")
-
-
-def _fitting(parent: Any) -> Data:
-    """Return the shape of a new part, which fits its parent."""
-    radius = _SIZE * float(parent.half_extents.min())
-    length = min(_SLENDER * radius, 2 * float(parent.half_extents.max()))
-    return {"type": "capsule", "radius": tidy(radius), "length": tidy(max(length, radius))}
-
-
-def _reach(shape: Data) -> float:
-    """Return the half extent of a shape along its x axis, m."""
-    return _half_extents(shape)[0]
-
-
-def _density(data: Data, material: str) -> float:
-    found = (data["creature"].get("materials") or {}).get(material)
-    return float(found.get("density", 1000.0)) if isinstance(found, dict) else 1000.0
-
-
-def _gain(shape: Data, density: float) -> Any:
-    """Return the gain of a motor that moves a body of a shape about its end, with two digits."""
-    x, y, z = _half_extents(shape)
-    inertia = density * 8 * x * y * z * (2 * x) ** 2 / 3
-    return float(f"{_STIFF * inertia:.1e}") or 1e-9
+def _list(data: Data, kind: Kind) -> list[Data]:
+    creature = data["creature"]
+    if not isinstance(creature.get(kind), list):
+        creature[kind] = []
+    return creature[kind]

@@ -4,8 +4,6 @@ A body is drawn in its own frame at its centre of mass, as in recordings. `frame
 the configuration's frame from there. Both are the same place for all shapes but meshes.
 """
 
-import base64
-import functools
 import hashlib
 from pathlib import Path
 from typing import Any
@@ -18,16 +16,12 @@ from evo_cpg.io.schema.shape import LoftConfig
 from evo_cpg.view.drawing_page.document import Data
 from evo_cpg.view.drawing_page.lookup import Posed, posed
 from evo_cpg.view.meshes import pieces
-from evo_cpg.view.run_page.animal_data import piece_data, skin_data
+from evo_cpg.view.run_page.viewer_data import packed, piece_data, skin_data
 from evo_cpg.view.scene import quaternions
 
 
 def scene(data: Data, source: Path) -> dict[str, Any]:
     """Return the drawing of a document.
-
-    Args:
-        data: data of the document.
-        source: file of the document.
 
     Raises:
         KeyProblem: the creature is wrong.
@@ -35,7 +29,14 @@ def scene(data: Data, source: Path) -> dict[str, Any]:
     here = posed(data, source)
     creature = here.creature
     arrays: dict[str, str] = {}
-    add = functools.partial(_array, arrays)
+
+    def add(values: Any, kind: str) -> str:
+        """Add an array under its digest, so that equal arrays are sent once."""
+        text = packed(values, kind)
+        key = hashlib.sha256(f"{kind}{text}".encode()).hexdigest()[:20]
+        arrays[key] = text
+        return key
+
     centres, rotations = map(np.asarray, neutral_pose(creature))
     turns = quaternions(rotations[None])[0]
     drawn = pieces(creature)
@@ -73,7 +74,15 @@ def scene(data: Data, source: Path) -> dict[str, Any]:
     return {
         "bodies": bodies,
         **skin_data(creature, add),
-        "sights": _sights(here),
+        "sights": [
+            {
+                "body": eye.body,
+                "place": [float(x) for x in eye.position],
+                "along": [float(x) for x in eye.axis],
+                "half_angle": float(eye.field_of_view) / 2,
+            }
+            for eye in creature.light_sensors
+        ],
         "pressure": list(creature.pressure_sensors),
         "length": float(length_of(creature)),
         "lowest": float(lowest_height(creature)),
@@ -104,50 +113,28 @@ def _sections(here: Posed, index: int, frame: np.ndarray) -> list[dict[str, Any]
     ]
 
 
-def _array(arrays: dict[str, str], values: Any, kind: str) -> str:
-    """Add an array under the digest of its bytes, so that equal arrays are sent once."""
-    found = np.ascontiguousarray(values, kind).tobytes()
-    key = hashlib.sha256(kind.encode() + found).hexdigest()[:20]
-    if key not in arrays:
-        arrays[key] = base64.b64encode(found).decode()
-    return key
-
-
 def _joint(creature: Any, i: int, centres: Any, rotations: Any) -> dict[str, Any] | None:
     joint = creature.bodies[i].joint
     if joint is None:
         return None
     place = centres[i] + rotations[i] @ np.asarray(joint.child_anchor, float)
 
-    def written(limit: float, kind: str) -> float | None:
-        """Return a limit in degrees, or in m for a slide, or None for no limit."""
+    def written(limit: float, unit: str) -> float | None:
+        """Return a limit in degrees or in m, or None for no limit."""
         if abs(limit) >= NO_LIMIT:
             return None
-        return float(limit) if kind == "slide" else float(np.degrees(limit))
+        return float(np.degrees(limit)) if unit == "rad" else float(limit)
 
     return {
         "place": place.tolist(),
         "axes": [
             {
-                "kind": dof.kind,
+                "kind": dof.kind.key,
                 "along": (rotations[i] @ np.asarray(dof.axis, float)).tolist(),
                 "at": (place + rotations[i] @ np.asarray(dof.place, float)).tolist(),
-                "lower": written(float(dof.lower), dof.kind),
-                "upper": written(float(dof.upper), dof.kind),
+                "lower": written(float(dof.lower), dof.kind.unit),
+                "upper": written(float(dof.upper), dof.kind.unit),
             }
             for dof in joint.dofs
         ],
     }
-
-
-def _sights(here: Posed) -> list[dict[str, Any]]:
-    """Return the lines of sight of light sensors, in the frames at their bodies' centres."""
-    return [
-        {
-            "body": eye.body,
-            "place": [float(x) for x in eye.position],
-            "along": [float(x) for x in eye.axis],
-            "half_angle": float(eye.field_of_view) / 2,
-        }
-        for eye in here.creature.light_sensors
-    ]

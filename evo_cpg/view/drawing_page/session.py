@@ -1,27 +1,32 @@
 """One person's work on a document: requests of the page, one at a time, and their answers."""
 
+import re
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+import unicodedata
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
 from evo_cpg.creature.creature import CreatureError
 from evo_cpg.errors import UserError
-from evo_cpg.io.errors import KeyProblem
-from evo_cpg.io.trust import is_trusted, trusting
+from evo_cpg.files import write_whole
+from evo_cpg.io.build import build_experiment, require_genes
+from evo_cpg.io.errors import Key, KeyProblem
+from evo_cpg.io.keys import value_at
+from evo_cpg.io.lint import lint
+from evo_cpg.io.load import complete_config
+from evo_cpg.io.named_files import MESH_SUFFIXES, read_mesh
+from evo_cpg.io.trust import LARGEST, is_trusted, trusting
 from evo_cpg.io.wording import short
-from evo_cpg.view.drawing_page.arguments import checked_arguments
-from evo_cpg.view.drawing_page.commands import edit
-from evo_cpg.view.drawing_page.document import Document, DrawingError
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.view.drawing_page.commands import checked_arguments, edit
+from evo_cpg.view.drawing_page.document import Data, Document, EditError
 from evo_cpg.view.drawing_page.lookup import bodies
-from evo_cpg.view.drawing_page.mesh_file import add_mesh_file
-from evo_cpg.view.drawing_page.problems import Advice, Problem, no_advice, problems
+from evo_cpg.view.drawing_page.runs import How, TrainingRun, simulate
 from evo_cpg.view.drawing_page.scene import scene
-from evo_cpg.view.drawing_page.training_run import TrainingRun
-from evo_cpg.view.drawing_page.trying import How, simulate
 
 Answer = dict[str, Any]
 Generations = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -34,6 +39,34 @@ _STALE = (
 )
 # Longest name of a file, bytes. The names of its autosave and of temporary files are longer.
 _LONGEST = 200
+# Longest name of a mesh file before the suffix, bytes.
+_LONGEST_STEM = 100
+
+
+class Finding(NamedTuple):
+    """A message about a document.
+
+    Attributes:
+        kind: an error, with which it cannot run, or a warning of an unlikely value.
+        part: name of the entry of a body that the message is about, or None.
+        key: key of the value.
+        words: the message.
+    """
+
+    kind: Literal["error", "warning"]
+    part: str | None
+    key: Key
+    words: str
+
+
+Advice = Callable[[Simulation], Sequence[str]]
+"""Warnings about a simulation, one sentence or more each."""
+
+
+def no_advice(simulation: Simulation) -> Sequence[str]:
+    """Return no warnings."""
+    del simulation
+    return ()
 
 
 class Session:
@@ -88,12 +121,12 @@ class Session:
             extra: Answer = {}
             try:
                 if request not in self._requests:
-                    raise DrawingError(f"there is no request {request!r}")
+                    raise EditError(f"there is no request {request!r}")
                 if seen not in (None, self._revision):
                     # The page may lack shapes that another page has received.
-                    self._sent = set()
+                    self._sent.clear()
                     if request not in _ALWAYS:
-                        raise DrawingError(_STALE)
+                        raise EditError(_STALE)
                 work = self._requests[request]
                 extra = work(**checked_arguments(request, work, arguments)) or {}
             except UserError as error:
@@ -115,18 +148,15 @@ class Session:
             data, source, revision = self.document.data, self.document.path, self._revision
         with trusting(self._trusted):
             found = problems(data, source, advice=self._advice)
-        return {"problems": _listed(found), "revision": revision}
+        return {"problems": [each._asdict() for each in found], "revision": revision}
 
     def live_page(self) -> Answer:
         """Return the address of the run's live page as soon as it has one, or an ``error``.
 
         The program of the page takes seconds to start. Edits do not wait for it.
         """
-        run = self._run
         try:
-            if run is None:
-                raise DrawingError("there is no run")
-            return {"address": run.live_page()}
+            return {"address": self._present_run().live_page()}
         except UserError as error:
             return {"error": str(error)}
 
@@ -150,8 +180,8 @@ class Session:
             self._run = None
 
     def _open(self) -> None:
-        """Forget what was sent, because the page is new."""
-        self._sent = set()
+        # A new page has received no shapes.
+        self._sent.clear()
 
     def _edit(self, command: str, given: dict[str, Any], accept: bool = False) -> Answer:
         change = self.document.propose(edit(command, self.document.path, given))
@@ -165,7 +195,7 @@ class Session:
     def _names(self) -> list[str]:
         try:
             return [str(each.get("name")) for each in bodies(self.document.data)]
-        except DrawingError:
+        except EditError:
             return []
 
     def _save(self, name: str | None = None) -> Answer:
@@ -174,7 +204,7 @@ class Session:
         else:
             is_plain = name.isprintable() and len(name.encode(errors="replace")) <= _LONGEST
             if not is_plain or Path(name).name != name or not name.endswith((".yaml", ".yml")):
-                raise DrawingError(
+                raise EditError(
                     f"{short(name)}: must be the name of a .yaml file, without a folder"
                 )
             self.document.save_as(self.document.path.parent / name)
@@ -182,7 +212,7 @@ class Session:
 
     def _start_try(self, how: How) -> None:
         if self._try["state"] == "running":
-            raise DrawingError("the last try has not ended yet")
+            raise EditError("the last try has not ended yet")
         data, source = self.document.data, self.document.path
         self._try = {"state": "running"}
 
@@ -202,13 +232,13 @@ class Session:
 
     def _train(self, generations: Generations | None = None) -> None:
         if self._run and self._run.is_running:
-            raise DrawingError("a run is going on. Stop it first")
+            raise EditError("a run is going on. Stop it first")
         if self.document.is_changed:
-            raise DrawingError("save first: a run reads the file")
+            raise EditError("save first: a run reads the file")
         found = problems(self.document.data, self.document.path)
         wrong = next((each.words for each in found if each.kind == "error"), None)
         if wrong:
-            raise DrawingError(wrong)
+            raise EditError(wrong)
         self.close()
         name = str(self.document.data.get("name"))
         self._run = TrainingRun(self.document.path, name, generations)
@@ -218,14 +248,15 @@ class Session:
             self._run.stop()
 
     def _champion(self) -> Answer:
-        if self._run is None:
-            raise DrawingError("there is no run")
-        return {"motion": self._run.champion()}
+        return {"motion": self._present_run().champion()}
 
     def _watch(self) -> None:
+        self._present_run().watch()
+
+    def _present_run(self) -> TrainingRun:
         if self._run is None:
-            raise DrawingError("there is no run")
-        self._run.watch()
+            raise EditError("there is no run")
+        return self._run
 
     def _state(self) -> Answer:
         document = self.document
@@ -240,6 +271,7 @@ class Session:
             self._sent |= drawn["arrays"].keys()
         except (KeyProblem, CreatureError) as problem:
             error = str(problem)
+        found = problems(data, document.path, thorough=False)
         now = document.path, document.texts, shapes
         if now != self._last:
             self._revision, self._last = self._revision + 1, now
@@ -255,9 +287,92 @@ class Session:
             "text": document.texts,
             "scene": drawn,
             "undrawn": error,
-            "problems": _listed(problems(data, document.path, thorough=False)),
+            "problems": [each._asdict() for each in found],
         }
 
 
-def _listed(found: list[Problem]) -> list[Answer]:
-    return [each._asdict() | {"key": list(each.key)} for each in found]
+def problems(
+    data: Data, source: Path, thorough: bool = True, advice: Advice = no_advice
+) -> list[Finding]:
+    """Return the messages of `validate` about a document.
+
+    Args:
+        data: data of the document.
+        source: file of the document, to whose folder other files are relative.
+        thorough: whether to build the whole experiment, which takes longer.
+        advice: further warnings about the experiment.
+    """
+    try:
+        config = complete_config(data, source)
+        found = [
+            Finding("warning", _part(data, each.key), each.key, each.problem)
+            for each in lint(config, source)
+        ]
+        if thorough:
+            experiment = build_experiment(config, source)
+            require_genes(experiment, source)
+            lines = advice(experiment.simulation)
+            found += [Finding("warning", None, ("controller",), line) for line in lines]
+        return found
+    except KeyProblem as error:
+        return [Finding("error", _part(data, error.key), error.key, error.problem)]
+    except CreatureError as error:
+        return [Finding("error", None, ("creature",), str(error))]
+    except UserError as error:
+        return [Finding("error", None, (), str(error))]
+
+
+def _part(data: Data, key: Key) -> str | None:
+    """Return the name of the entry that a key is about."""
+    name = None
+    match tuple(key):
+        case ("creature", "bodies", int() as i, *_):
+            name = value_at(data, ("creature", "bodies", i, "name"))
+        case ("creature", str() as kind, int() as i, *_) if kind.endswith("sensors"):
+            name = value_at(data, ("creature", kind, i, "body"))
+    return name if isinstance(name, str) else None
+
+
+def add_mesh_file(document: Path, name: str, content: bytes) -> dict[str, str]:
+    """Write a mesh file beside a document.
+
+    Args:
+        document: file of the document.
+        name: name of the file on the user's side, of which only the last part is kept.
+        content: content of the file.
+
+    Returns:
+        The name of the ``file``, and ``problem`` if only its convex hull can be a body.
+
+    Raises:
+        EditError: it is no mesh that a body can have, or another file has its name.
+    """
+    # Some systems write an accent apart from its letter, so one name would have two forms.
+    given_name = unicodedata.normalize("NFC", re.split(r"[/\\]", name)[-1])
+    stem, dot, suffix = given_name.rpartition(".")
+    if f"{dot}{suffix}".lower() not in MESH_SUFFIXES:
+        raise EditError(f"{name[:80]}: a mesh is a file {', '.join(MESH_SUFFIXES)}")
+    stem = (
+        re.sub(r"[^\w.-]+", "_", stem).lstrip("._").encode()[:_LONGEST_STEM].decode(errors="ignore")
+    )
+    bare = f"{stem or 'mesh'}.{suffix}"
+    place = document.parent / bare
+    if len(content) > LARGEST:
+        raise EditError(f"{bare}: more than the limit of {LARGEST // 2**20} MiB")
+    is_new = not place.exists()
+    if is_new:
+        write_whole(place, lambda file: file.write(content))
+    elif not place.is_file() or place.read_bytes() != content:
+        raise EditError(f"{place} exists with other content. Rename your file")
+    given = {"type": "mesh", "file": bare}
+    try:
+        read_mesh(document, given)
+    except KeyProblem as error:
+        try:
+            read_mesh(document, given | {"hull": True})
+        except KeyProblem:
+            if is_new:
+                place.unlink(missing_ok=True)
+            raise EditError(f"{bare}: {error.problem}") from None
+        return {"file": bare, "problem": error.problem}
+    return {"file": bare}

@@ -12,8 +12,7 @@ from evo_cpg.io.trust import is_trusted, trusting
 from evo_cpg.training.checkpoint import history_columns
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.legible import UNITS, in_words
-from evo_cpg.view.live_page.contents import Answer, Numbered, Pace
-from evo_cpg.view.live_page.replaying import Replaying
+from evo_cpg.view.live_page.replaying import Answer, Numbered, Pace, Replaying
 from evo_cpg.view.live_page.standing import Standing, duration, require_run, standing
 from evo_cpg.view.plots import fitness_figure
 from evo_cpg.view.run_page.charts import chart
@@ -61,7 +60,22 @@ class Following:
 
     def start(self) -> None:
         """Follow the run in threads until `close`."""
-        for each in (self._follow, self._replay):
+
+        def follow() -> None:
+            with trusting(self._trusted):
+                while not self._ended.wait(_LOOK):
+                    self.look()
+
+        def replay() -> None:
+            # On Linux it holds for this thread and the threads that it starts.
+            if hasattr(os, "nice"):
+                with contextlib.suppress(OSError):
+                    os.nice(_NICE)
+            with trusting(self._trusted):
+                while not self._ended.wait(_PAUSE):
+                    self.replay()
+
+        for each in (follow, replay):
             threading.Thread(target=each, daemon=True).start()
 
     def close(self) -> None:
@@ -101,20 +115,6 @@ class Following:
         now = self._now
         if now is not None and now.checkpoint is not None:
             self._replaying.work(now.checkpoint, now.finished)
-
-    def _follow(self) -> None:
-        with trusting(self._trusted):
-            while not self._ended.wait(_LOOK):
-                self.look()
-
-    def _replay(self) -> None:
-        # On Linux it holds for this thread and the threads that it starts.
-        if hasattr(os, "nice"):
-            with contextlib.suppress(OSError):
-                os.nice(_NICE)
-        with trusting(self._trusted):
-            while not self._ended.wait(_PAUSE):
-                self.replay()
 
     def _read(self) -> tuple[str, str]:
         """Read the folder. Return the kind of its state, and a sentence about it."""

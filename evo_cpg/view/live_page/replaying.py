@@ -1,20 +1,28 @@
-"""Replays for a live page: the newest champion, and the population around it."""
+"""Replays for a live page: the newest champion, and the population around it.
+
+They run with the run's own configuration and on one core.
+"""
 
 import contextlib
-from typing import NamedTuple
+import functools
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from evo_cpg.errors import UserError
+from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.io.opened import Opened
+from evo_cpg.io.run import Run, class_folders
 from evo_cpg.native.machine_constants import LANES
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.training.devices import use_cores
+from evo_cpg.training.evaluate import Replay, compile_population_replay, compile_replay
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.view.live_page.contents import Answer, Numbered, Pace
-from evo_cpg.view.live_page.replays import Replays
 from evo_cpg.view.run_page.html import number
 from evo_cpg.view.run_page.viewer_data import motion_data, viewer_data
 from evo_cpg.view.scene import panel_of
@@ -23,6 +31,98 @@ from evo_cpg.view.scene import panel_of
 _SELDOM = 5.0
 # Largest number of individuals on the wall, and length, s, and frames per second of their motion.
 _TILES, _SECONDS, _RATE = 48, 12.0, 12.0
+# Largest fraction of the time that one kind of work takes.
+_LARGEST_FRACTION = 0.2
+
+Answer = dict[str, Any]
+
+
+class Numbered(NamedTuple):
+    """Content with a number that grows when other content replaces it.
+
+    Attributes:
+        number: the number, 0 before there is content.
+        content: the content, as JSON.
+    """
+
+    number: int = 0
+    content: Mapping[str, Any] = MappingProxyType({})
+
+    def replaced(self, content: Answer) -> "Numbered":
+        """Return other content."""
+        return Numbered(self.number + 1, content)
+
+    def since(self, known: int) -> Answer | None:
+        """Return the content with its number, or None if it has the known number."""
+        return None if self.number in (0, known) else {**self.content, "number": self.number}
+
+
+class Pace:
+    """Limit on the time that repeated work takes.
+
+    Args:
+        seldom: least time between two starts, s.
+    """
+
+    def __init__(self, seldom: float):
+        self._seldom, self._next = seldom, 0.0
+
+    @property
+    def due(self) -> bool:
+        """Whether the work may start."""
+        return time.monotonic() >= self._next
+
+    @contextlib.contextmanager
+    def working(self) -> Iterator[None]:
+        """Measure the work of the ``with`` block."""
+        began = time.monotonic()
+        try:
+            yield
+        finally:
+            took = time.monotonic() - began
+            self._next = began + max(self._seldom, took / _LARGEST_FRACTION)
+
+
+class Replays:
+    """The built experiment of a run, and programs that compile at their first use.
+
+    Args:
+        folder: folder of the run.
+        build: `build_experiment`, or a variant that shows its progress.
+
+    Attributes:
+        experiment: the experiment.
+    """
+
+    def __init__(self, folder: RunFolder, build: Callable[..., ExperimentParts] = build_experiment):
+        use_cores(1)
+        config = load_config(folder.config)
+        self.experiment = build(config, folder.config, class_folders(folder))
+        self._devices = folder.read_meta().get("devices", 1)
+
+    def prepare(self, program: Literal["champion", "population"]) -> bool:
+        """Compile a program. Return whether it was not compiled before."""
+        name = f"_{program}"
+        new = name not in self.__dict__
+        getattr(self, name)
+        return new
+
+    def champion(self, champion: Champion) -> Recording:
+        """Return the motion of a champion in its first trial."""
+        return self._champion(champion).recording
+
+    def population(self, checkpoint: Checkpoint, run: int, places: Sequence[int]) -> list[Replay]:
+        """Run individuals of the next generation (see `compile_population_replay`)."""
+        return self._population(checkpoint, run, places)
+
+    @functools.cached_property
+    def _champion(self) -> Callable[[Champion], Replay]:
+        # The trainer compiles the same program, and keeps it on disk.
+        return compile_replay(self.experiment, self._devices)
+
+    @functools.cached_property
+    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], list[Replay]]:
+        return compile_population_replay(self.experiment)
 
 
 class _Rest(NamedTuple):
@@ -117,7 +217,7 @@ class Replaying:
         if self._replays is None or settings != self._settings:
             self._forget()
             self._replays = Replays(self._folder)
-            Opened(self._folder, config, self._replays.experiment).require_configured()
+            Run(self._folder, config, self._replays.experiment).require_configured()
             self._settings = settings
         return self._replays
 
@@ -153,11 +253,11 @@ class Replaying:
         tiles = [
             {
                 "place": place,
-                "value": float(fitness),
-                "fitness": number(fitness),
-                "motion": _motion(recording),
+                "value": replay.fitness,
+                "fitness": number(replay.fitness),
+                "motion": _motion(replay.recording),
             }
-            for place, fitness, recording in zip(own, found.fitness, found.recordings, strict=True)
+            for place, replay in zip(own, found, strict=True)
         ]
         shown = self.wall.content
         self.wall = self.wall._replace(content={**shown, "tiles": shown["tiles"] + tiles})

@@ -11,9 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from evo_cpg.analysis import footfalls
 from evo_cpg.analysis.body_wave import BodyWave
-from evo_cpg.analysis.feet import Feet
+from evo_cpg.analysis.feet import Feet, stances
 from evo_cpg.analysis.midline import MidlineMotion
 from evo_cpg.view.figure import (
     BLUE,
@@ -84,7 +83,7 @@ def footfall_figure(feet: Feet, step: float, window: tuple[float, float]) -> Fig
     axes = figure.subplots()
     for row, touched in enumerate(feet.touched.T):
         color = PALETTE[row % len(PALETTE)]
-        draw_stances(axes, footfalls.stances(touched, step), window, row, 0.72, color)
+        draw_stances(axes, stances(touched, step), window, row, 0.72, color)
     name_rows(axes, feet.names)
     _over_time(axes, window)
     return figure

@@ -11,8 +11,8 @@ from typing import Any
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.view.run_page import movement, origin
-from evo_cpg.view.run_page.html import Html, asset, join, number, policy, tag, with_unit
-from evo_cpg.view.run_page.subject import Crowd, RecordedMotion, Subject
+from evo_cpg.view.run_page.html import Html, asset, join, number, tag, whole_page, with_unit
+from evo_cpg.view.run_page.subject import Crowd, PageSubject, RecordedMotion
 
 _ALONE = """
 html, body { height: 100%; }
@@ -23,7 +23,7 @@ body { max-width: none; padding: 0; }
 """
 
 
-def document(subject: Subject, motion: RecordedMotion) -> str:
+def document(subject: PageSubject, motion: RecordedMotion) -> str:
     """Return the whole page."""
     sections = [
         ("gait", "How it moves", movement.gait(motion)),
@@ -36,13 +36,17 @@ def document(subject: Subject, motion: RecordedMotion) -> str:
         ("repeat", "How to repeat it", origin.repetition(subject)),
     ]
     shown = [(key, title, inner) for key, title, inner in sections if inner]
+    changed = None
+    if subject.changed is not None:
+        words = "All numbers on this page describe a trial with the changed configuration."
+        changed = tag("p", f"{subject.changed}. {words}", class_="failed")
     return _whole(
         f"{subject.name}: its champion",
         _scenes(motion.scene, motion.crowd),
         asset("page.css"),
         tag("h1", f"{subject.name}: its champion"),
         tag("p", subject.sentence, class_="lead"),
-        _changed(subject),
+        changed,
         tag("nav", *(tag("a", title, href=f"#{key}") for key, title, _ in shown)),
         _choice(motion.crowd),
         player(_still(motion.still)),
@@ -62,7 +66,12 @@ def document(subject: Subject, motion: RecordedMotion) -> str:
 def _scenes(champion: Mapping[str, Any], crowd: Crowd | None) -> Html:
     """Return the data of the viewer."""
     scenes = {"scene": champion} | ({} if crowd is None else {"crowd": crowd.scene})
-    return join(*(_json_script(name, scene) for name, scene in scenes.items()))
+    parts = []
+    for name, scene in scenes.items():
+        # Text within a script is not escaped, and "</" would end the script.
+        text = json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+        parts.append(tag("script", Html(text), type="application/json", id=name))
+    return join(*parts)
 
 
 def _choice(crowd: Crowd | None) -> Html | None:
@@ -91,30 +100,7 @@ def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
 
 def _whole(title: str, scenes: Html, style: str, *body: Html | None) -> str:
     scripts = [asset(name) for name in ("three.min.js", "animal.js", "viewer.js")]
-    inner = tag(
-        "body",
-        *body,
-        scenes,
-        *(Html(f"<script>{script}</script>") for script in scripts),
-    )
-    head = tag(
-        "head",
-        tag("meta", charset="utf-8"),
-        tag("meta", http_equiv="Content-Security-Policy", content=policy(scripts)),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("meta", name="generator", content="evo-cpg analyse"),
-        tag("title", title),
-        Html(f"<style>{style}</style>"),
-    )
-    return "<!doctype html>\n" + tag("html", head, inner, lang="en")
-
-
-def _changed(subject: Subject) -> Html | None:
-    """Return a warning that the configuration changed after training, or None if it did not."""
-    if subject.changed is None:
-        return None
-    words = "All numbers on this page describe a trial with the changed configuration."
-    return tag("p", f"{subject.changed}. {words}", class_="failed")
+    return whole_page(title, style, join(*body, scenes), scripts).text
 
 
 def player(before: Html) -> Html:
@@ -156,7 +142,7 @@ def _still(picture: bytes) -> Html:
     return tag("img", class_="still", src=source, alt="the animal")
 
 
-def _cards(subject: Subject, numbers: GaitNumbers) -> Html:
+def _cards(subject: PageSubject, numbers: GaitNumbers) -> Html:
     """Return the most important numbers."""
     found = [("fitness", number(subject.champion["fitness"]))]
     for key in ("speed", "speed_in_lengths", "stride_frequency", "strouhal", "duty_factor",
@@ -168,9 +154,3 @@ def _cards(subject: Subject, numbers: GaitNumbers) -> Html:
         "ul", *(tag("li", tag("b", value), tag("span", name)) for name, value in found),
         class_="cards",
     )  # fmt: skip
-
-
-def _json_script(name: str, values: Mapping[str, Any]) -> Html:
-    # Text within a script is not escaped, and "</" would end the script.
-    text = json.dumps(values, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    return Html(f'<script type="application/json" id="{name}">{text}</script>')

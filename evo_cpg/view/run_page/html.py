@@ -14,7 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evo_cpg.analysis.quantity import Quantity
+from evo_cpg.analysis.gait_quantities import Quantity
+
+# Rows of a long table that are not folded away.
+_DOZEN = 12
+# Elements without an end.
+_VOID = ("img", "input", "link", "meta", "br")
+# Letters of the longest text in a cell.
+_LETTERS = 120
 
 
 class Html(str):
@@ -39,15 +46,15 @@ def tag(name: str, /, *children: Any, **attributes: Any) -> Html:
             words.append(key)
         elif value is not None and value is not False:
             words.append(f'{key}="{html.escape(str(value))}"')
-    inner = join(*children)
-    if name in _VOID:
-        return Html(f"<{' '.join(words)}>")
-    return Html(f"<{' '.join(words)}>{inner}</{name}>")
+    end = "" if name in _VOID else f"{join(*children)}</{name}>"
+    return Html(f"<{' '.join(words)}>{end}")
 
 
 def join(*parts: Any) -> Html:
     """Join parts: `Html` is kept, other values become text, and None is left out."""
-    return Html("".join(_inner(part) for part in parts if part is not None))
+    made = (part if isinstance(part, Html) else html.escape(str(part)) for part in parts
+            if part is not None)  # fmt: skip
+    return Html("".join(made))
 
 
 def table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = ()) -> Html:
@@ -80,59 +87,55 @@ def long_table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ..
     return join(first, tag("details", tag("summary", f"{len(rows) - _DOZEN} more rows"), rest))
 
 
-_DOZEN = 12
-_VOID = ("img", "input", "meta", "br")
-
-
-def _inner(part: Any) -> str:
-    return part if isinstance(part, Html) else html.escape(str(part))
-
-
 class Page(NamedTuple):
-    """A page that a server sends.
+    """A whole page.
 
     Attributes:
-        text: the whole page, as HTML.
-        policy: its content security policy.
+        text: the page, as HTML.
+        policy: its content security policy, which names its scripts by their digests.
     """
 
     text: str
     policy: str
 
 
-def served_page(title: str, style: str, body: str, scripts: Sequence[str]) -> Page:
-    """Return a page that may run its own scripts and call its own server, and nothing else.
+def whole_page(
+    title: str, style: str, body: str, scripts: Sequence[str], is_served: bool = False
+) -> Page:
+    """Return a page that may run its own scripts and load nothing.
 
     Args:
         title: title of the page, as text.
         style: style sheets.
         body: HTML of the body, which is not escaped.
         scripts: scripts in their order.
+        is_served: whether the page may call its own server, which sends the policy. If not, the
+            page is a file, and contains its policy.
     """
-    inline = "".join(f"<script>{script}</script>" for script in scripts)
-    text = (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<link rel="icon" href="data:,"><title>{html.escape(title)}</title>'
-        f"<style>{style}</style></head><body>{body}{inline}</body></html>"
-    )
-    return Page(text, f"{policy(scripts)}; connect-src 'self'; frame-ancestors 'none'")
-
-
-def policy(scripts: Sequence[str]) -> str:
-    """Return a content security policy that allows some scripts, and no request.
-
-    Args:
-        scripts: texts of the scripts, which the policy names by their digests.
-    """
-    digests = [
-        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts
-    ]
+    digests = (base64.b64encode(hashlib.sha256(x.encode()).digest()).decode() for x in scripts)
     allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
-    return (
+    policy = (
         f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: "
         "blob:; base-uri 'none'; form-action 'none'"
     )
+    if is_served:
+        policy += "; connect-src 'self'; frame-ancestors 'none'"
+        more = tag("link", rel="icon", href="data:,")
+    else:
+        more = join(
+            tag("meta", http_equiv="Content-Security-Policy", content=policy),
+            tag("meta", name="generator", content="evo-cpg analyse"),
+        )
+    head = tag(
+        "head",
+        tag("meta", charset="utf-8"),
+        more,
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("title", title),
+        tag("style", Html(style)),
+    )
+    inner = join(Html(body), *(tag("script", Html(script)) for script in scripts))
+    return Page(f"<!doctype html>\n{tag('html', head, tag('body', inner), lang='en')}", policy)
 
 
 def asset(name: str, package: str = "evo_cpg.view.run_page") -> str:
@@ -143,10 +146,6 @@ def asset(name: str, package: str = "evo_cpg.view.run_page") -> str:
         package: package that holds it.
     """
     return resources.files(package).joinpath(name).read_text(encoding="utf-8")
-
-
-# Letters of the longest text in a cell.
-_LETTERS = 120
 
 
 def number(value: float | np.floating) -> str:
@@ -169,13 +168,10 @@ def with_unit(each: Quantity) -> str:
 
 def quantity(value: Any, unit: Any) -> str:
     """Return a number from a file with its unit, or an empty text for any other value."""
-    if not _is_number(value):
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(value):
         return ""
     return f"{100 * value:.3g} %" if unit == "%" else f"{value:.3g} {unit}".rstrip()
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def listed(value: Any) -> list[Any]:

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers
-from evo_cpg.analysis.quantity import Quantity
-from evo_cpg.creature.tree import body_and_axis
+from evo_cpg.analysis.gait_quantities import Quantity
+from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.plots import joint_signals_figure, path_figure
 from evo_cpg.view.run_page import charts
 from evo_cpg.view.run_page.html import Html, join, long_table, number, table, tag
-from evo_cpg.view.run_page.subject import RecordedMotion, Subject
+from evo_cpg.view.run_page.subject import PageSubject, RecordedMotion
 
 # Shortest and longest time on charts of signals and footfalls, s, and number of strides.
 _LEAST_SHOWN, _MOST_SHOWN, _STRIDES_SHOWN = 2.0, 8.0, 6.0
@@ -88,7 +88,7 @@ def gait(motion: RecordedMotion) -> Html:
     return join(*parts)
 
 
-def signals(subject: Subject, motion: RecordedMotion) -> Html | None:
+def signals(subject: PageSubject, motion: RecordedMotion) -> Html | None:
     """Show joint angles, the controller's signals, and phase lags, or None without joints."""
     recording, numbers = motion.recording, motion.numbers
     if not recording.dof_names:

@@ -20,10 +20,10 @@ from evo_cpg.view.run_page.html import (
     tag,
     without_folders,
 )
-from evo_cpg.view.run_page.subject import RecordedMotion, Subject
+from evo_cpg.view.run_page.subject import PageSubject, RecordedMotion
 
 
-def evolution(subject: Subject, motion: RecordedMotion) -> Html:
+def evolution(subject: PageSubject, motion: RecordedMotion) -> Html:
     """Show fitness over the generations, and the champion's fitness and terms."""
     rows = [[name, number(value)] for name, value in subject.champion.items()]
     words = (
@@ -46,7 +46,7 @@ def evolution(subject: Subject, motion: RecordedMotion) -> Html:
     )  # fmt: skip
 
 
-def audit(subject: Subject) -> Html:
+def audit(subject: PageSubject) -> Html:
     """Show verdict and checks of the audit, or the command that makes one."""
     found, command = subject.audit, tag("code", "evo-cpg audit RUN")
     look: Any = None
@@ -89,7 +89,7 @@ def audit(subject: Subject) -> Html:
     )  # fmt: skip
 
 
-def paper(subject: Subject) -> Html | None:
+def paper(subject: PageSubject) -> Html | None:
     """List differences of the run, the shipped configuration and the paper.
 
     None is returned if no shipped configuration has the run's name.
@@ -136,7 +136,7 @@ def _refined(done: Sequence[Mapping[str, Any]]) -> Html:
     )  # fmt: skip
 
 
-def repetition(subject: Subject) -> Html:
+def repetition(subject: PageSubject) -> Html:
     """Show commands, versions and the configuration."""
     run, meta = subject.folder, subject.meta
     commands = [

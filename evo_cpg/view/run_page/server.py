@@ -15,17 +15,20 @@ import secrets
 import socketserver
 import sys
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from typing import Any
-from urllib.parse import SplitResult, parse_qs, urlsplit
+from urllib.parse import parse_qs, urlsplit
 
 from evo_cpg.files import OutputError
+from evo_cpg.io.trust import LARGEST
 from evo_cpg.view.run_page.html import Page
 
 HOST = "127.0.0.1"
 # Time without data after which a connection is closed, s.
 _PATIENCE = 60.0
+# Largest request other than a file, bytes.
+MOST_BYTES = 2**20
 _JSON = "application/json"
 
 
@@ -34,7 +37,9 @@ class PageServer(socketserver.ThreadingMixIn, http.server.HTTPServer):
 
     Args:
         page: the page.
-        handler: class that answers the page's requests.
+        get: answer to a GET request as JSON, from its path and query, or None if there is none.
+        post: answer to a POST request, from its path and its JSON object, if the page takes data.
+        upload: answer to a file, from its name and content, which the page posts to ``/upload``.
         port: port, or 0 for a free one.
 
     Attributes:
@@ -47,10 +52,18 @@ class PageServer(socketserver.ThreadingMixIn, http.server.HTTPServer):
     daemon_threads = True
     allow_reuse_address = False
 
-    def __init__(self, page: Page, handler: "type[PageHandler]", port: int = 0):
+    def __init__(
+        self,
+        page: Page,
+        get: Callable[[str, Mapping[str, str]], Any],
+        post: Callable[[str, dict[str, Any]], Any] | None = None,
+        upload: Callable[[str, bytes], Any] | None = None,
+        port: int = 0,
+    ):
         self.page, self.token = page, secrets.token_urlsafe(24)
+        self.get, self.post, self.upload = get, post, upload
         try:
-            super().__init__((HOST, port), handler)
+            super().__init__((HOST, port), _PageHandler)
         except OSError as error:
             raise OutputError(f"port {port} cannot be used ({error.strerror or error})") from None
 
@@ -79,54 +92,68 @@ class PageServer(socketserver.ThreadingMixIn, http.server.HTTPServer):
             super().handle_error(request, client_address)
 
 
-class PageHandler(http.server.BaseHTTPRequestHandler):
-    """Answers the requests of a page.
-
-    Subclasses define `answer`, and ``do_POST`` if they take data.
-    """
+class _PageHandler(http.server.BaseHTTPRequestHandler):
+    """Answers the requests of a page."""
 
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "evo-cpg", ""
     timeout = _PATIENCE
     server: PageServer
 
-    def answer(self, path: str, query: Mapping[str, list[str]]) -> Any:
-        """Return the answer to a GET request of the page as JSON, or None if there is none.
-
-        Args:
-            path: path of the request.
-            query: its query.
-        """
-        raise NotImplementedError
-
     def do_GET(self) -> None:
         """Send the page, or an answer to it."""
         place = self.place()
         if place is None:
             return
-        query = parse_qs(place.query)
-        token = query.get("token", [""])[0] if place.path == "/" else None
-        if not self.is_allowed(token):
+        path, query = place
+        if not self.is_allowed(query.get("token", "") if path == "/" else None):
             return
-        if place.path == "/":
+        if path == "/":
             self._send(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page.text.encode())
             return
-        answer = self.answer(place.path, query)
+        answer = self.server.get(path, query)
         if answer is None:
             self.refuse(HTTPStatus.NOT_FOUND, "there is no such page")
         else:
             self.send_json(answer)
 
+    def do_POST(self) -> None:
+        """Answer a request of the page, or take a file."""
+        post, upload = self.server.post, self.server.upload
+        if post is None:
+            self.refuse(HTTPStatus.NOT_IMPLEMENTED, "the page takes no data")
+            return
+        place = self.place() if self.is_allowed() else None
+        if place is None:
+            return
+        path, query = place
+        take = upload if path == "/upload" else None
+        body = self.body(LARGEST if take else MOST_BYTES)
+        if body is None:
+            return
+        if take:
+            self.send_json(take(query.get("name", ""), body))
+            return
+        try:
+            given = json.loads(body or b"{}")
+        except (ValueError, RecursionError):
+            given = None
+        if isinstance(given, dict):
+            self.send_json(post(path, given))
+        else:
+            self.refuse(HTTPStatus.BAD_REQUEST, "the request is not a JSON object")
+
     def log_message(self, format: str, *args: Any) -> None:
         """Print nothing."""
 
-    def place(self) -> SplitResult | None:
-        """Return the parts of the requested address, or refuse one that has none."""
+    def place(self) -> tuple[str, dict[str, str]] | None:
+        """Return the path and the query of a request, or refuse a malformed address."""
         try:
-            return urlsplit(self.path)
+            place = urlsplit(self.path)
         except ValueError:
             self.refuse(HTTPStatus.BAD_REQUEST, "the address is malformed")
             return None
+        return place.path, {name: values[0] for name, values in parse_qs(place.query).items()}
 
     def is_allowed(self, token: str | None = None) -> bool:
         """Return whether a request comes from the page, and refuse it if not.

@@ -60,7 +60,7 @@ class Crowd(NamedTuple):
     scene: Mapping[str, Any]
 
 
-class Subject(NamedTuple):
+class PageSubject(NamedTuple):
     """Subject of a page.
 
     Attributes:

@@ -1,22 +1,30 @@
 """Data of a page's viewer: meshes, places and colours, as JSON.
 
-Arrays are base64 of little-endian numbers. Equal arrays, such as the triangles of all boxes, are
-written once.
+Arrays are base64 of little-endian numbers. A function ``add`` stores an array of a kind, such as
+``<f4``, and returns its name in the data, so that equal arrays are written once.
+
+Places in a crowd have 16 bits and rotations have 8 bits. If the numbers take too much room, there
+are fewer instants per second, and then fewer animals. The viewer interpolates between instants.
 """
 
 import base64
+import math
+from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.creature import Creature
-from evo_cpg.physics.contact.terrain import Part
+from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.physics.contact.terrain import GroundPart
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import smooth
+from evo_cpg.view.ghosts import coarse
+from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import BodySurface, head_index, pieces
-from evo_cpg.view.run_page.animal_data import crowd_data, piece_data, skin_data
-from evo_cpg.view.scene import Clip, Panel, Scene, quaternions, sample, scene_of
+from evo_cpg.view.scene import Clip, Panel, quaternions, sample, scene_of
+from evo_cpg.view.skin import skins
 from evo_cpg.view.terrain import obstacle_mesh
 
 # Frames per second. The viewer interpolates between them.
@@ -37,6 +45,21 @@ _LOOK = (
 )  # fmt: skip
 
 
+# Number of points up to which triangles have numbers of 16 bits.
+_MANY = 65536
+# Most and least instants of a crowd per second, and most bytes of its numbers.
+_CROWD_RATE, _LEAST_RATE, _CROWD_BYTES = 15.0, 8.0, 3e6
+# Bytes of a body at an instant, and largest numbers of 16 and 8 bits.
+_SIZE, _HALF, _BYTE = 10, 65535, 127
+
+Add = Callable[[Any, str], Any]
+
+
+def packed(values: Any, kind: str) -> str:
+    """Return an array of a kind, such as ``<f4``, as base64."""
+    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()
+
+
 class Arrays:
     """Base64 texts of arrays. Equal arrays share a text and its number.
 
@@ -46,15 +69,15 @@ class Arrays:
 
     def __init__(self) -> None:
         self.written: list[str] = []
-        self._numbers: dict[bytes, int] = {}
+        self._numbers: dict[str, int] = {}
 
     def add(self, values: Any, kind: str) -> int:
         """Add an array of a kind, such as ``<f4``, and return its number."""
-        data = np.ascontiguousarray(values, kind).tobytes()
-        if data not in self._numbers:
-            self._numbers[data] = len(self.written)
-            self.written.append(base64.b64encode(data).decode())
-        return self._numbers[data]
+        text = packed(values, kind)
+        if text not in self._numbers:
+            self._numbers[text] = len(self.written)
+            self.written.append(text)
+        return self._numbers[text]
 
 
 def viewer_data(panel: Panel) -> dict[str, Any]:
@@ -63,6 +86,11 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
     # The crowd has instants of its own.
     scene, arrays = scene_of(panel._replace(crowd=None), clip), Arrays()
     level, head = scene.level, head_index(scene.creature)
+    terrain = None
+    if level is None:
+        land = scene.terrain(_FAR * scene.radius)
+        terrain = {name: arrays.add(values, "<f4") for name, values in land._asdict().items()}
+        terrain["normals"] = arrays.add(land.normals() * 127, "i1")
     return {
         "start": float(clip.time[0]),
         **animal_data(scene.creature, arrays),
@@ -75,7 +103,7 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
         "bearing": scene.bearing,
         "floor": float(clip.position[..., 2].min()) if level is None else level,
         "spacing": scene.grid,
-        "terrain": None if level is not None else _terrain(scene, arrays),
+        "terrain": terrain,
         "obstacles": [_obstacle(obstacle, arrays) for obstacle in scene.ground.obstacles],
         "goal": None if scene.goal is None else [float(x) for x in scene.goal],
         "surface": None if scene.surface is None else float(scene.surface),
@@ -121,13 +149,7 @@ def _motion(clip: Clip, arrays: Arrays) -> dict[str, Any]:
     }
 
 
-def _terrain(scene: Scene, arrays: Arrays) -> dict[str, int]:
-    terrain = scene.terrain(_FAR * scene.radius)
-    made = {name: arrays.add(values, "<f4") for name, values in terrain._asdict().items()}
-    return made | {"normals": arrays.add(terrain.normals() * 127, "i1")}
-
-
-def _obstacle(obstacle: Part, arrays: Arrays) -> dict[str, Any]:
+def _obstacle(obstacle: GroundPart, arrays: Arrays) -> dict[str, Any]:
     mesh, place, turn = obstacle_mesh(obstacle)
     coarse = mesh.triangulate()
     if coarse.n_points > _FINE:
@@ -135,3 +157,107 @@ def _obstacle(obstacle: Part, arrays: Arrays) -> dict[str, Any]:
     turned = quaternions(turn[None])[0].tolist()
     made = piece_data(BodySurface(cast(pv.PolyData, coarse), _STONE), arrays.add)
     return made | {"place": place.tolist(), "turn": turned}
+
+
+def piece_data(piece: BodySurface, add: Add) -> dict[str, Any]:
+    """Return a surface."""
+    mesh = piece.mesh
+    if mesh.point_data.active_normals is None:
+        mesh = cast(pv.PolyData, mesh.compute_normals(split_vertices=False))
+    normals = np.asarray(mesh.point_data.active_normals)
+    made = surface_data(np.asarray(mesh.points), normals, mesh.regular_faces, add)
+    if "rgb" in mesh.point_data:
+        return made | {"colors": add(mesh["rgb"], "u1")}
+    return made | {"color": piece.color}
+
+
+def skin_data(creature: Creature, add: Add) -> dict[str, Any]:
+    """Return the skins of an animal, and the pose in which they are given."""
+    centres, rotations = map(np.asarray, neutral_pose(creature))
+    made = []
+    for skin in skins(creature):
+        weights = np.zeros((len(skin.points), 4), np.uint8)
+        weights[:, 0] = np.round(255 * skin.weights[:, 0])
+        # Bytes that add up to 255 add up to 1.
+        weights[:, 1] = 255 - weights[:, 0]
+        bodies = np.zeros_like(weights, np.uint16)
+        bodies[:, :2] = skin.bodies
+        surface = surface_data(skin.points, skin.normals, skin.faces, add)
+        made.append(
+            surface
+            | {
+                "colors": add(skin.colors, "u1"),
+                "bodies": add(bodies, "<u2"),
+                "weights": add(weights, "u1"),
+            }
+        )
+    turns = quaternions(rotations[None])[0]
+    rest = {"place": add(centres, "<f4"), "turn": add(turns, "<f4")} if made else None
+    return {"skins": made, "rest": rest}
+
+
+def surface_data(
+    points: np.ndarray, normals: np.ndarray, faces: np.ndarray, add: Add
+) -> dict[str, Any]:
+    """Return a surface without colour: points and normals ``(n, 3)``, triangles ``(f, 3)``."""
+    return {
+        "points": add(points, "<f4"),
+        "normals": add(np.asarray(normals) * 127, "i1"),
+        "triangles": add(faces, "<u4" if len(points) > _MANY else "<u2"),
+    }
+
+
+def crowd_data(creature: Creature, crowd: CrowdMotion, look: Look, add: Add) -> dict[str, Any]:
+    """Return a crowd.
+
+    Args:
+        creature: the animal.
+        crowd: motion of the others.
+        look: look of the world.
+        add: function that stores an array.
+    """
+    crowd = thinned(crowd)
+    low, high = (end(crowd.position, axis=(0, 1, 2)) for end in (np.min, np.max))
+    size = np.maximum(high - low, 1e-9)
+    place = np.round((crowd.position - low) / size * _HALF)
+    hulls: list[dict[str, Any] | None] = []
+    for body in creature.bodies:
+        if not body.shape.exists:
+            hulls.append(None)
+            continue
+        points, faces = coarse(body.shape)
+        outwards = points / np.linalg.norm(points, axis=1, keepdims=True)
+        hulls.append(surface_data(points, outwards, faces, add))
+    return {
+        "bodies": hulls,
+        "count": crowd.count,
+        "frames": len(crowd.time),
+        "rate": 1 / float(np.diff(crowd.time[:2], append=1e9)[0]),
+        "low": low.tolist(),
+        "step": (size / _HALF).tolist(),
+        "position": add(place, "<u2"),
+        "rotation": add(np.round(quaternions(crowd.rotation) * _BYTE), "i1"),
+        "color": look.ghost,
+    }
+
+
+def thinned(crowd: CrowdMotion) -> CrowdMotion:
+    """Return a crowd of about 15 instants per second, or of as much as there is room for.
+
+    Fewer than 8 instants per second look jerky. So the rest are left out evenly among the animals.
+    """
+    instants, animals, bodies = crowd.position.shape[:3]
+    if instants < 2:
+        return crowd
+    step = float(crowd.time[1] - crowd.time[0])
+    room = _CROWD_BYTES / (_SIZE * bodies * animals)
+    every = max(round(1 / (_CROWD_RATE * step)), math.ceil(instants / max(room, 1)), 1)
+    every = min(every, max(math.floor(1 / (_LEAST_RATE * step)), 1))
+    shown = slice(None, None, every)
+    crowd = crowd._replace(
+        time=crowd.time[shown], position=crowd.position[shown], rotation=crowd.rotation[shown]
+    )
+    most = max(int(_CROWD_BYTES / (_SIZE * bodies * len(crowd.time))), 1)
+    if most >= animals:
+        return crowd
+    return crowd.of(np.linspace(0, animals - 1, most).round().astype(int))

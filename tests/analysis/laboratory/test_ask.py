@@ -11,7 +11,7 @@ from swimmer import FORWARDS, SWIMMER, subject
 import evo_cpg as evo
 from evo_cpg.analysis.laboratory.ask import Answer, ask
 from evo_cpg.analysis.laboratory.bodies import config_of
-from evo_cpg.analysis.laboratory.flume import flume_notes
+from evo_cpg.analysis.laboratory.measures import flume_notes
 from evo_cpg.analysis.laboratory.settings import LabError
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import ConfigError

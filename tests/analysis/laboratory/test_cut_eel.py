@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.rhythm import upward_crossings
+from evo_cpg.analysis.cycles import upward_crossings
 from evo_cpg.api.lab import lab
 
 

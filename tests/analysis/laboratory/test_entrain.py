@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from evo_cpg.analysis.laboratory.entrain import (
-    _REST,
     CYCLES,
+    REST,
     entrained_range,
     locking,
     rest_frequency,
@@ -17,7 +17,7 @@ H, W0, K = 1 / 60, 2 * np.pi * 1.3, 1.5
 def phase_oscillator(bending: float, seed: int = 0) -> np.ndarray:
     """Return sin(theta) of theta' = w_0 + K sin(w_b t - theta), free before the bending."""
     substeps = 20
-    steps = int((_REST + (CYCLES + 1) * 2 * np.pi / bending) / H)
+    steps = int((REST + (CYCLES + 1) * 2 * np.pi / bending) / H)
     theta, found, h = 0.3 + seed, [], H / substeps
 
     def slope(theta, t):
@@ -25,7 +25,7 @@ def phase_oscillator(bending: float, seed: int = 0) -> np.ndarray:
 
     for i in range(steps):
         for k in range(substeps):
-            t = i * H + k * h - _REST
+            t = i * H + k * h - REST
             middle = theta + 0.5 * h * slope(theta, t)
             theta += h * slope(middle, t + 0.5 * h)
         found.append(np.sin(theta))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from evo_cpg.analysis.laboratory.measures import cut_of, sides
 from evo_cpg.analysis.laboratory.settings import NOTHING
-from evo_cpg.analysis.laboratory.transection import cut_of, sides
 
 STEP = 1 / 60
 TIME = np.arange(600) * STEP

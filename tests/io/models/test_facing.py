@@ -4,7 +4,7 @@ import pytest
 
 from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
-from evo_cpg.io.models.facing import facing_note
+from evo_cpg.io.models.mjcf_world import facing_note
 
 
 def animal(size, **places):

@@ -28,8 +28,8 @@ from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.io.models.mujoco_state import dof_order, load_state, motor_order
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.contact.contact_model import Ground
-from evo_cpg.physics.contact.terrain import Block, Boulder, Part, Plane, Relief, Shore
-from evo_cpg.physics.step.body_equations import body_equations
+from evo_cpg.physics.contact.terrain import Block, Boulder, GroundPart, Plane, Relief, Shore
+from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.joint_torque import (
@@ -239,7 +239,7 @@ def test_contact_with_the_ground_has_the_combined_friction(compiled):
 
 
 def test_places_of_slope_boulder_and_block(compiled):
-    """Compare the distance of MuJoCo's geoms from a ball with `Part.distance`."""
+    """Compare the distance of MuJoCo's geoms from a ball with `GroundPart.distance`."""
     slope = (0.28, 0.0, 0.96)
     parts = (
         Plane(slope, 0.1),
@@ -269,7 +269,7 @@ def test_places_of_slope_boulder_and_block(compiled):
     ids=["shore", "shore along y", "relief", "relief along y", "level relief"],
 )
 def test_heights_of_uneven_ground(compiled, floor):
-    """Rays from above end where `Part.distance` is 0, to 1e-6 m (float32 heights)."""
+    """Rays from above end where `GroundPart.distance` is 0, to 1e-6 m (float32 heights)."""
     model = compiled(ball(), GRAVITY, Ground(floor=floor), start=(0.0, 0.0, 10.0))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -309,7 +309,7 @@ class Ring(Shape):
     inertia = distance = support = surface = cells = None
 
 
-class Mud(Part):
+class Mud(GroundPart):
     def distance(self, point):
         return point[2], point
 

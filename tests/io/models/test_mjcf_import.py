@@ -472,7 +472,7 @@ def test_hinges_of_a_body_keep_values_of_their_own(read):
     np.testing.assert_allclose(joint.rest, (0.5, 0.0))
     assert joint.friction_loss == (0.0, 3.0)
     np.testing.assert_allclose([joint.lower, joint.upper], [[-NO_LIMIT, -1], [NO_LIMIT, 1]])
-    assert joint.motors == (TorqueMotor(3.0), Actuator(2.0))
+    assert [dof.actuator for dof in joint.dofs] == [TorqueMotor(3.0), Actuator(2.0)]
 
 
 HINGE = '<joint name="h" range="-1 1"/>'

@@ -8,14 +8,14 @@ import jax
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.second_opinion import Brain, own_opinion, second_opinion
+from evo_cpg.analysis.second_opinion import ControllerInLoop, own_opinion, second_opinion
 from evo_cpg.control.postures import PostureController
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
 from evo_cpg.physics.tree.state import resting_state
-from evo_cpg.simulation.physics_steps import EachPhysicsStep
+from evo_cpg.simulation.observers import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 from tiny_run import CONFIG, PAIR, TINY
 
@@ -50,7 +50,7 @@ def test_both_programs_agree_in_water(swimmer):
     simulation = experiment.simulation
     own = own_opinion(simulation, steps)
     commanded = second_opinion(simulation, experiment.creature, steps)
-    brain = Brain(simulation, genes)
+    brain = ControllerInLoop(simulation, genes)
     sensed = second_opinion(simulation, experiment.creature, steps, brain=brain)
     assert (commanded.program, sensed.program) == ("MuJoCo", "MuJoCo, own senses")
     assert np.abs(own.joint_angle).max() > 0.1
@@ -74,7 +74,7 @@ def test_motors_agree_in_both_programs(actuator):
     simulation = experiment.simulation
     own = own_opinion(simulation, steps)
     assert np.abs(own.joint_angle).max() > 0.1
-    for brain in (None, Brain(simulation, genes)):
+    for brain in (None, ControllerInLoop(simulation, genes)):
         other = second_opinion(simulation, experiment.creature, steps, brain=brain)
         np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=5e-3)
         np.testing.assert_allclose(other.path, own.path, atol=2e-3)
@@ -103,7 +103,7 @@ def test_slides_balls_and_a_planar_root_agree_in_both_programs():
     assert own.slides.tolist() == [True, True, False, True, False, False, False, False]
     driven = np.abs(own.joint_angle).max(1)
     assert (driven[4:] > 0.05).all() and driven[3] > 1e-3 and (driven[:3] > 1e-4).all()
-    for brain in (None, Brain(simulation, genes)):
+    for brain in (None, ControllerInLoop(simulation, genes)):
         other = second_opinion(simulation, experiment.creature, steps, brain=brain)
         np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=2e-3)
         np.testing.assert_allclose(other.path, own.path, atol=2e-3)
@@ -156,7 +156,7 @@ def test_the_controller_uses_the_senses_of_mujocos_animal(swimmer):
         before=eqx.tree_at(lambda state: state.q, steps.before, steps.before.q + 0.3),
     )
     commanded = second_opinion(simulation, creature, bent)
-    sensed = second_opinion(simulation, creature, bent, brain=Brain(simulation, genes))
+    sensed = second_opinion(simulation, creature, bent, brain=ControllerInLoop(simulation, genes))
     # Recorded commands keep the error, and the controller reduces it.
     own = own_opinion(simulation, steps).joint_angle
     off = [np.abs(each.joint_angle - own)[:, -1].max() for each in (commanded, sensed)]
@@ -177,7 +177,7 @@ def test_the_controller_feels_loads_of_mujocos_animal():
     commands = []
     for load in (0.0, simulation.world.weight):
         borne[:, foot] = load
-        brain = Brain(simulation, genes, jax.random.key_data(jax.random.key(0))[:, None])
+        brain = ControllerInLoop(simulation, genes, jax.random.key_data(jax.random.key(0))[:, None])
         commands.append(np.asarray(brain.think(state, borne).torque)[:, 0])
     moved = np.array(tree.dof_names)[np.abs(commands[1] - commands[0]) > 0.1]
     assert "bthigh.y" in moved

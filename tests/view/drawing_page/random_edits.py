@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from evo_cpg.view.drawing_page.document import Document, DrawingError
+from evo_cpg.view.drawing_page.document import Document, EditError
 from evo_cpg.view.drawing_page.lookup import all_copies, bodies
 
 # Values that a request can carry and no edit expects.
@@ -96,7 +96,7 @@ class RandomEdits:
         try:
             names = [str(each.get("name")) for each in bodies(self.document.data)]
             names += [copy.name for copy in all_copies(self.document.data)]
-        except DrawingError:
+        except EditError:
             names = []
         return self.draw.choice([*names, *names, *names, "nobody"])
 

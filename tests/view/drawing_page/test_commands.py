@@ -10,11 +10,11 @@ from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.io.load import load_config
 from evo_cpg.io.yaml_text import parse_yaml
 from evo_cpg.view.drawing_page.commands import edit
-from evo_cpg.view.drawing_page.document import Document, DrawingError
+from evo_cpg.view.drawing_page.document import Document, EditError
 from evo_cpg.view.drawing_page.lookup import posed
-from evo_cpg.view.drawing_page.problems import problems
+from evo_cpg.view.drawing_page.session import problems
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 
 # Sixty lists, each in another.
 DEEP = json.loads("[" * 60 + "]" * 60)
@@ -223,7 +223,7 @@ def test_a_part_stands_on_a_body_without_own_shape(animal):
     bare = {"shape": None, "parts": [], "inertia": [1, 1, 1, 0, 0, 0]}
     for key, value in bare.items():
         do(animal, "set_value", key=["creature", "bodies", 0, key], value=value)
-    with pytest.raises(DrawingError, match="body has no shape, so it has no surface"):
+    with pytest.raises(EditError, match="body has no shape, so it has no surface"):
         do(animal, "add_shape", part="body", place=[0, 0, 0.05], normal=[0, 0, 1])
 
 
@@ -383,7 +383,7 @@ def test_an_impossible_edit_changes_nothing(animal, command, given, words):
         do(animal, command, **given)
         assert problems(animal.data, animal.path, thorough=False)[0].kind == "error"
         return
-    with pytest.raises(DrawingError, match=words.replace("(", r"\(")):
+    with pytest.raises(EditError, match=words.replace("(", r"\(")):
         do(animal, command, **given)
     assert animal.texts == texts
 
@@ -394,7 +394,7 @@ def test_messages_name_the_part_that_they_are_about(animal):
     (found,) = problems(animal.data, animal.path)
     assert (found.kind, found.part) == ("error", "{side}_foreshin")
     assert "limits_deg" in found.words or "limits_deg" in found.key
-    with pytest.raises(DrawingError, match=r"first mend creature\.bodies\.2\.joint"):
+    with pytest.raises(EditError, match=r"first mend creature\.bodies\.2\.joint"):
         do(animal, "shift", part="left_forethigh", by=[0, 0, 0.1])
     animal.undo()
     do(animal, "set_joint", name="{side}_foreshin", key="limits_deg", value=[-1.0472, 1.0472])

@@ -8,11 +8,11 @@ import pytest
 from evo_cpg.files import OutputError, write_text
 from evo_cpg.io.load import load_config
 from evo_cpg.view.drawing_page.commands import edit
-from evo_cpg.view.drawing_page.document import Document, DrawingError, Texts
-from evo_cpg.view.drawing_page.problems import problems
+from evo_cpg.view.drawing_page.document import Document, EditError, Texts
+from evo_cpg.view.drawing_page.session import problems
 from evo_cpg.view.drawing_page.yaml_edit import equal
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 
 
 def do(document: Document, command: str, **given):
@@ -159,9 +159,9 @@ def test_the_creature_stays_in_its_own_file(fish):
 def test_a_file_that_changed_on_the_disk_is_not_overwritten(fish, tmp_path):
     do(fish, "set_value", key=["seed"], value=7)
     fish.path.write_text(fish.path.read_text() + "runs: 2\n")
-    with pytest.raises(DrawingError, match="has changed on the disk"):
+    with pytest.raises(EditError, match="has changed on the disk"):
         fish.save()
-    with pytest.raises(DrawingError, match="exists"):
+    with pytest.raises(EditError, match="exists"):
         fish.save_as(fish.path)
     fish.save_as(tmp_path / "other.yaml")
     assert load_config(tmp_path / "other.yaml").seed == 7
@@ -172,7 +172,7 @@ def test_a_new_document_is_valid_and_overwrites_nothing(tmp_path):
     document = Document.new(tmp_path / "my fish.yaml")
     assert document.data["name"] == "my_fish" and not (tmp_path / "my fish.yaml").exists()
     (tmp_path / "my fish.yaml").write_text("precious")
-    with pytest.raises(DrawingError, match="exists"):
+    with pytest.raises(EditError, match="exists"):
         document.save()
     (found,) = problems(document.data, document.path, thorough=False)
     assert found.kind == "warning" and "eye" in found.words

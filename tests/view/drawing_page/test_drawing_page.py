@@ -13,24 +13,24 @@ import trimesh
 import chromium
 from evo_cpg.io.load import load_config
 from evo_cpg.view.drawing_page.document import Document
-from evo_cpg.view.drawing_page.page.server import DrawingServer
-from evo_cpg.view.drawing_page.problems import problems
-from evo_cpg.view.drawing_page.session import Session
+from evo_cpg.view.drawing_page.server import drawing_server
+from evo_cpg.view.drawing_page.session import Session, problems
+from evo_cpg.view.run_page.server import PageServer
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(chromium.found() is None, reason="needs Chromium"),
 ]
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 FINISHED = "document.getElementById('run-state').textContent.startsWith('finished')"
 
 
 class Drawn:
     """The page of a document, used with mouse and fields."""
 
-    def __init__(self, page: chromium.Page, server: DrawingServer):
-        self.page, self.server = page, server
-        self.document = server.session.document
+    def __init__(self, page: chromium.Page, server: PageServer, session: Session):
+        self.page, self.server, self.session = page, server, session
+        self.document = session.document
 
     def wait(self) -> None:
         """Wait until all requests are answered and drawn."""
@@ -96,16 +96,17 @@ class Drawn:
 @contextlib.contextmanager
 def opened(document: Document, profile: Path) -> Iterator[Drawn]:
     """Serve a document and open its page."""
-    with DrawingServer(Session(document)) as server, chromium.browser(profile) as page:
+    session = Session(document)
+    with drawing_server(session) as server, chromium.browser(profile) as page:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         page.visit(server.address)
         page.wait("document.querySelectorAll('#tree button').length > 0")
-        yield Drawn(page, server)
+        yield Drawn(page, server, session)
         ours = server.origin
         assert page.complaints == []
         assert all(each.startswith((ours, "data:", "about:")) for each in page.requests)
-        server.session.close()
+        session.close()
         server.shutdown()
         thread.join()
 

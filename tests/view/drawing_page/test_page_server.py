@@ -11,18 +11,21 @@ from typing import Any
 import pytest
 import trimesh
 
-from evo_cpg.cli.advice import about_oscillators
+from evo_cpg.api.advice import about_oscillators
 from evo_cpg.io.load import load_config
 from evo_cpg.io.trust import trusting
 from evo_cpg.view.drawing_page.document import Document
-from evo_cpg.view.drawing_page.page.server import MOST_BYTES, DrawingServer
+from evo_cpg.view.drawing_page.server import drawing_server
 from evo_cpg.view.drawing_page.session import Session
+from evo_cpg.view.run_page.server import MOST_BYTES, PageServer
 
 
 @pytest.fixture
-def server(tmp_path) -> Iterator[DrawingServer]:
+def server(tmp_path) -> Iterator[PageServer]:
     document = Document.new(tmp_path / "animal.yaml")
-    with DrawingServer(Session(document, advice=about_oscillators)) as made:
+    session = Session(document, advice=about_oscillators)
+    with drawing_server(session) as made:
+        made.session = session
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         yield made
@@ -30,7 +33,7 @@ def server(tmp_path) -> Iterator[DrawingServer]:
         thread.join()
 
 
-def ask(server: DrawingServer, path: str, body: Any = None, **headers: str) -> tuple[int, Any]:
+def ask(server: PageServer, path: str, body: Any = None, **headers: str) -> tuple[int, Any]:
     """A request of a plain client. The token is sent unless ``X_Token`` is given."""
     link = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=20)
     sent = {"X-Token": server.token} | {k.replace("_", "-"): v for k, v in headers.items()}
@@ -158,7 +161,7 @@ def test_comments_are_lost_only_with_consent(server):
     document = server.session.document
     document.save()
     text = document.path.read_text()
-    text = text.replace("  water: {density: 1000}", "  water: # salt\n    density: 1025")
+    text = text.replace("  water: {density: 1000}", "  water:\n    density: 1025 # salt")
     document.path.write_text(text)
     server.session.__init__(Document.open(document.path))
     edit = {"command": "set_water", "given": {"on": False}}

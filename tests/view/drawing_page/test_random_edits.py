@@ -15,10 +15,9 @@ from evo_cpg.io.load import complete_config, load_config
 from evo_cpg.io.yaml_text import to_yaml
 from evo_cpg.view.drawing_page.commands import COMMANDS
 from evo_cpg.view.drawing_page.document import Document
-from evo_cpg.view.drawing_page.problems import problems
-from evo_cpg.view.drawing_page.session import Session
+from evo_cpg.view.drawing_page.session import Session, problems
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 # Largest number of bodies that an edit may leave, so that simulations compile in seconds.
 LARGEST = 16
 # Their controllers name parts by patterns. A renamed part leaves an animal that is refused.

@@ -13,10 +13,10 @@ import pytest
 import trimesh
 
 from evo_cpg.files import write_text
-from evo_cpg.view.drawing_page import training_run
-from evo_cpg.view.drawing_page.document import Document, DrawingError
+from evo_cpg.view.drawing_page import runs
+from evo_cpg.view.drawing_page.document import Document, EditError
+from evo_cpg.view.drawing_page.runs import TrainingRun
 from evo_cpg.view.drawing_page.session import Session
-from evo_cpg.view.drawing_page.training_run import TrainingRun
 
 PART = {"parent": "body", "place": [-0.1, 0, 0], "normal": [-1, 0, 0], "name": "tail"}
 ADD = {"command": "add_part", "given": PART}
@@ -159,7 +159,7 @@ def test_a_mesh_keeps_the_letters_of_its_name(session, tmp_path, name, kept):
 RUN = """
 import os, signal, sys, time
 from pathlib import Path
-from evo_cpg.view.drawing_page.training_run import TrainingRun
+from evo_cpg.view.drawing_page.runs import TrainingRun
 run = TrainingRun(Path(sys.argv[1]), "killed")
 print(run._process.pid, flush=True)
 while not run.state()["curves"].get("best"):
@@ -213,7 +213,7 @@ def test_a_run_ends_when_the_program_of_the_page_is_killed(tmp_path):
 
 @pytest.mark.slow
 def test_a_stop_is_answered_at_once_and_keeps_the_generations(tmp_path, monkeypatch):
-    monkeypatch.setattr(training_run, "_PATIENCE", 120.0)
+    monkeypatch.setattr(runs, "_PATIENCE", 120.0)
     # A program in the background of a shell ignores interrupts, and so do the programs it starts.
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     run = TrainingRun(_trained(tmp_path), "stopped")
@@ -228,5 +228,5 @@ def test_a_stop_is_answered_at_once_and_keeps_the_generations(tmp_path, monkeypa
     # It was not killed.
     assert run.state()["code"] not in (None, -signal.SIGKILL)
     assert len(run.state()["curves"]["best"]) > 0
-    with pytest.raises(DrawingError, match="before the motion of its champion was recorded"):
+    with pytest.raises(EditError, match="before the motion of its champion was recorded"):
         run.champion()

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evo_cpg.view.drawing_page.document import DrawingError
-from evo_cpg.view.drawing_page.trying import RATE, SECONDS, simulate
+from evo_cpg.view.drawing_page.document import EditError
+from evo_cpg.view.drawing_page.runs import RATE, SECONDS, simulate
 
 HERE = Path("animal.yaml")
 
@@ -38,9 +38,9 @@ def places(made: dict) -> np.ndarray:
 def test_a_try_that_shows_nothing_is_refused():
     lonely = animal()
     del lonely["creature"]["bodies"][1]
-    with pytest.raises(DrawingError, match="a body without joints has nothing to try"):
+    with pytest.raises(EditError, match="a body without joints has nothing to try"):
         simulate(lonely, HERE, "rest")
-    with pytest.raises(DrawingError, match="'fly': choose rest or rhythm"):
+    with pytest.raises(EditError, match="'fly': choose rest or rhythm"):
         simulate(animal(), HERE, "fly")  # pyright: ignore[reportArgumentType]
 
 

@@ -10,7 +10,7 @@ import pytest
 from evo_cpg.io.yaml_text import parse_yaml
 from evo_cpg.view.drawing_page.yaml_edit import comments, equal, lost_comments, with_data
 
-CONFIGS = sorted((Path(__file__).parents[2] / "configs").rglob("*.yaml"))
+CONFIGS = sorted((Path(__file__).parents[3] / "configs").rglob("*.yaml"))
 
 TEXT = """\
 # head
@@ -26,6 +26,7 @@ c:          # three
 
 d: 'text # no comment'
 """
+LONG = "a:          # one\n  long:\n    x: {y: 1}\n"
 
 
 def changed(edit, text: str = TEXT) -> str:
@@ -42,8 +43,8 @@ def changed(edit, text: str = TEXT) -> str:
     [
         (lambda d: d.update(a=2), "a: 1 ", "a: 2 "),
         (lambda d: d["b"].update(x=3, w=4), "{x: 1, y: [1, 2.50]}", "{x: 3, y: [1, 2.50], w: 4}"),
-        (lambda d: d["b"].pop("x"), "{x: 1, y", "{y"),
-        (lambda d: d["b"].pop("y"), "x: 1, y: [1, 2.50]", "x: 1"),
+        (lambda d: d["b"].pop("x"), "{x: 1, y: [1, 2.50]}", "{y: [1, 2.50]}      "),
+        (lambda d: d["b"].pop("y"), "{x: 1, y: [1, 2.50]}", "{x: 1}              "),
         (lambda d: d["c"][0].update(z=5), "z: 1.0e-3", "z: 5"),
         (lambda d: d["c"][0].pop("z"), "\n    z: 1.0e-3", ""),
         (lambda d: d["c"].pop(1), "\n  - name: q\n    z: 2", ""),
@@ -55,7 +56,7 @@ def changed(edit, text: str = TEXT) -> str:
         (lambda d: d["c"].insert(1, {"name": "r"}), "e-3\n", "e-3\n  - name: r\n"),
         (lambda d: d.pop("d"), "\nd: 'text # no comment'", ""),
         (lambda d: d.update(e=None), "comment'\n", "comment'\ne: null\n"),
-        (lambda d: d.update(a={"long": {"x": {"y": 1}}}), "a: 1 ", "a:\n  long:\n    x: {y: 1} "),
+        (lambda d: d.update(a={"long": {"x": {"y": 1}}}), "a: 1        # one\n", LONG),
         (lambda d: d["c"][1].update(name="new"), "name: q", "name: new"),
     ],
 )
@@ -113,7 +114,20 @@ def _mutate(value, draw: random.Random) -> None:
             value[i] = draw.random()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_one_value_moves_no_other_line(path):
+    text = path.read_text(encoding="utf-8")
+    before, after = (made.splitlines() for made in (text, changed(_set_seed, text)))
+    moved = [line for line in before if line not in after]
+    assert len(moved) <= 1 and all(line.startswith("seed:") for line in moved)
+    assert len(after) == len(before) + 1 - len(moved)
+
+
+def _set_seed(data) -> None:
+    data["seed"] = 1234567
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(i, marks=pytest.mark.slow) for i in (1, 2))])
 def test_random_edits_of_all_configurations_give_the_wanted_data(seed):
     for number, path in enumerate(CONFIGS):
         draw = random.Random(100 * seed + number)

@@ -16,8 +16,9 @@ from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.view.live_page import replaying
 from evo_cpg.view.live_page.following import Following
-from evo_cpg.view.live_page.page.server import LiveServer
+from evo_cpg.view.live_page.server import live_server
 from evo_cpg.view.live_page.standing import require_run
+from evo_cpg.view.run_page.server import PageServer
 from tiny_run import CONFIG, PAIR
 
 NOTHING = {"chart": 0, "motion": 0, "wall": 0, "tiles": 0}
@@ -124,9 +125,9 @@ def test_folders_that_hold_something_else_are_refused(tmp_path):
 
 
 @pytest.fixture
-def server(tmp_path) -> Iterator[LiveServer]:
+def server(tmp_path) -> Iterator[PageServer]:
     followed = Following(RunFolder(tmp_path / "run"))
-    with LiveServer(followed, "<b>run") as made:
+    with live_server(followed, "<b>run") as made:
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         yield made
@@ -134,7 +135,7 @@ def server(tmp_path) -> Iterator[LiveServer]:
         thread.join()
 
 
-def ask(server: LiveServer, path: str, method: str = "GET", **headers: str) -> tuple[int, str]:
+def ask(server: PageServer, path: str, method: str = "GET", **headers: str) -> tuple[int, str]:
     link = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=20)
     sent = {"X-Token": server.token} | {k.replace("_", "-"): v for k, v in headers.items()}
     link.request(method, path, headers=sent)
@@ -150,14 +151,6 @@ def test_only_the_page_gets_answers(server):
     status, answer = ask(server, "/state?chart=-1&motion=x&wall=&tiles=9999")
     assert status == 200 and json.loads(answer)["status"]["kind"] == "waiting"
     assert ask(server, "/state", X_Token="")[0] == 403
-    assert ask(server, f"/state?token={server.token}", X_Token="wrong")[0] == 403
-    assert ask(server, "/?token=wrong")[0] == 403
-    for headers in (
-        {"Origin": "http://evil.example"}, {"Host": "evil.example"},
-        {"Sec_Fetch_Site": "cross-site"}, {"Sec_Fetch_Site": "same-site"},
-    ):  # fmt: skip
-        assert ask(server, "/state", **headers)[0] == 403
-        assert ask(server, f"/?token={server.token}", **headers)[0] == 403
     assert ask(server, "/other")[0] == 404
     # The page reads, and changes nothing.
     assert ask(server, "/state", "POST")[0] == 501

@@ -1,0 +1,190 @@
+"""All animals of one generation: their genomes made anew, and their motion in one tank.
+
+A run folder keeps the last two populations only. Every earlier one follows from the seed, because
+evolution draws the same random numbers again. So any generation of any run can be shown, and no run
+has to store its populations.
+"""
+
+import dataclasses
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from evo_cpg.simulation.recording import Recorder, Recording
+from evo_cpg.training.checkpoint import history_columns
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_trials
+from evo_cpg.training.experiment import (
+    ExperimentParts,
+    first_population,
+    situation_numbers,
+    trial_keys,
+)
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.train import Running
+
+# Most animals in a crowd. More of them hide each other, and take memory.
+_MOST = 400
+# No animal of metre size gets this far from the origin, m. Diverged ones do.
+_ASTRAY = 1e3
+
+
+class CrowdMotion(NamedTuple):
+    """Motion of many animals of one body, which start at the same instant.
+
+    Bodies are in the order of ``creature.bodies``.
+
+    Attributes:
+        time: time since the start of the trial, s.
+        position: centre of every body of every animal, m.
+        rotation: rotations from body to world axes.
+        goal: place of the light in the world, m, or NaN without a light.
+    """
+
+    time: Float[np.ndarray, " t"]
+    position: Float[np.ndarray, "t n b 3"]
+    rotation: Float[np.ndarray, "t n b 3 3"]
+    goal: Float[np.ndarray, "3"]
+
+    def advance(self, root: int, heading: str) -> Float[np.ndarray, " n"]:
+        """Return how far each animal has come at the end, m: towards the light, if there is one.
+
+        Args:
+            root: number of the root body.
+            heading: ``forward`` if only displacement along x counts (see `Task.heading`).
+        """
+        start, end = self.position[0, :, root], self.position[-1, :, root]
+        if np.isfinite(self.goal).all():
+            away = np.linalg.norm(start.mean(0) - self.goal)
+            return away - np.linalg.norm(end - self.goal, axis=-1)
+        moved = (end - start)[:, :2]
+        return moved[:, 0] if heading == "forward" else np.linalg.norm(moved, axis=-1)
+
+    def leader(self, root: int, heading: str) -> int:
+        """Return the animal that has come farthest at the end, see `advance`."""
+        return int(self.advance(root, heading).argmax())
+
+    @property
+    def count(self) -> int:
+        """Number of animals."""
+        return self.position.shape[1]
+
+    def of(self, animals: Int[np.ndarray, " n"]) -> "CrowdMotion":
+        """Return the motion of some of the animals."""
+        return self._replace(position=self.position[:, animals], rotation=self.rotation[:, animals])
+
+    def led(self, root: int, heading: str) -> tuple[Recording, "CrowdMotion"]:
+        """Return the motion of the leader, and of the others, see `leader`."""
+        leader = self.leader(root, heading)
+        return self.recording(leader, root), self.of(np.delete(np.arange(self.count), leader))
+
+    def recording(self, animal: int, root: int) -> Recording:
+        """Return the motion of one animal, without joints and commands."""
+        position, none = self.position[:, animal].astype(float), np.zeros((len(self.time), 0))
+        path, goal = position[:, root], self.goal
+        lit = np.isfinite(goal).all()
+        away = path - goal if lit else (path - path[0])[:, :2]
+        return Recording(
+            self.time,
+            position,
+            self.rotation[:, animal].astype(float),
+            none,
+            none,
+            none,
+            none,
+            np.linalg.norm(away, axis=-1),
+            goal,
+            (),
+        )
+
+
+def populations_at(
+    experiment: ExperimentParts, folder: RunFolder, generations: Sequence[int]
+) -> list[Float[np.ndarray, "g all"]]:
+    """Return the populations of some generations of all runs, made anew from the seed.
+
+    Generation 0 is only drawn. The evolution is repeated up to the last of the others, so this
+    takes as long as that part of the training.
+
+    Args:
+        experiment: experiment of the folder.
+        folder: run folder.
+        generations: numbers of the generations, from 0, in ascending order.
+
+    Raises:
+        RunFolderError: the repeated evolution has other results than the folder has.
+    """
+    start = folder.load_start()
+    if start is None and [*generations] == [0]:
+        return [np.asarray(jax.jit(lambda: first_population(experiment))())]
+    found: list[np.ndarray] = []
+    with tempfile.TemporaryDirectory(prefix="evo_cpg_crowd_") as scratch:
+        again = RunFolder(Path(scratch) / "run")
+        again.create(folder.config.read_text(), {}, start)
+        mesh = population_mesh()
+        running = Running(experiment, again, mesh)
+        run_trials = compile_trials(experiment.simulation, mesh)
+        for generation in generations:
+            while running.checkpoint.generation < generation:
+                began = time.perf_counter()
+                running.tell(run_trials(*running.trials(), experiment.trials), began)
+            found.append(np.asarray(running.checkpoint.genes))
+    history = running.checkpoint.history
+    if history:
+        best, before = history_columns(history)["best"], folder.history()["best"]
+        if not np.allclose(best, before[: len(best)], rtol=1e-3, atol=1e-6, equal_nan=True):
+            raise RunFolderError(
+                f"{folder.path}: the first generations cannot be made anew. The configuration, the "
+                "machine or the version has changed since the evolution"
+            )
+    return found
+
+
+def compile_crowd_motion(
+    experiment: ExperimentParts, seconds: float, rate: float, run: int = 0, trial: int = 0
+) -> Callable[[Float[np.ndarray, "g n"], int], CrowdMotion]:
+    """Return a function that computes the motion of populations, with one program.
+
+    Args:
+        experiment: experiment in which the populations evolved.
+        seconds: length of the motion from the start of the trial, s, at most the trial's.
+        rate: instants per second, rounded to a divisor of the control rate.
+        run: number of the run.
+        trial: number of the trial.
+
+    Returns:
+        A function of the genomes of the run's population, and the number of its generation, which
+        selects the noise. It compiles at its first call. Animals that diverge are left out.
+    """
+    simulation = experiment.simulation
+    steps = min(max(round(seconds * simulation.control_rate), 1), simulation.steps)
+    every = max(round(simulation.control_rate / rate), 1)
+    short = dataclasses.replace(simulation, steps=steps)
+    count = min(experiment.strategy.population, _MOST)
+    of_run, individuals, trials = (np.full(count, run), np.arange(count), np.full(count, trial))
+    numbers = None if situation_numbers(experiment) is None else trials
+    light = simulation.lights[0 if numbers is None else trial]
+    goal = np.array(light, float) if light else np.full(3, np.nan)
+    names = simulation.world.tree.names
+    order = [names.index(body.name) for body in experiment.creature.bodies]
+
+    recorder = Recorder(count=None, names=("position", "rotation"), every=every)
+    live = compile_trials(short, population_mesh(), observers=recorder)
+
+    def of(genes: Float[np.ndarray, "g n"], generation: int) -> CrowdMotion:
+        keys = trial_keys(experiment, generation, of_run, individuals, trials)
+        own = np.asarray(genes, np.float32)[:, :count]
+        found = live(own, jax.device_get(keys), numbers)
+        position = np.moveaxis(found["position"], (3, 2), (1, 2))[:, :, order]
+        rotation = np.moveaxis(found["rotation"], (4, 3), (1, 2))[:, :, order]
+        sane = (np.abs(position) < _ASTRAY).all((0, 2, 3)) & np.isfinite(rotation).all((0, 2, 3, 4))
+        instants = np.arange(len(position)) * every / simulation.control_rate
+        return CrowdMotion(instants, position[:, sane], rotation[:, sane], goal)
+
+    return of

@@ -1,0 +1,268 @@
+"""The one way to run individuals: genomes, their trials, and observers that follow the trials.
+
+`compile_trials` runs any genomes with any observers. Training, replays, films, audits and probes
+are all made of it. `compile_evaluation` adds the fitness of individuals of an experiment, and
+`compile_replay` the motion of one individual.
+
+Compiled code may round differently for other array lengths, or if an array is a constant. So a
+replay has chunks as wide as in training, and the same arguments: then the numbers are equal, too.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array, Float, Int, UInt32
+
+from evo_cpg.native.machine_constants import LANES
+from evo_cpg.simulation.batched import BatchedSimulation, Inputs
+from evo_cpg.simulation.judge import JUDGE, Outcome, no_terms, score
+from evo_cpg.simulation.recording import Recorder, Recording, as_recording
+from evo_cpg.simulation.rollout import Observers, rollout
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.training.devices import (
+    Layout,
+    chunk_width,
+    layout,
+    placed,
+    population_mesh,
+    run_in_blocks,
+    sharded,
+)
+from evo_cpg.training.experiment import (
+    ExperimentParts,
+    champion_keys,
+    judge,
+    placeholder_scales,
+    situation_numbers,
+    trial_keys,
+)
+
+
+class Replay(NamedTuple):
+    """Results of a replayed individual.
+
+    Attributes:
+        fitness: mean fitness over its trials.
+        terms: means of the task's terms and of the measures over its trials.
+        frames: arrays of the recorded trial by name, see `evo_cpg.simulation.recording.Recorder`.
+        recording: motion in the recorded trial.
+    """
+
+    fitness: float
+    terms: dict[str, float]
+    frames: dict[str, Any]
+    recording: Recording
+
+
+def compile_trials(
+    simulation: Simulation,
+    mesh: Mesh,
+    width: int | None = None,
+    inputs: Inputs | None = None,
+    observers: Observers = JUDGE,
+    ahead: tuple | None = None,
+) -> Callable[..., Any]:
+    """Return a function that runs the trials of individuals, in chunks on the mesh's devices.
+
+    The host feeds the devices block by block. The devices do not loop over chunks. So their memory
+    and the compiled program do not depend on the number of individuals. A device never holds more
+    than two chunks.
+
+    The devices never communicate: each gets its part of a block from the host and returns its
+    results. A program in which devices exchange results deadlocked with two programs in flight.
+    XLA also ends the process when one device keeps another waiting for 40 s.
+
+    Args:
+        simulation: simulation of a trial.
+        mesh: the devices.
+        width: number of trials in a chunk, or None to choose it from the number of all trials.
+        inputs: numbers of the simulation in which individuals differ.
+        observers: observers of the trials, see `rollout`. Each result has the trials on the last
+            axis. An observer that keeps a number of individuals keeps as many of every block.
+        ahead: arguments of the function for which it is compiled now and not at its first call.
+            Only their shapes and types matter.
+
+    Returns:
+        A function of the host arrays that `rollout` takes. The next argument is the number of
+        trials of each individual. Keys, numbers and results have one entry for each trial. The
+        trials of an individual are next to each other. The last argument holds the values of the
+        inputs.
+    """
+
+    def rollouts(values: Any, genes: Array, keys: Array | None, trial: Array | None) -> Any:
+        own = BatchedSimulation(simulation, inputs, values) if inputs else simulation
+        return rollout(own, genes, keys, trial, observers)
+
+    @functools.cache
+    def program(busy: Mesh) -> Any:
+        return sharded(rollouts, busy, (2, 2, 2, 1))
+
+    def prepared(
+        genes: Float[np.ndarray, "g individuals"],
+        keys: UInt32[np.ndarray, "w n"] | None = None,
+        trial: Int[np.ndarray, " n"] | None = None,
+        trials: int = 1,
+        values: tuple[Float[np.ndarray, "_ individuals"], ...] | None = None,
+    ) -> tuple[Layout, int, Callable[..., tuple]]:
+        # The host's values may have another precision than the genes.
+        own = jax.tree.map(lambda x: np.asarray(x, genes.dtype), values)
+
+        def pick(numbers: Int[np.ndarray, " block"]) -> tuple:
+            of_individuals = jax.tree.map(lambda x: x[:, numbers // trials], (own, genes))
+            return *of_individuals, *jax.tree.map(lambda x: x[..., numbers], (keys, trial))
+
+        count = genes.shape[1] * trials
+        return Layout(mesh, width) if width else layout(count, mesh), count, pick
+
+    compiled: dict[Mesh, Callable] = {}
+    if ahead is not None:
+        spread, _, pick = prepared(*ahead)
+        block = placed(pick(np.zeros(spread.block, int)), spread.mesh)
+        compiled[spread.mesh] = program(spread.mesh).lower(*block).compile()
+
+    def run(*given: Any) -> Any:
+        spread, count, pick = prepared(*given)
+        own = compiled.get(spread.mesh) or program(spread.mesh)
+        return run_in_blocks(own, spread, count, pick)
+
+    return run
+
+
+def compile_evaluation(
+    experiment: ExperimentParts,
+    mesh: Mesh,
+    devices: int,
+    recorder: Recorder | None = None,
+    ahead: bool = False,
+) -> Callable[[Float[np.ndarray, "g n"], Champion], tuple[Any, Outcome, dict[str, np.ndarray]]]:
+    """Return a function that evaluates genomes under the noise of a champion.
+
+    The function also uses the champion's normalisation constants (`Champion.scales`), so that a
+    genome's fitness can be compared with the champion's.
+
+    Args:
+        experiment: experiment of the genomes.
+        mesh: the devices.
+        devices: number of devices that shared the population in training.
+        recorder: observer that records some of the trials, or None.
+        ahead: whether to compile now for one genome.
+
+    Returns:
+        A function of genomes and the champion. It returns the fitness and the mean outcome of each
+        genome, and the frames of the recorder.
+    """
+    simulation, trials = experiment.simulation, experiment.trials
+    count = experiment.runs * experiment.strategy.population * trials
+    numbers, width = situation_numbers(experiment), chunk_width(count, devices)
+    genes = np.zeros((simulation.genome.count, 1), np.float32)
+    scales = {name: np.float32(1.0) for name in placeholder_scales(experiment)}
+    given = None
+    if ahead:
+        origin = Champion(genes[:, 0], 0.0, 0, {}, {}, 0, 0)
+        given = genes, jax.device_get(champion_keys(experiment, origin)), numbers, trials
+    observers = JUDGE if recorder is None else (JUDGE, recorder)
+    run_trials = compile_trials(simulation, mesh, width, None, observers, given)
+    # Compile `judge` too, as in training: compiled code may fuse a multiplication and an addition,
+    # with one rounding instead of two.
+    assess = jax.jit(functools.partial(judge, simulation.task))
+    if ahead:
+        shapes = jax.eval_shape(lambda: no_terms(simulation, (1, trials)))
+        terms = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes)
+        assess(Outcome(terms, jnp.ones((1, trials), bool)), scales)
+
+    def evaluate(genes: Float[np.ndarray, "g n"], champion: Champion) -> tuple:
+        count = genes.shape[1]
+        keys, own = jax.tree.map(
+            lambda x: np.tile(x, count),
+            (jax.device_get(champion_keys(experiment, champion)), numbers),
+        )
+        found = run_trials(genes, keys, own, trials)
+        outcome, frames = (found, {}) if recorder is None else found
+        outcome = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
+        scales = {name: np.float32(value) for name, value in champion.scales.items()}
+        return *jax.device_get(assess(outcome, scales)), frames
+
+    return evaluate
+
+
+def compile_replay(
+    experiment: ExperimentParts, devices: int, recorded: int = 0, full: bool = False
+) -> Callable[[Champion], Replay]:
+    """Compile a function that repeats an individual's trials with their original noise.
+
+    It is compiled before there is a champion. The program of the training trials cannot record: it
+    computes a whole trial as one piece of native code that returns only final results. The frames
+    of all its individuals would take hundreds of megabytes. A recording runs a trial step by step.
+
+    Args:
+        experiment: experiment in which the individual evolved.
+        devices: number of devices that shared the population in training.
+        recorded: number of the trial to record, from 0.
+        full: whether to record all quantities, see `evo_cpg.simulation.recording.Recorder`.
+    """
+    count = experiment.runs * experiment.strategy.population * experiment.trials
+    # A chunk may hold fewer trials than an individual has.
+    block, lane = divmod(recorded, chunk_width(count, devices))
+    recorder = Recorder(first=lane, full=full)
+    evaluate = compile_evaluation(experiment, population_mesh(1), devices, recorder, ahead=True)
+    names = [body.name for body in experiment.creature.bodies]
+
+    def of(champion: Champion) -> Replay:
+        genes = np.asarray(champion.genes, np.float32)[:, None]
+        fitness, mean, frames = evaluate(genes, champion)
+        frames = {name: values[..., block : block + 1] for name, values in frames.items()}
+        motion = as_recording(experiment.simulation, frames, names, trial=recorded)
+        terms = {name: float(values[0]) for name, values in mean.terms.items()}
+        return Replay(float(fitness[0]), terms, frames, motion)
+
+    return of
+
+
+def compile_population_replay(
+    experiment: ExperimentParts,
+) -> Callable[[Checkpoint, int, Sequence[int]], list[Replay]]:
+    """Compile a function that replays the first trials of at most `LANES` individuals.
+
+    All individuals of a vector cost as much as one, so a replay of a single one would waste the
+    others.
+
+    Returns:
+        A function of a checkpoint, the number of a run, and the places of individuals in the run's
+        population. The individuals are those of the next generation, with its noise. The fitness is
+        that of the first trial, or -inf if the individual diverged or broke a rule.
+    """
+    simulation, lanes = experiment.simulation, np.zeros(LANES, int)
+    names = [body.name for body in experiment.creature.bodies]
+    first = None if situation_numbers(experiment) is None else lanes
+    genes = np.zeros((simulation.genome.count, LANES), np.float32)
+    keys = jax.device_get(trial_keys(experiment, 0, lanes, lanes, lanes))
+    observers = JUDGE, Recorder(count=None)
+    given = genes, keys, first
+    run = compile_trials(simulation, population_mesh(1), LANES, None, observers, given)
+    assess = jax.jit(functools.partial(score, simulation.task))
+
+    def of(checkpoint: Checkpoint, run_number: int, places: Sequence[int]) -> list[Replay]:
+        # Copies of the last individual fill the vector.
+        filled = np.pad(np.asarray(places), (0, LANES - len(places)), mode="edge")
+        own = trial_keys(experiment, checkpoint.generation, lanes + run_number, filled, lanes)
+        genes = checkpoint.genes[:, run_number * experiment.strategy.population + filled]
+        outcome, frames = run(np.asarray(genes, np.float32), jax.device_get(own), first)
+        scales = {name: jnp.float32(each[run_number]) for name, each in checkpoint.scales.items()}
+        fitness = jax.device_get(assess(outcome, scales))
+        return [
+            Replay(
+                float(fitness[i]),
+                {name: float(values[i]) for name, values in outcome.terms.items()},
+                {name: values[..., i : i + 1] for name, values in frames.items()},
+                as_recording(simulation, frames, names, i),
+            )
+            for i in range(len(places))
+        ]
+
+    return of

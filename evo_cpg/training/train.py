@@ -1,0 +1,368 @@
+"""Training: generation after generation of one experiment, or of several together.
+
+Experiments evolve together if their animals have equal trials. Their populations are concatenated
+on the population axis. So a machine's vectors and cores are full however small each population is,
+and the program compiles once.
+"""
+
+import functools
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array, Float, Int, PyTree, UInt32
+
+from evo_cpg.simulation.judge import Outcome
+from evo_cpg.training.ascent import compile_learning
+from evo_cpg.training.checkpoint import (
+    Champion,
+    Checkpoint,
+    StrategyError,
+    state_arrays,
+    state_from,
+)
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_trials
+from evo_cpg.training.experiment import (
+    ExperimentParts,
+    Generation,
+    begin,
+    breed,
+    generation_keys,
+    placeholder_scales,
+    situation_numbers,
+)
+from evo_cpg.training.lineage import extended, until
+from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
+from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
+
+Trials = tuple[
+    Float[np.ndarray, "g individuals"],
+    UInt32[np.ndarray, "w n"] | None,
+    Int[np.ndarray, " n"] | None,
+]
+"""Genomes, random keys of all trials or None without noise, and numbers of their situations."""
+
+
+class Evolution(NamedTuple):
+    """Functions of one experiment, compiled at their first call.
+
+    Attributes:
+        begin: compiled `evo_cpg.training.experiment.begin`.
+        keys: compiled `evo_cpg.training.experiment.generation_keys`.
+        breed: compiled `evo_cpg.training.experiment.breed`.
+    """
+
+    begin: Callable[..., tuple[Array, PyTree[Array]]]
+    keys: Callable[..., Array | None]
+    breed: Callable[..., Generation]
+
+
+class Running:
+    """Run that continues from the newest checkpoint of its folder.
+
+    Under noise, rounds of trials follow the last generation to choose the champion
+    (`evo_cpg.training.reevaluation`). The first round evaluates the final population.
+
+    Args:
+        experiment: experiment that evolves.
+        folder: run folder.
+        mesh: devices for the elites' gradient ascent.
+
+    Attributes:
+        checkpoint: present state.
+
+    Raises:
+        StrategyError: genomes are not finite, or the checkpoint is of another strategy.
+    """
+
+    checkpoint: Checkpoint
+
+    def __init__(self, experiment: ExperimentParts, folder: RunFolder, mesh: Mesh) -> None:
+        self._experiment, self._folder = experiment, folder
+        self._programs = compile_evolution(experiment)
+        self._learn = compile_learning(experiment, mesh) if experiment.learning else None
+        checkpoint = folder.load()
+        if checkpoint is None:
+            genes, self._state = jax.device_get(self._programs.begin(folder.load_start()))
+            _require_finite(experiment, genes, 0)
+            none = (None,) * experiment.runs
+            checkpoint = Checkpoint(0, genes, none, [], placeholder_scales(experiment))
+        else:
+            like = jax.eval_shape(lambda: begin(experiment))[1]
+            self._state = state_from(checkpoint.state, like)
+            if checkpoint.history:
+                # A kill may have prevented the writing of metrics.csv, so write it again.
+                folder.write_metrics(checkpoint.history)
+        self.checkpoint = checkpoint
+        self._lineage = _lineage_until(folder, checkpoint)
+        self._choice: Choice | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Return whether the last generation is done and the champion is chosen."""
+        return is_finished(self._experiment, self.checkpoint)
+
+    def trials(self) -> Trials:
+        """Return the trials of the next generation or round."""
+        genes, keys = self._genes(), jax.device_get(self._programs.keys(np.int32(self._number)))
+        if self._choice:
+            keys = self._choice.keys(keys, self._experiment.trials)
+        numbers = situation_numbers(self._experiment)
+        if numbers is not None:
+            numbers = np.tile(numbers, genes.shape[1])
+        return genes, keys, numbers
+
+    def tell(self, outcome: Outcome, start: float) -> list[dict[str, float]]:
+        """Take the outcome of the trials, breed, and write a checkpoint.
+
+        Args:
+            outcome: outcome of the trials.
+            start: time at which the generation started, by `time.perf_counter`, s.
+
+        Returns:
+            The new rows of metrics.csv. There are none after a round that chooses champions.
+        """
+        experiment, before = self._experiment, self.checkpoint
+        genes, number = self._genes(), self._number
+        scales = {name: np.array(values, np.float32) for name, values in before.scales.items()}
+        result = jax.device_get(
+            self._programs.breed(genes, outcome, np.int32(number), scales, self._state)
+        )
+        if before.generation >= experiment.generations:
+            # This was a round that chooses the champion. Only its fitness is used, because no
+            # generation follows.
+            self._choose(genes, number, result)
+            return []
+        done, self._state = before.generation + 1, result.state
+        scales = {name: tuple(values.tolist()) for name, values in result.scales.items()}
+        population = np.asarray(result.next_genes)
+        _require_finite(experiment, population, done)
+        if self._learn and experiment.learning and done % experiment.learning.every == 0:
+            population = self._learn(population, done, scales)
+        seconds = time.perf_counter() - start
+        records, found, rows = list(before.records), [], []
+        for run, champion in enumerate(before.records):
+            best = int(result.best[run])
+            fitness = float(result.fitness[run, best])
+            if np.isfinite(fitness) and (champion is None or fitness > champion.fitness):
+                best_genes = np.asarray(result.best_genes[run])
+                champion = _individual(best_genes, result, before.generation, run, best)
+                records[run] = champion
+                found.append(champion)
+            rows.append(_metrics(experiment, before.generation, result, run, champion, seconds))
+        history = [*before.history, *rows]
+        self.checkpoint = Checkpoint(
+            done, population, tuple(records), history, scales, state_arrays(self._state)
+        )
+        # Save the lineage first: after a kill between the two writes it is ahead of the
+        # checkpoint, and `until` drops the newer champions.
+        if found:
+            self._lineage = extended(self._lineage, found)
+            self._folder.save_lineage(self._lineage)
+        if before.chosen and self.checkpoint.champion is not None:
+            # The run was extended after a choice of champions. Replace the chosen champion in
+            # champion.npz by the record.
+            self._folder.save_champion(self.checkpoint.champion)
+        self._folder.save(self.checkpoint)
+        return rows
+
+    def _choose(self, genes: np.ndarray, number: int, result: Generation) -> None:
+        """Evaluate a round in which champions are chosen, and save them when all are chosen."""
+        experiment, checkpoint = self._experiment, self.checkpoint
+        if self._choice is None:
+            by_run = np.split(genes, experiment.runs, axis=1)
+            population = experiment.strategy.population
+            self._choice = Choice(
+                [
+                    Contest(_candidates(record, own, result, number, run), population)
+                    for run, (record, own) in enumerate(
+                        zip(checkpoint.records, by_run, strict=True)
+                    )
+                ]
+            )
+        else:
+            self._choice.take(np.asarray(result.fitness))
+        if self._choice.done:
+            self.checkpoint = checkpoint._replace(chosen=self._choice.chosen())
+            rows = self._choice.rows()
+            if rows:
+                self._folder.write_table(CANDIDATES_FILE, rows)
+            self._folder.save(self.checkpoint)
+
+    @property
+    def _number(self) -> int:
+        """Number of the generation whose random numbers are used next."""
+        return self._choice.generation if self._choice else self.checkpoint.generation
+
+    def _genes(self) -> np.ndarray:
+        """Return the genomes to evaluate next."""
+        return self._choice.genes(self.checkpoint.genes) if self._choice else self.checkpoint.genes
+
+
+def compile_evolution(experiment: ExperimentParts) -> Evolution:
+    """Return the functions that a run needs besides its trials, for any number of generations."""
+    functions = begin, generation_keys, breed
+    return Evolution(*(jax.jit(functools.partial(one, experiment)) for one in functions))
+
+
+def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
+    """Return the champions up to a checkpoint, or only the checkpoint's if the file is lost."""
+    try:
+        lineage = folder.load_lineage()
+    except RunFolderError:
+        lineage = []
+    lineage = [each for each in lineage if each.genes.shape == checkpoint.genes.shape[:1]]
+    return until(lineage, checkpoint.records, checkpoint.generation)
+
+
+def _require_finite(
+    experiment: ExperimentParts, genes: Float[np.ndarray, "g all"], done: int
+) -> None:
+    """Check the genomes of a strategy, unless the strategy disables the check.
+
+    Raises:
+        StrategyError: not all genomes are finite.
+    """
+    wrong = int((~np.isfinite(genes)).any(0).sum())
+    if wrong and experiment.strategy.checks_genes:
+        raise StrategyError(
+            f"evolution.type: {type(experiment.strategy).__name__} returned genomes that are not "
+            f"finite for generation {done} ({wrong} of {genes.shape[1]}). The run folder holds the "
+            "earlier generations"
+        )
+
+
+def _candidates(
+    record: Champion | None,
+    genes: Float[np.ndarray, "g n"],
+    result: Generation,
+    generation: int,
+    run: int,
+) -> list[Champion]:
+    """Return candidates for the champion: the record and the fittest of the last population."""
+    fittest = np.argsort(-result.fitness[run], kind="stable")[:CANDIDATES]
+    tried = [_individual(genes[:, i], result, generation, run, int(i)) for i in fittest]
+    return [one for one in (record, *tried) if one is not None and np.isfinite(one.fitness)]
+
+
+def _individual(
+    genes: Float[np.ndarray, " g"], result: Generation, generation: int, run: int, index: int
+) -> Champion:
+    """Return an evaluated individual of a generation as a `Champion`."""
+    fitness = float(result.fitness[run, index])
+    terms = {name: float(values[run, index]) for name, values in result.terms.items()}
+    scales = {name: float(values[run]) for name, values in result.scales.items()}
+    return Champion(np.ascontiguousarray(genes), fitness, generation, terms, scales, run, index)
+
+
+def _metrics(
+    experiment: ExperimentParts,
+    generation: int,
+    result: Generation,
+    run: int,
+    champion: Champion | None,
+    seconds: float,
+) -> dict[str, float]:
+    fitness = np.asarray(result.fitness[run])
+    judged = np.isfinite(fitness)
+    finite = fitness[judged] if judged.any() else np.array([np.nan])
+    simulation = experiment.simulation
+    trials = result.fitness.size * experiment.trials
+    steps = trials * simulation.steps * simulation.substeps
+    best = int(result.best[run])
+    return {
+        "generation": generation,
+        **({"run": run} if experiment.runs > 1 else {}),
+        "best": float(finite.max()),
+        "mean": float(finite.mean()),
+        "median": float(np.median(finite)),
+        "worst": float(finite.min()),
+        "diverged": int((~np.asarray(result.alive[run])).sum()),
+        "champion": champion.fitness if champion else float("nan"),
+        **{name: float(values[run]) for name, values in result.metrics.items()},
+        **{f"best_{name}": float(values[run, best]) for name, values in result.terms.items()},
+        "seconds": seconds,
+        "steps_per_second": steps / seconds,
+    }
+
+
+TIMING_COLUMNS = ("seconds", "steps_per_second")
+"""Columns of metrics.csv that measure time, so they differ when a run is repeated."""
+
+
+def train(
+    experiment: ExperimentParts,
+    folder: RunFolder,
+    on_generation: Callable[[list[dict[str, float]]], object] = lambda rows: None,
+    mesh: Mesh | None = None,
+    on_compiled: Callable[[], object] = lambda: None,
+) -> Checkpoint:
+    """Evolve one experiment (see `train_together`)."""
+    return train_together(
+        [experiment], [folder], lambda number, rows: on_generation(rows), mesh, on_compiled
+    )[0]
+
+
+def train_together(
+    experiments: Sequence[ExperimentParts],
+    folders: Sequence[RunFolder],
+    on_generation: Callable[[int, list[dict[str, float]]], object] = lambda number, rows: None,
+    mesh: Mesh | None = None,
+    on_compiled: Callable[[], object] = lambda: None,
+) -> list[Checkpoint]:
+    """Evolve several experiments, each from its folder's newest checkpoint to its last generation.
+
+    The result of each experiment does not depend on the others.
+
+    Args:
+        experiments: experiments with equal simulations and equally many trials of an individual.
+        folders: existing run folder of each experiment.
+        on_generation: called after each generation of an experiment, with the experiment's index
+            and its new rows of metrics.csv, one for each run.
+        mesh: devices to use, or None for all.
+        on_compiled: called once, after the program of the trials has been compiled and run. It can
+            start a thread that compiles later programs.
+
+    Returns:
+        The checkpoint of each experiment after its last generation.
+
+    Raises:
+        StrategyError: a strategy returns genomes that are not finite, or a checkpoint comes from
+            another strategy.
+    """
+    mesh = mesh or population_mesh()
+    running = [
+        Running(experiment, folder, mesh)
+        for experiment, folder in zip(experiments, folders, strict=True)
+    ]
+    trials = experiments[0].trials
+    run_trials = compile_trials(experiments[0].simulation, mesh)
+    compiled = False
+    while left := [number for number, each in enumerate(running) if not each.finished]:
+        # After a kill some experiments may be one generation ahead of the others.
+        fewest = min(running[number].checkpoint.generation for number in left)
+        behind = [number for number in left if running[number].checkpoint.generation == fewest]
+        start = time.perf_counter()
+        given = [running[number].trials() for number in behind]
+        joined = jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=-1), *given)
+        outcome = run_trials(*(joined if len(given) > 1 else given[0]), trials)
+        if not compiled:
+            on_compiled()
+            compiled = True
+        widths = [genes.shape[1] for genes, _, _ in given]
+        ends = [trials * end for end in itertools.accumulate(widths)]
+        spent = time.perf_counter() - start
+        for number, width, end in zip(behind, widths, ends, strict=True):
+            own = slice(end - trials * width, end)
+            part = jax.tree.map(lambda x, own=own: x[..., own], outcome)
+            # Each experiment's time includes its part of the time for the common trials.
+            own_start = time.perf_counter() - spent * width / sum(widths)
+            rows = running[number].tell(part, own_start)
+            if rows:
+                on_generation(number, rows)
+    return [each.checkpoint for each in running]

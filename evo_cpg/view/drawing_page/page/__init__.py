@@ -1,1 +1,0 @@
-"""The page of the drawing tool, and the server that it talks to."""

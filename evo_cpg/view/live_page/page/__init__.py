@@ -1,1 +1,0 @@
-"""The page that `evo-cpg watch --page` serves: its HTML, style and scripts."""
