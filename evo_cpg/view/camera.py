@@ -223,7 +223,12 @@ def _centred(
 ) -> CameraPath | None:
     """Return a camera of one frame with the points in the middle, or None if they do not fit.
 
-    The camera first looks ahead (m) at a focus. The part of the frame for the points ends above.
+    Args:
+        focus: point at which the camera may look first, m.
+        ahead: way from the eye to the focus, m.
+        points: the points, m.
+        aspect: width of the picture over its height.
+        above: upper end of the part of the frame for the points.
     """
     path = CameraPath((focus - ahead)[None], focus[None], VIEW_ANGLE)
     for _ in range(_SHIFTS):
@@ -288,7 +293,11 @@ def _moved(
 ) -> CameraPath:
     """Return the camera at a multiple of its distance, with another point in the middle.
 
-    That point is ``off``: right and up in the picture, from -1 to 1.
+    Args:
+        path: the camera.
+        factor: new distance from the focus over the present one.
+        off: place in the picture that comes into the middle: right and up, from -1 to 1.
+        aspect: width of the picture over its height.
     """
     right, up, _ = _axes(path)
     back = path.position - path.focus
@@ -406,7 +415,12 @@ def in_camera(
 
 
 def turned_about_vertical(vector: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3"]:
-    """Return a vector turned by an angle (rad) to the left, as seen from above."""
+    """Return a vector, turned to the left as seen from above.
+
+    Args:
+        vector: vector before the turn.
+        angle: angle of the turn, rad.
+    """
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
 
@@ -418,7 +432,11 @@ def level_axes(sight: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def smooth(path: Float[np.ndarray, "frames k"], width: float) -> Float[np.ndarray, "frames k"]:
-    """Return the Gaussian average of a path, over a standard deviation in frames, without lag.
+    """Return the Gaussian average of a path ``(frames, k)`` without lag.
+
+    Args:
+        path: one point for each frame.
+        width: standard deviation of the window, frames.
 
     The ends are continued by point reflection, so a steady motion stays steady there.
     """

@@ -88,7 +88,13 @@ def heading(text: str, width: int, height: int) -> np.ndarray:
 
 
 def fitted(title: str, size: float, room: float) -> tuple[str, float]:
-    """Return a title, cut if it is too long, and the size at which it fits the room, pixels."""
+    """Return a title, cut if it is too long, and the letter size at which it fits.
+
+    Args:
+        title: text in any script.
+        size: size of the letters if there is room, pixels.
+        room: available width, pixels.
+    """
     full = font(size).getlength(legible(title))
     if full * _LEAST <= room:
         return title, size * min(1.0, room / max(full, 1.0))
@@ -256,7 +262,13 @@ def written(
 
 
 def wrapped(text: str, size: float, room: float) -> list[str]:
-    """Return the lines of a text that fit a room (pixels) if its words do."""
+    """Return the lines of a text that are at most this wide, if its words are.
+
+    Args:
+        text: the text.
+        size: size of the letters, pixels.
+        room: available width, pixels.
+    """
     lines = _filled(text, size, room)
     # Lines of about equal length look better than a last line of one word.
     while len(lines) > 1 and len(shorter := _filled(text, size, 0.95 * room)) == len(lines):

@@ -375,9 +375,15 @@ def drawing_processes(frames: int, cores: int) -> int:
 
 @contextlib.contextmanager
 def drawn_frames(frames: Reel, processes: int) -> Iterator[Iterator[np.ndarray]]:
-    """Yield all frames in order, drawn by this process or by several (see `Reel.drawn`).
+    """Draw all frames, one after the other.
 
-    Each frame is valid until the next one. Each drawing process receives a copy of the reel.
+    Args:
+        frames: the frames. Each drawing process receives a copy.
+        processes: number of drawing processes. With 1, this process draws.
+
+    Yields:
+        The frames in order: ``(height, width, 3)`` bytes, bottom row first. Each is valid until the
+        next one.
 
     Raises:
         RenderError: one of the processes failed.

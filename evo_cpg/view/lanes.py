@@ -168,7 +168,16 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
 def _touch(
     recording: Recording, half_extents: Float[np.ndarray, "b 3"], length: float
 ) -> float | None:
-    """Return when a body touches the light or is nearest to it, s, or None if none comes near."""
+    """Return the instant at which a body touches the light or is nearest to it, s.
+
+    Args:
+        recording: motion of the animal.
+        half_extents: half edges of the box around each body, m.
+        length: length of the animal, m.
+
+    Returns:
+        The instant, or None if no body comes near.
+    """
     own = np.einsum("tbij,tbi->tbj", recording.rotation, recording.goal - recording.position)
     away = np.linalg.norm(np.maximum(np.abs(own) - half_extents, 0.0), axis=-1).min(1)
     if away.min() > _REACHED * length:

@@ -205,7 +205,12 @@ _COARSER = 4
 
 
 def _shell_mesh(body: Body, color: np.ndarray) -> pv.PolyData:
-    """Return the surface of a shell in its own frame, m, with colours ``rgb`` of its points."""
+    """Return the surface of a shell in its own frame, m, with colours ``rgb`` of its points.
+
+    Args:
+        body: the body, an ellipsoid.
+        color: colour of the scutes: red, green and blue from 0 to 1.
+    """
     out, half = np.linspace(0, np.pi / 2, _OUT), np.asarray(body.shape.half_extents, float)
     flat, height, faces = _dome(out)
     scute, far = _scutes(flat)

@@ -131,9 +131,12 @@ def save_picture(picture: Image.Image, path: Path) -> None:
 
 
 def save_numbered(pictures: Iterable[Image.Image], path: Path) -> None:
-    """Write pictures to files numbered from 0, all of them or none.
+    """Write pictures to files with numbers, all of them or none.
 
-    The path, such as ``frames/%04d.png``, is checked by `numbered_path`.
+    Args:
+        pictures: pictures, counted from 0.
+        path: path such as ``frames/%04d.png``, checked by `numbered_path`. The folder is new or
+            empty.
 
     Raises:
         OutputError: the pictures cannot be written, for instance because the disk is full.

@@ -191,7 +191,7 @@ def obstacles_near(ground: Ground, hull: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def water_note(surface: float, hull: np.ndarray) -> str:
-    """Return a phrase about the place of a creature's hull ``(n, 3)`` in water of a height, m."""
+    """Return a phrase about a hull of points ``(n, 3)``, m, and water up to a surface, m."""
     low, high = float(hull[:, 2].min()), float(hull[:, 2].max())
     if surface == math.inf:
         return "water everywhere"

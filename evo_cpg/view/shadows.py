@@ -154,7 +154,10 @@ def patch_opacity(height: np.ndarray) -> np.ndarray:
 def patch_under(turn: np.ndarray, half: np.ndarray, gap: float) -> np.ndarray:
     """Return half axes of the soft patch under a body, the columns of ``(2, 2)``, m.
 
-    The gap is the height of the body's centre above the floor, m.
+    Args:
+        turn: rotation from body to world ``(3, 3)``.
+        half: half extents of the body ``(3,)``, m.
+        gap: height of the body's centre above the floor, m.
     """
     if not half.any():
         return np.zeros((2, 2))

@@ -137,10 +137,14 @@ def _narrowed(
     which: np.ndarray,
     away: np.ndarray,
 ) -> np.ndarray:
-    """Return the size of ellipsoids' sections away (m) from their centres, relative to the middle.
+    """Return the size of ellipsoids' sections away from their centres, relative to the middle.
 
-    The tangents are unit vectors along the bodies of a chain. Each section belongs to the body
-    with the number ``which``.
+    Args:
+        creature: the animal.
+        bodies: indices of the bodies of a chain.
+        tangents: unit vectors along them.
+        which: number of the body in the chain, for each section.
+        away: distance of the section from the body's centre, m.
     """
     shapes = [creature.bodies[body].shape for body in bodies]
     half = np.array(
