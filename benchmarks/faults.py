@@ -113,7 +113,7 @@ def contents(run: Path) -> dict[str, str]:
 
     folder = RunFolder(run)
     checkpoint = folder.load()
-    champion, recording, _ = folder.with_champion()
+    champion, recording, _ = folder.load_champion()
     assert checkpoint is not None and recording is not None
     rows = [{k: v for k, v in row.items() if k not in _TIMES} for row in checkpoint.history]
     parts = {

@@ -139,11 +139,11 @@ def test_train_equals_the_command(experiment, tmp_path):
     seen = []
     trained = evo.train(experiment, tmp_path / "python", seen.extend)
     assert shell("train", CONFIG, *TINY, "--out", tmp_path / "shell") == 0
-    champion, motion, digests = RunFolder(tmp_path / "shell").with_champion()
+    champion, motion, digests = RunFolder(tmp_path / "shell").load_champion()
     np.testing.assert_array_equal(trained.genome, champion.genes)
     assert (trained.fitness, trained.terms) == (champion.fitness, champion.terms)
     assert motion is not None and seen == trained.history and len(seen) == 4
-    assert RunFolder(trained.folder).with_champion()[2] == digests
+    assert RunFolder(trained.folder).load_champion()[2] == digests
     # Scales are as in training, so the fitness is, too.
     again = evo.load(trained.folder).evaluate(0, trained.genome[None])
     assert float(again.fitness[0]) == pytest.approx(trained.fitness, rel=1e-5)

@@ -111,7 +111,7 @@ def rows_of(page: str, section: str) -> dict[str, list[str]]:
 @pytest.mark.slow
 def test_numbers_on_the_page_equal_the_measured_terms(walker):
     """The page uses the frames of a replay. The terms come from the trial in training."""
-    terms = RunFolder(walker).with_champion()[0].terms
+    terms = RunFolder(walker).load_champion()[0].terms
     shown = rows_of(page_of(walker), "numbers")
     names = {
         "speed": "speed",
@@ -207,7 +207,7 @@ def test_the_page_shows_the_audit(cli, swimmer, tmp_path):
     assert "It was not audited" in page_of(swimmer)
     run = tmp_path / "run"
     shutil.copytree(swimmer, run)
-    champion = RunFolder(run).with_champion()[0]
+    champion = RunFolder(run).load_champion()[0]
     checks = [
         {"question": "way kept", "measured": 0.3, "limit": 0.9, "least": True, "unit": "%",
          "passed": False},
@@ -232,7 +232,7 @@ def test_the_page_shows_the_audit(cli, swimmer, tmp_path):
 def test_the_half_step_result_is_shown_for_its_champion_only(swimmer, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(swimmer, run)
-    genes = RunFolder(run).with_champion()[0].genes
+    genes = RunFolder(run).load_champion()[0].genes
     for digest, expected in ((genes_digest(genes), True), (genes_digest(genes + 1), False)):
         kept = {"measured": 0.87, "least": 0.9, "passed": False, "genes_sha256": digest}
         RunFolder(run).update_meta(half_step=kept)

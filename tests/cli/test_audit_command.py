@@ -77,9 +77,9 @@ def test_train_tests_its_champion_at_half_the_step(cli, tmp_path, monkeypatch):
     assert "warning: at half the physics step it keeps" in err and "evo-cpg audit" in err
     kept = RunFolder(run).read_meta()["half_step"]
     assert kept["passed"] is False and kept["least"] == 1.5
-    assert kept["genes_sha256"] == genes_digest(RunFolder(run).with_champion()[0].genes)
+    assert kept["genes_sha256"] == genes_digest(RunFolder(run).load_champion()[0].genes)
     experiment = build_experiment(load_config(run / "config.yaml"), run)
-    champion = RunFolder(run).with_champion()[0]
+    champion = RunFolder(run).load_champion()[0]
     own = experiment.simulation
     whole, half = (
         compile_variation(experiment, Variation("", (each,)))(champion).displacement[0]

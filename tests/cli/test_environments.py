@@ -235,7 +235,7 @@ def test_training_finishes_if_output_is_lost(which, tmp_path, finished_run):
         with pytest.raises(SystemExit) as stop:
             program()
     assert stop.value.code == 0
-    assert RunFolder(folder).newest == 2 and RunFolder(folder).with_champion()[1] is not None
+    assert RunFolder(folder).newest == 2 and RunFolder(folder).load_champion()[1] is not None
     if which == "out":
         words = "evo-cpg: cannot write to standard output (No space left on device)\n"
         assert kept.getvalue().endswith(words)

@@ -169,7 +169,7 @@ def exported(cli, finished_run, tmp_path_factory):
 
 @pytest.mark.slow
 def test_an_exported_motion_has_names_and_units(finished_run, exported):
-    _, motion, _ = RunFolder(finished_run).with_champion()
+    _, motion, _ = RunFolder(finished_run).load_champion()
     with (exported / "motion.csv").open() as file:
         names = next(csv.reader(file))
     table = np.loadtxt(exported / "motion.csv", delimiter=",", skiprows=1)

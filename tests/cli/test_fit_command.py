@@ -150,7 +150,7 @@ def test_a_constant_of_the_cpg_is_recovered(finished_run, cli, tmp_path):
     with jax.enable_x64(True):
         simulation = parametrise(config, folder.config, [key]).simulation
         times, columns = np.linspace(0.1, 2.0, 40), ("x", "y", "z")
-        genes = jnp.asarray(folder.with_champion()[0].genes, float)
+        genes = jnp.asarray(folder.load_champion()[0].genes, float)
         exact = quick_jit(
             lambda: track(simulation(jnp.array([truth * value])), genes, times, columns, {})
         )()

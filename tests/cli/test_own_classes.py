@@ -121,7 +121,7 @@ def test_an_own_task_and_controller_train_and_verify(fresh_cli, tmp_path):
         "train", "mine/race.yaml", *SETTINGS, "--out", run, "--cores", 1, folder=tmp_path
     )
     assert code == 0, err
-    champion, _, _ = RunFolder(run).with_champion()
+    champion, _, _ = RunFolder(run).load_champion()
     assert champion.genes.shape == (2,)
     assert champion.scales == {} and list(champion.terms) == ["distance"]
     assert abs(champion.fitness - champion.terms["distance"] - 5.0) < 1e-6
@@ -139,7 +139,7 @@ def test_refine_reports_a_fitness_without_gradient(fresh_cli, tmp_path):
     folder = RunFolder(run)
     changed = folder.config.read_text().replace("bonus: 0.0", "bonus: 1.0")
     folder.config.write_text(changed)
-    recorded = folder.with_champion()[0].fitness
+    recorded = folder.load_champion()[0].fitness
     code, out, err = fresh_cli("refine", run, "--rounds", 1, "--steps", 2, "--cores", 1)
     assert (code, out) == (0, f"{run}\n")
     # Each of the two devices of this process computes 48 gradients.

@@ -67,7 +67,7 @@ def test_trials_of_the_configuration_give_the_terms_of_training(finished_run, cl
     )
     assert missed in err
     (row,) = rows(tmp_path / "probe.csv")
-    champion, _, _ = RunFolder(finished_run).with_champion()
+    champion, _, _ = RunFolder(finished_run).load_champion()
     assert row["bearing_deg"] == 30 and row["start_distance"] == pytest.approx(8)
     assert row["distance"] == pytest.approx(champion.terms["distance"], rel=1e-4)
     assert row["light"] == pytest.approx(champion.terms["light"], rel=1e-4)

@@ -30,7 +30,7 @@ def refined(finished_run, cli, tmp_path_factory):
 @pytest.mark.slow
 def test_the_champion_is_better_and_verified(refined, finished_run, cli):
     folder, err = refined
-    before, after = (RunFolder(path).with_champion()[0] for path in (finished_run, folder.path))
+    before, after = (RunFolder(path).load_champion()[0] for path in (finished_run, folder.path))
     assert after.fitness > before.fitness
     assert f"fitness {before.fitness:.4f} -> {after.fitness:.4f}" in err
     assert "   1/1 rounds  fitness" in err
@@ -43,7 +43,7 @@ def test_the_folder_records_the_gain_and_keeps_the_earlier_champion(refined, fin
     folder, _ = refined
     with (folder.path / "refine.csv").open() as file:
         (row,) = csv.DictReader(file)
-    champion, motion, _ = folder.with_champion()
+    champion, motion, _ = folder.load_champion()
     assert float(row["fitness"]) == champion.fitness
     assert float(row["gain"]) > 0
     assert motion is not None
@@ -53,7 +53,7 @@ def test_the_folder_records_the_gain_and_keeps_the_earlier_champion(refined, fin
         for name in kept:
             np.testing.assert_array_equal(kept[name], began[name])
     (done,) = refinements(folder.read_meta())
-    began = RunFolder(finished_run).with_champion()[0]
+    began = RunFolder(finished_run).load_champion()[0]
     assert (done["from"], done["to"]) == (pytest.approx(began.fitness), champion.fitness)
     assert done["command"][0] == "refine" and str(folder.path) in done["command"]
 
@@ -72,7 +72,7 @@ def test_evolution_continues_from_the_refined_champion(refined, cli, tmp_path):
 def test_numbers_of_the_configuration_are_refined_with_the_genes(finished_run, cli, tmp_path):
     folder = RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
     keys = "controller.cpg.time_scale", "creature.bodies.1.shape.size.0"
-    before, first = yaml.safe_load(folder.config.read_text()), folder.with_champion()[0]
+    before, first = yaml.safe_load(folder.config.read_text()), folder.load_champion()[0]
     found = evo.refine(folder.path, keys, rounds=1, steps=3, cores=2)
     assert found.gained and found.fitness > found.before
     after = yaml.safe_load(folder.config.read_text())
@@ -86,7 +86,7 @@ def test_numbers_of_the_configuration_are_refined_with_the_genes(finished_run, c
     assert before == after
     kept = folder.path / "config_before.yaml"
     assert kept.read_bytes() == (finished_run / "config.yaml").read_bytes()
-    assert folder.with_champion()[0].fitness > first.fitness
+    assert folder.load_champion()[0].fitness > first.fitness
     code, out, err = cli("verify", folder.path)
     assert (code, err) == (0, "")
     assert out.endswith("(exactly)\n")
@@ -118,7 +118,7 @@ def test_refined_postures_stay_graded(cli, tmp_path):
     code, _, err = cli("refine", folder.path, *QUICK)
     assert code == 0, err
     assert "the genes count as graded" in err
-    genes = folder.with_champion()[0].genes
+    genes = folder.load_champion()[0].genes
     assert ((genes > 0) & (genes < 1)).any()
     assert "graded: true" in folder.config.read_text()
     code, out, err = cli("verify", folder.path)

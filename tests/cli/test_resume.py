@@ -39,8 +39,8 @@ def assert_same_run(folder: Path, other: Path) -> None:
     assert last.scales == other_last.scales
     np.testing.assert_array_equal(last.genes, other_last.genes)
     assert (folder / "lineage.npz").read_bytes() == (other / "lineage.npz").read_bytes()
-    champion, motion, digests = RunFolder(folder).with_champion()
-    other_champion, other_motion, other_digests = RunFolder(other).with_champion()
+    champion, motion, digests = RunFolder(folder).load_champion()
+    other_champion, other_motion, other_digests = RunFolder(other).load_champion()
     np.testing.assert_array_equal(champion.genes, other_champion.genes)
     assert champion[1:] == other_champion[1:]
     assert digests == other_digests

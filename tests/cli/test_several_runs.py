@@ -66,7 +66,7 @@ def test_resume_chooses_a_champion_that_is_not_yet_chosen(noisy_run, cli, tmp_pa
 
 @pytest.mark.slow
 def test_the_champion_of_any_run_is_filmed(noisy_run, cli, tmp_path):
-    kept, _, _ = RunFolder(noisy_run).with_champion()
+    kept, _, _ = RunFolder(noisy_run).load_champion()
     picture = tmp_path / "other.png"
     options = ("--run", 1 - kept.run, "--size", "64x48", "-o", picture)
     code, out, err = cli("render", noisy_run, *options)
@@ -75,7 +75,7 @@ def test_the_champion_of_any_run_is_filmed(noisy_run, cli, tmp_path):
 
 
 def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path, monkeypatch):
-    kept, _, _ = RunFolder(noisy_run).with_champion()
+    kept, _, _ = RunFolder(noisy_run).load_champion()
     other = 1 - kept.run
     motion_of, plotted = runs.motion_of, []
 

@@ -6,8 +6,9 @@ import yaml
 
 from evo_cpg.cli.draw import plot
 from evo_cpg.cli.options import View
+from evo_cpg.io import run
 from evo_cpg.training import devices
-from evo_cpg.training import replay as replay_module
+from evo_cpg.training.evaluate import Replay
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.camera import CAMERAS
 from pictures import ink
@@ -59,16 +60,19 @@ def test_each_camera_has_its_own_file(situated_run, cli):
 
 
 def test_only_trials_after_the_first_are_replayed(situated_run, tmp_path, monkeypatch):
-    champion, kept, _ = RunFolder(situated_run).with_champion()
+    champion, kept, _ = RunFolder(situated_run).load_champion()
     assert kept is not None
     assert kept.goal == pytest.approx((4, -8 * np.sin(np.pi / 3), 0))
     replayed = []
 
-    def replay(experiment, individual, devices, recorded):
-        replayed.append((individual.fitness, recorded))
-        return champion.fitness, champion.terms, kept
+    def compile_replay(experiment, devices, recorded, full):
+        def replay(individual):
+            replayed.append((individual.fitness, recorded))
+            return Replay(champion.fitness, champion.terms, {}, kept)
 
-    monkeypatch.setattr(replay_module, "replay_champion", replay)
+        return replay
+
+    monkeypatch.setattr(run, "compile_replay", compile_replay)
     monkeypatch.setattr(devices, "use_cores", lambda count=None: 2)
     for trial in (0, 2):
         plot(situated_run, tmp_path, trial=trial)

@@ -23,7 +23,7 @@ def copied_run(finished_run, tmp_path) -> RunFolder:
 @pytest.fixture
 def without_replay(finished_run, monkeypatch):
     """Make each replay return the record of the unchanged run, for tests without a replay."""
-    champion, motion, _ = RunFolder(finished_run).with_champion()
+    champion, motion, _ = RunFolder(finished_run).load_champion()
     replay = evaluate.Replay(champion.fitness, champion.terms, {}, motion)
     monkeypatch.setattr(run, "compile_replay", lambda *_: lambda _: replay)
 
@@ -44,7 +44,7 @@ def complaints(err: str, folder: Path) -> list[str]:
 
 
 def test_an_unchanged_run_is_verified_exactly(finished_run, cli):
-    champion, _, _ = RunFolder(finished_run).with_champion()
+    champion, _, _ = RunFolder(finished_run).load_champion()
     code, out, err = cli("verify", finished_run)
     assert (code, err) == (0, "")
     assert out == (
@@ -64,7 +64,7 @@ def test_a_changed_config_is_found_by_digest_and_by_replay(copied_run, cli):
 
 
 def test_genes_changed_with_all_digests_are_found_by_replay(copied_run, cli):
-    champion, _, _ = copied_run.with_champion()
+    champion, _, _ = copied_run.load_champion()
     genes = -champion.genes
     alter(copied_run, genes=genes, genes_sha256=genes_digest(genes))
     shutil.rmtree(copied_run.path / "checkpoints")
@@ -76,7 +76,7 @@ def test_genes_changed_with_all_digests_are_found_by_replay(copied_run, cli):
 
 
 def test_one_changed_gene_is_found(copied_run, cli, without_replay):
-    champion, _, _ = copied_run.with_champion()
+    champion, _, _ = copied_run.load_champion()
     genes = champion.genes.copy()
     genes[3] = np.nextafter(genes[3], np.float32(9))
     alter(copied_run, genes=genes)
@@ -97,11 +97,11 @@ def test_one_changed_gene_is_found(copied_run, cli, without_replay):
 @pytest.mark.parametrize("name", ["fitness", "term.energy", "term.distance"])
 @pytest.mark.parametrize("digest", [False, True])
 def test_changed_fitness_and_terms_are_found(copied_run, cli, without_replay, name, digest):
-    champion, _, _ = copied_run.with_champion()
+    champion, _, _ = copied_run.load_champion()
     value = {"fitness": champion.fitness, **champion.terms}[name.removeprefix("term.")]
     alter(copied_run, **{name: 0.9 * value})
     if digest:
-        alter(copied_run, outcome_sha256=outcome_digest(copied_run.with_champion()[0]))
+        alter(copied_run, outcome_sha256=outcome_digest(copied_run.load_champion()[0]))
     code, _, err = cli("verify", copied_run.path)
     assert code == 3
     found = complaints(err, copied_run.path)

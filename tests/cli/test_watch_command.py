@@ -35,7 +35,7 @@ def test_a_finished_run_is_printed_and_unchanged(cli, run):
     assert [line.partition("  champion")[0] for line in lines] == [
         f"   {i}/3 generations" for i in (1, 2, 3)
     ]
-    fitness = RunFolder(run).with_champion()[0].fitness
+    fitness = RunFolder(run).load_champion()[0].fitness
     assert f"champion {fitness:8.4f}" in lines[2]
     assert contents(run) == before
     assert cli("watch", run, "--once")[1] == out

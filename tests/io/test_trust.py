@@ -202,20 +202,20 @@ def test_pickles_in_a_run_folder_are_not_opened(tmp_path):
     np.save(evil, np.array([{"a": 1}], object), allow_pickle=True)
     run = champion_of(tmp_path, {"genes": evil.getvalue()})
     with pytest.raises(RunFolderError, match="is damaged"):
-        run.with_champion()
+        run.load_champion()
 
 
 def test_archive_that_expands_too_far_is_not_unpacked(tmp_path):
     run = champion_of(tmp_path, {"genes": npy(np.zeros(10**7))}, zipfile.ZIP_DEFLATED)
     assert run.champion.stat().st_size < 10**6
     with pytest.raises(RunFolderError, match=r"damaged.*more than the file holds"):
-        run.with_champion()
+        run.load_champion()
 
 
 def test_champion_with_a_too_large_header_is_damaged(tmp_path):
     run = champion_of(tmp_path, {"genes": npy(np.zeros(4), shape=(10**9, 10**9))})
     with pytest.raises(RunFolderError, match="is damaged"):
-        run.with_champion()
+        run.load_champion()
 
 
 def test_invalid_metadata_is_ignored(tmp_path):

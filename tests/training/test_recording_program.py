@@ -11,7 +11,7 @@ from evo_cpg.api.training import ChampionRecorder, evolve_run
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.run import Run
-from evo_cpg.training import loop, replay
+from evo_cpg.training import evaluate, train
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, TINY
 
@@ -45,25 +45,26 @@ def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered):
     experiment, folder = folder_of(tmp_path / "run", settings)
     run = Run(folder, load_config(CONFIG, settings), experiment)
     evolve_run(run, lambda rows: None)
-    threads = {name: thread for name, thread in lowered if "replay" in name}
-    assert threads and all(thread.startswith("recording") for thread in threads.values()), lowered
     mine = [name for name, thread in lowered if thread == threading.main_thread().name]
-    assert any("rollout" in name for name in mine)
-    assert not any("replay" in name or "judge" in name for name in mine), mine
-    champion, motion, _ = folder.with_champion()
+    others = [name for name, thread in lowered if thread.startswith("recording")]
+    # The program of all trials, and the program that records the champion.
+    assert sum("rollouts" in name for name in mine) == 1, mine
+    assert sum("rollouts" in name for name in others) == 1, others
+    assert not any("judge" in name for name in mine), mine
+    champion, motion, _ = folder.load_champion()
     assert motion is not None and len(motion.time) == experiment.simulation.steps
-    again = replay.replay_champion(experiment, champion, 2)
-    assert again[0] == champion.fitness and again[1] == champion.terms
-    assert np.array_equal(again[2].position, motion.position)
+    again = evaluate.compile_replay(experiment, 2)(champion)
+    assert again.fitness == champion.fitness and again.terms == champion.terms
+    assert np.array_equal(again.recording.position, motion.position)
 
 
 def test_on_compiled_is_called_once_after_the_first_trials(tmp_path):
     """Compiling two programs at once would delay the first generation."""
     experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
     told, rows = [], []
-    loop.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
+    train.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
     assert told == [0]
-    loop.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
+    train.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
     assert told == [0], "nothing is left to do, and nothing was compiled"
 
 
@@ -71,12 +72,12 @@ def test_on_compiled_is_called_once_after_the_first_trials(tmp_path):
 def test_one_program_replays_any_champion(tmp_path):
     """The program is compiled before there is a champion, and each champion has its own noise."""
     experiment, folder = folder_of(tmp_path / "run", NOISY)
-    run = replay.compile_replay(experiment, 2)
-    champion = loop.train(experiment, folder).champion
+    run = evaluate.compile_replay(experiment, 2)
+    champion = train.train(experiment, folder).champion
     assert champion is not None
-    fitness, terms, _ = run(champion)
-    assert fitness == champion.fitness and terms == champion.terms
-    assert run(champion._replace(index=champion.index + 1))[0] != fitness
+    again = run(champion)
+    assert again.fitness == champion.fitness and again.terms == champion.terms
+    assert run(champion._replace(index=champion.index + 1)).fitness != champion.fitness
 
 
 def test_an_interrupt_skips_only_the_first_look(tmp_path):

@@ -155,7 +155,7 @@ def test_a_noisy_run_chooses_champions_by_fresh_draws(evolved):
     assert done.champions is done.chosen
     assert all(one is not None and one.expected is None for one in done.records)
     assert done.champion is max(done.chosen, key=lambda one: one.expected)
-    champion, _, _ = folder.with_champion()
+    champion, _, _ = folder.load_champion()
     assert champion.expected == done.champion.expected
     assert champion.ended_early == done.champion.ended_early
     np.testing.assert_array_equal(champion.genes, done.champion.genes)

@@ -120,7 +120,7 @@ def test_the_folder_replaces_the_champion_of_the_run(evolved, refined, tmp_path)
     folder = RunFolder(tmp_path / "run")
     folder.create("", {})
     folder.save(checkpoint)
-    first = folder.with_champion()[0]
+    first = folder.load_champion()[0]
     folder.keep_before(checkpoint.champions[1])
     folder.replace_champion(after, "name: graded\n")
     assert folder.config.read_text() == "name: graded\n"
@@ -135,7 +135,7 @@ def test_the_folder_replaces_the_champion_of_the_run(evolved, refined, tmp_path)
     assert changed.nonzero()[0].tolist() == [11]
     np.testing.assert_array_equal(kept.genes[:, 11], after.genes)
     best = max(kept.champions, key=lambda one: one.fitness)
-    assert folder.with_champion()[0].fitness == best.fitness >= first.fitness
+    assert folder.load_champion()[0].fitness == best.fitness >= first.fitness
     # Evolution continues from the refined champion.
     final = train(MADE._replace(generations=3), folder)
     assert final.champions[1].fitness >= after.fitness

@@ -81,7 +81,7 @@ def test_a_new_folder_holds_its_config_and_meta(folder):
     with pytest.raises(RunFolderError, match="a has no finished generation yet"):
         folder.history()
     with pytest.raises(RunFolderError, match=r"a has no champion yet\. Train it first"):
-        folder.with_champion()
+        folder.load_champion()
 
 
 @pytest.mark.parametrize("champion", [CHAMPION, None])
@@ -137,14 +137,14 @@ def test_champions_of_several_runs_are_read_back(folder, champions):
 def test_the_champion_is_the_best_of_all_runs(folder):
     better = CHAMPION._replace(fitness=-0.25, run=2)
     folder.save(checkpoint(2, CHAMPION, None, better, better._replace(run=3)))
-    assert folder.with_champion()[0].run == 2
+    assert folder.load_champion()[0].run == 2
 
 
 def test_the_champion_is_read_back_with_its_motion_and_digests(folder):
     folder.save_champion(CHAMPION)
-    assert folder.with_champion()[1] is None
+    assert folder.load_champion()[1] is None
     folder.save_champion(CHAMPION, RECORDING)
-    champion, motion, digests = folder.with_champion()
+    champion, motion, digests = folder.load_champion()
     np.testing.assert_array_equal(champion.genes, CHAMPION.genes)
     assert champion[1:] == CHAMPION[1:]
     assert motion is not None and motion.dof_names == ("tail.z",)
@@ -247,7 +247,7 @@ def test_a_damaged_champion_is_named_with_the_remedy(folder):
     for content in damaged(folder.champion.read_bytes()):
         folder.champion.write_bytes(content)
         try:
-            champion, _, _ = folder.with_champion()
+            champion, _, _ = folder.load_champion()
         except RunFolderError as error:
             assert "champion.npz is damaged" in str(error)
             assert "`evo-cpg resume" in str(error) and "\n" not in str(error)
@@ -310,13 +310,13 @@ def test_the_lock_of_a_killed_process_is_ignored(tmp_path):
 def test_an_empty_array_damages_a_champion(folder):
     folder.save_champion(CHAMPION, RECORDING)
     whole = folder.champion.read_bytes()
-    assert folder.with_champion()[1] is not None
+    assert folder.load_champion()[1] is not None
     for name in ("genes", *(f"recording.{field}" for field in Recording._fields)):
         folder.champion.write_bytes(whole)
         emptied(folder.champion, name)
         words = "it holds no genome" if name == "genes" else "its [a-z_]+ has the shape"
         with pytest.raises(RunFolderError, match=rf"champion\.npz is damaged \({words}"):
-            folder.with_champion()
+            folder.load_champion()
 
 
 def test_a_file_of_another_kind_counts_as_damaged(folder):
@@ -326,7 +326,7 @@ def test_a_file_of_another_kind_counts_as_damaged(folder):
     champion = folder.champion.read_bytes()
     folder.champion.write_bytes(folder.lineage.read_bytes())
     with pytest.raises(RunFolderError, match=r"champion\.npz is damaged"):
-        folder.with_champion()
+        folder.load_champion()
     newest.write_bytes(champion)
     with pytest.raises(RunFolderError, match="no checkpoint can be read"):
         folder.load()
@@ -418,7 +418,7 @@ def test_a_kill_while_saving_leaves_the_old_state_or_the_new(folder, monkeypatch
     # The order of files is champion.npz, the checkpoint, metrics.csv.
     expected = checkpoint(1) if writes < 2 else checkpoint(2, newer)
     assert_same(folder.load(), expected)
-    folder.with_champion()
+    folder.load_champion()
     assert not [name for name in files(folder) if "/." in f"/{name}"]
 
 
@@ -434,13 +434,13 @@ def test_a_kill_while_replacing_a_champion_leaves_all_files_or_none(folder, monk
     folder = RunFolder(folder.path)
     folder.require()
     expected, config = (CHAMPION, "name: a\n") if writes < 4 else (better, "name: b\n")
-    champion, _, digests = folder.with_champion()
+    champion, _, digests = folder.load_champion()
     assert champion.fitness == folder.load().champion.fitness == expected.fitness
     assert folder.config.read_text() == config
     assert digests["config_sha256"] == folder.config_digest()
     # Files of the killed attempt do not disturb the next.
     folder.replace_champion(better, "name: b\n")
-    assert folder.with_champion()[0].fitness == better.fitness
+    assert folder.load_champion()[0].fitness == better.fitness
     assert not [name for name in files(folder) if "/." in f"/{name}"]
 
 

@@ -144,7 +144,7 @@ def test_evolving_several_runs_equals_evolving_each_alone(pair, tmp_path):
 def test_the_folder_keeps_the_champion_of_every_run_and_shows_the_best(pair):
     folder, done = pair
     fitness = [champion.fitness for champion in done.champions]
-    kept, _, _ = folder.with_champion()
+    kept, _, _ = folder.load_champion()
     assert kept.run == int(np.argmax(fitness)) and kept.fitness == max(fitness)
     loaded = folder.load()
     assert [champion.fitness for champion in loaded.champions] == fitness

@@ -215,7 +215,7 @@ def test_wrong_key_of_the_configuration_is_named(ribbon):
 
 @pytest.mark.slow
 def test_program_of_the_page_runs(capsys):
-    page = (Path(__file__).parents[2] / "docs" / "lab.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "lab.md").read_text()
     (program,) = re.findall(r"```python\n(.+?)```", page, re.S)
     exec(compile(program, "documented", "exec"), {})
     assert len(capsys.readouterr().out.splitlines()) == 2
