@@ -52,12 +52,13 @@ traces: $(DEV) ## record the reference motions of all animals anew, and print wh
 test-matrix: ## run the tests on all interpreters, oldest and newest dependencies (PYTHONS=..., PYTEST=...)
 	$(PYTHON) benchmarks/matrix.py --pytest='$(PYTEST)' build/matrix $(PYTHONS)
 
-check: $(DEV) docs ## format, lint, types, layers, language and docs, as CI does
+check: $(DEV) docs ## format, lint, types, layers, language, size and docs, as CI does
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check --no-cache .  # cached import sorting misses modules that came later
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 	$(BIN)/python docs/tools/language.py
+	$(BIN)/python docs/tools/budget.py
 
 bench: $(DEV) ## run the benchmark suite
 	$(BIN)/evo-cpg bench
