@@ -1,8 +1,7 @@
 """Count the code of every package, and compare it with its budget: `python docs/tools/budget.py`.
 
-The ceilings are in `[tool.budget]` of pyproject.toml, which keeps the house small. Code is what is left of a Python file without
-docstrings, comments and blank lines. Someone who adds a feature names what it replaced, or raises a
-ceiling in a commit of its own that says why.
+The ceilings are in `[tool.budget]` of pyproject.toml. Code is what is left of a Python file without
+docstrings, comments and blank lines. CONTRIBUTING says how to raise a ceiling.
 """
 
 import ast
@@ -41,7 +40,7 @@ def main() -> int:
 
 
 def _packages() -> dict[str, Counter[str]]:
-    """Return the counts of each package of the product, of their sum, of the tests and the pages."""
+    """Return the counts of the whole product, of the tests, of the pages and of each package."""
     found: dict[str, Counter[str]] = {"evo_cpg": Counter(), "tests": Counter(), "pages": Counter()}
     for path in sorted((ROOT / "evo_cpg").rglob("*.py")):
         folder = path.relative_to(ROOT).parts[:2]
