@@ -129,8 +129,9 @@ class Evosax(Strategy):
 
     def ask(self, key: Array, state: Sample) -> tuple[Float[Array, "g n"], Sample]:
         """Return the first genomes in generation 0, later genomes that the algorithm draws."""
+        algorithm, params = self._tuned
         with jax.numpy_rank_promotion("allow"):
-            rows, inner = self._algorithm.ask(key, state.state, self._params)
+            rows, inner = algorithm.ask(key, state.state, params)
         first = state.told == 0
         numbers = jnp.where(first, state.numbers, rows.T)
         inner_state = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.state, inner)
@@ -143,8 +144,9 @@ class Evosax(Strategy):
         same = genes == self._latent.genes(state.numbers)
         numbers = jnp.where(same, state.numbers, self._latent.numbers(genes))
         fitness = worst_finite(evaluation.fitness)
+        algorithm, params = self._tuned
         with jax.numpy_rank_promotion("allow"):
-            later, _ = self._algorithm.tell(key, numbers.T, -fitness, state.state, self._params)
+            later, _ = algorithm.tell(key, numbers.T, -fitness, state.state, params)
         first, started = state.told == 0, self._started(key, numbers, fitness)
         inner = jax.tree.map(lambda a, b: jnp.where(first, a, b), started, later)
         return Sample(numbers, inner, state.told + 1)
@@ -153,12 +155,12 @@ class Evosax(Strategy):
         self, key: Array, numbers: Float[Array, "g n"], fitness: Float[Array, " n"]
     ) -> PyTree[Array]:
         """Return the algorithm's state after the first population."""
-        algorithm = self._algorithm
+        algorithm, params = self._tuned
         with jax.numpy_rank_promotion("allow"):
             if type(algorithm) in _evosax().population_based_algorithms.values():
-                return algorithm.init(key, numbers.T, -fitness, self._params)
+                return algorithm.init(key, numbers.T, -fitness, params)
             better = rank_order(fitness)[: -(-len(fitness) // 2)]
-            return algorithm.init(key, numbers[:, better].mean(1), self._params)
+            return algorithm.init(key, numbers[:, better].mean(1), params)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """See `Latent.around`."""
@@ -167,10 +169,6 @@ class Evosax(Strategy):
     @property
     def _latent(self) -> Latent:
         return Latent(self.binary, self.sigma, self.gene_bound)
-
-    @property
-    def _algorithm(self) -> Any:
-        return self._built[0]
 
     @property
     def _built(self) -> tuple[Any, Any]:
@@ -184,11 +182,11 @@ class Evosax(Strategy):
         )
 
     @property
-    def _params(self) -> Any:
-        params = self._built[1]
+    def _tuned(self) -> tuple[Any, Any]:
+        """The algorithm, and its parameters with the changes in `params`."""
+        algorithm, params = self._built
         given = {"std_init": self.sigma} if hasattr(params, "std_init") else {}
-        given |= dict(self.params)
-        return params.replace(**given)
+        return algorithm, params.replace(**given | dict(self.params))
 
 
 def algorithms() -> list[str]:

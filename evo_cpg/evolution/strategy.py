@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, PyTree
 
 
@@ -220,12 +219,6 @@ def worst_finite(fitness: Float[Array, " n"]) -> Float[Array, " n"]:
     alive = jnp.isfinite(fitness)
     worst = jnp.where(alive, fitness, jnp.inf).min()
     return jnp.where(alive, fitness, jnp.where(jnp.isfinite(worst), worst, 0.0))
-
-
-def descriptor_rows(evaluation: Evaluation, names: tuple[str, ...]) -> Float[Array, "k n"]:
-    """Return one row per name: the descriptor of that name, or else the task's term."""
-    known: dict[str, ArrayLike] = {**evaluation.terms, **evaluation.descriptors}
-    return jnp.stack([jnp.asarray(known[name]) for name in names])
 
 
 class RandomSearch(Strategy):

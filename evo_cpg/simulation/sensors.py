@@ -103,7 +103,13 @@ def pressure_readings(
     pressing = jnp.zeros_like(normal)
     if world.water is not None and world.water.surface is not None:
         depth = _depth(world.water.surface, kin, bodies, world.tree.centre[:, bodies])
-        area = expand_dims_like(_volumes(world.tree)[bodies] ** (2 / 3), depth)
+        # The volume of a body includes its further parts.
+        volume, wholes = world.tree.volume, np.array(world.tree.wholes)
+        if (wholes != np.arange(len(wholes))).any():
+            volume = xp.array([volume[np.flatnonzero(wholes == i)].sum() for i in bodies])
+        else:
+            volume = volume[bodies]
+        area = expand_dims_like(volume ** (2 / 3), depth)
         pressing = world.water.density * world.gravity * jnp.maximum(depth, 0.0) * area
     return (normal > pressing).astype(normal.dtype)
 
@@ -147,14 +153,6 @@ def _touching_bodies(world: World) -> np.ndarray:
     """Return the index of the body of each contact point. A further part counts as its body."""
     assert world.contact_model is not None
     return np.array(world.tree.wholes)[np.array(world.contact_model.bodies)]
-
-
-def _volumes(tree: Tree) -> Numbers:
-    """Return the volume of each body with its further parts, m^3."""
-    wholes = np.array(tree.wholes)
-    if (wholes == np.arange(len(wholes))).all():
-        return tree.volume
-    return xp.array([tree.volume[np.flatnonzero(wholes == i)].sum() for i in range(len(wholes))])
 
 
 def _depth(

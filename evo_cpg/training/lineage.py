@@ -32,11 +32,22 @@ def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Cha
     known = {(each.run, each.generation): each for each in lineage}
     known |= {(each.run, each.generation): each for each in found}
     ordered = [known[place] for place in sorted(known)]
-    return [
-        each
-        for _, own in itertools.groupby(ordered, lambda champion: champion.run)
-        for each in _thinned(list(own))
-    ]
+    kept: list[Champion] = []
+    for _, group in itertools.groupby(ordered, lambda champion: champion.run):
+        own = list(group)
+        while len(own) > KEPT:
+            born = [each.generation for each in own]
+            marks = landmarks(born[-1])
+            # Each champion lasts until the generation before the next champion's. The first, the
+            # newest and all that last over a landmark are kept.
+            free = [
+                i
+                for i in range(1, len(own) - 1)
+                if not any(born[i] <= mark < born[i + 1] for mark in marks)
+            ]
+            del own[min(free, key=lambda i: _age(born[i + 1]) - _age(born[i - 1]))]
+        kept += own
+    return kept
 
 
 def until(
@@ -140,27 +151,6 @@ def landmarks(last: int) -> list[int]:
     powers = range(len(str(max(last, 1))))
     round_ones = (step * 10**power for power in powers for step in (1, 2, 5))
     return [0, *(each for each in round_ones if each <= last)]
-
-
-def _thinned(own: list[Champion]) -> list[Champion]:
-    """Return at most `KEPT` champions of one run."""
-    while len(own) > KEPT:
-        least = _least([each.generation for each in own])
-        own = own[:least] + own[least + 1 :]
-    return own
-
-
-def _least(found: Sequence[int]) -> int:
-    """Return the index of the champion to drop, given the generations of all."""
-    marks = landmarks(found[-1])
-    # Each champion lasts until the generation before the next champion's. The first, the newest and
-    # all that last over a landmark are kept.
-    free = [
-        i
-        for i in range(1, len(found) - 1)
-        if not any(found[i] <= mark < found[i + 1] for mark in marks)
-    ]
-    return min(free, key=lambda i: _age(found[i + 1]) - _age(found[i - 1]))
 
 
 def _age(generation: int) -> float:

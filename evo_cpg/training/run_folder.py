@@ -251,7 +251,12 @@ class RunFolder:
             or champion.generation == checkpoint.generation - 1
         ):
             self.save_champion(champion)
-        arrays = checkpoint_arrays(checkpoint, self._columns_of(checkpoint.history))
+        rows, columns = self._columns
+        if checkpoint.history[: len(rows)] != rows:
+            columns = {}
+        columns = history_columns(checkpoint.history, columns)
+        self._columns = checkpoint.history, columns
+        arrays = checkpoint_arrays(checkpoint, columns)
         write_whole(self._checkpoint(checkpoint.generation), lambda file: np.savez(file, **arrays))
         self.write_metrics(checkpoint.history)
         for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
@@ -391,13 +396,6 @@ class RunFolder:
     def config_digest(self) -> str:
         """Return the SHA-256 of config.yaml."""
         return hashlib.sha256(self.config.read_bytes()).hexdigest()
-
-    def _columns_of(self, history: list[dict[str, float]]) -> dict[str, np.ndarray]:
-        rows, columns = self._columns
-        if history[: len(rows)] != rows:
-            columns = {}
-        self._columns = history, history_columns(history, columns)
-        return self._columns[1]
 
     def _checkpoint(self, generation: int) -> Path:
         return self.path / "checkpoints" / f"generation_{generation:06d}.npz"
