@@ -19,9 +19,8 @@ from evo_cpg.training.experiment import (
     breed,
     first_population,
 )
-from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.train import train
-from trials import SineController, experiment
+from trials import SineController, experiment, folder_at
 
 STEPS = 20
 
@@ -143,8 +142,7 @@ class Lifeless(SineController):
 
 def test_a_run_whose_individuals_all_diverge_has_no_champion(small, tmp_path):
     simulation = dataclasses.replace(small.simulation, controller=Lifeless())
-    folder = RunFolder(tmp_path / "run")
-    folder.create("", {})
+    folder = folder_at(tmp_path / "run")
     shown = []
     done = train(small._replace(simulation=simulation), folder, shown.extend)
     assert done.generation == 2 and done.champion is None

@@ -25,9 +25,7 @@ from evo_cpg.training.experiment import (
     judge_each,
     trial_keys,
 )
-from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.train import TIMING_COLUMNS, train
-from trials import OneTerm, SineController, experiment
+from trials import OneTerm, SineController, evolve, experiment, untimed
 
 SEED, SIZE, GENERATIONS = 5, 6, 3
 NOISE = Noise(joint_angle=0.1, tilt=0.05, push=0.2)
@@ -48,13 +46,6 @@ REAL, BITS = PAIR.strategy, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, (1, 2))
 NOISY = noisy(PAIR)._replace(trials=2, generations=2)
 
 
-def evolve(experiment, path):
-    folder = RunFolder(path)
-    if not folder.config.exists():
-        folder.create("", {})
-    return folder, train(experiment, folder)
-
-
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory):
     """Evolve two runs together."""
@@ -64,10 +55,6 @@ def pair(tmp_path_factory):
 @pytest.fixture(scope="module")
 def noisy_pair(tmp_path_factory):
     return evolve(NOISY, tmp_path_factory.mktemp("noisy") / "run")
-
-
-def untimed(rows):
-    return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
 
 
 def test_first_genomes_equal_the_single_runs():

@@ -20,9 +20,7 @@ from evo_cpg.training.experiment import (
     generation_keys,
     situation_numbers,
 )
-from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.train import TIMING_COLUMNS, train
-from trials import experiment
+from trials import evolve, experiment, untimed
 from watching import Watcher
 
 STEPS, SIZE = 20, 6
@@ -48,13 +46,6 @@ MADE = in_situations()
 NOISY = in_situations(noise=Noise(joint_angle=0.1, push=0.2), runs=2)
 
 
-def evolve(made, path):
-    folder = RunFolder(path)
-    if not folder.config.exists():
-        folder.create("", {})
-    return folder, train(made, folder)
-
-
 @pytest.fixture(
     scope="module",
     params=[
@@ -65,10 +56,6 @@ def evolve(made, path):
 def evolved(request, tmp_path_factory):
     path = tmp_path_factory.mktemp("situations") / "run"
     return request.param, *evolve(request.param, path)
-
-
-def untimed(rows):
-    return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
 
 
 def test_fitness_and_terms_are_means_over_the_situations(evolved):
