@@ -112,11 +112,7 @@ class OfBits(Variation):
         # Take the child of each pair that begins as the first parent.
         children = one_point_crossover(cross_key, genes, first, second, self.crossover)[:, ::2]
         return bit_mutation(
-            mutate_key,
-            children,
-            self.mutation_probability,
-            *self.mutated_genes,
-            self.mutation,
+            mutate_key, children, self.mutation_probability, *self.mutated_genes, self.mutation
         )
 
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:

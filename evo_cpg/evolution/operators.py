@@ -62,10 +62,7 @@ def draw_parents(
 
 
 def draw_by_lexicase(
-    key: Array,
-    fitness: Float[Array, " n"],
-    trial_fitness: Float[Array, "trials n"],
-    count: int,
+    key: Array, fitness: Float[Array, " n"], trial_fitness: Float[Array, "trials n"], count: int
 ) -> Int[Array, " count"]:
     """Draw indices of parents, each by a random order of the trials.
 

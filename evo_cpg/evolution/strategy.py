@@ -157,11 +157,7 @@ class Strategy(eqx.Module):
 
     @abc.abstractmethod
     def tell(
-        self,
-        key: Array,
-        state: PyTree[Array],
-        genes: Float[Array, "g n"],
-        evaluation: Evaluation,
+        self, key: Array, state: PyTree[Array], genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> PyTree[Array]:
         """Return the state after the trials.
 

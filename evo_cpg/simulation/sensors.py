@@ -156,10 +156,7 @@ def _touching_bodies(world: World) -> np.ndarray:
 
 
 def _depth(
-    surface: ArrayLike,
-    kin: Kinematics,
-    bodies: np.ndarray,
-    places: np.ndarray | Array | MixedArray,
+    surface: ArrayLike, kin: Kinematics, bodies: np.ndarray, places: np.ndarray | Array | MixedArray
 ) -> Float[Array, "k *n"]:
     """Return the depth of points of bodies below the water's surface, m, negative above it."""
     own = take(kin.origin[2], bodies, 0)

@@ -585,8 +585,6 @@ def _carried(
     position = state.position + jnp.concatenate([displacement, jnp.zeros_like(displacement[:1])])
     place = position[:, None] + rotation @ (friction.place - state.position[:, None])
     carried = dataclasses.replace(
-        state,
-        position=position,
-        orientation=integrate_quaternion(state.orientation, about_z, 1.0),
+        state, position=position, orientation=integrate_quaternion(state.orientation, about_z, 1.0)
     )
     return carried, friction._replace(place=place, slip=rotation @ friction.slip)

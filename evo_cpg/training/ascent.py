@@ -160,10 +160,7 @@ class ClimbSettings(NamedTuple):
 
 
 def draw_settings(
-    rng: np.random.Generator,
-    simulation: Simulation,
-    count: int,
-    stretched: float = 1.0,
+    rng: np.random.Generator, simulation: Simulation, count: int, stretched: float = 1.0
 ) -> ClimbSettings:
     """Draw a step size and a gradient horizon for each individual.
 

@@ -83,10 +83,7 @@ def test_animals_that_differ_in_numbers_share_compiled_programs():
 
 @pytest.mark.parametrize(
     ("shape", "area", "reach"),
-    [
-        (Box((0.8, 0.6, 0.1)), lambda z: 1.0, 0.05),
-        (Sphere(0.2), lambda z: 0.2**2 - z**2, 0.2),
-    ],
+    [(Box((0.8, 0.6, 0.1)), lambda z: 1.0, 0.05), (Sphere(0.2), lambda z: 0.2**2 - z**2, 0.2)],
 )
 @pytest.mark.parametrize("fraction", [0.5, 0.8])
 def test_bodies_float_at_their_draught(shape, area, reach, fraction):

@@ -14,11 +14,7 @@ from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.evaluate import compile_trials
-from evo_cpg.training.experiment import (
-    Generation,
-    breed,
-    first_population,
-)
+from evo_cpg.training.experiment import Generation, breed, first_population
 from evo_cpg.training.train import train
 from trials import SineController, experiment, folder_at
 

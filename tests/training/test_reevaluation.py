@@ -11,12 +11,7 @@ from evo_cpg.api.sweep import Member
 from evo_cpg.io.load import load_config
 from evo_cpg.io.settings import Setting
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.training.checkpoint import (
-    Champion,
-    Checkpoint,
-    champion_arrays,
-    read_champion,
-)
+from evo_cpg.training.checkpoint import Champion, Checkpoint, champion_arrays, read_champion
 from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.experiment import generation_keys, trial_keys
 from evo_cpg.training.reevaluation import EVALUATIONS, FIRST_ROUND, Choice, Contest

@@ -15,11 +15,7 @@ from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.evaluate import compile_replay, compile_trials
-from evo_cpg.training.experiment import (
-    first_population,
-    generation_keys,
-    situation_numbers,
-)
+from evo_cpg.training.experiment import first_population, generation_keys, situation_numbers
 from trials import evolve, experiment, untimed
 from watching import Watcher
 
@@ -34,10 +30,7 @@ SITUATIONS = (
 def in_situations(situations=SITUATIONS, size=SIZE, noise=None, **changes):
     made = experiment(STEPS, size, seed=5)
     simulation = dataclasses.replace(
-        made.simulation,
-        controller=Watcher(),
-        situations=situations,
-        noise=noise or Noise(),
+        made.simulation, controller=Watcher(), situations=situations, noise=noise or Noise()
     )
     return made._replace(simulation=simulation, trials=len(situations))._replace(**changes)
 
