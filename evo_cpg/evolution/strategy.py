@@ -173,11 +173,7 @@ class Strategy(eqx.Module):
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """Return a first population around one individual: its copies with small changes.
 
-        Unless overridden, all copies stay unchanged.
-
-        Args:
-            key: random key.
-            genes: copies of the individual. The first stays unchanged.
+        The first copy stays unchanged. Unless overridden, all do.
         """
         del key
         return genes
@@ -198,11 +194,7 @@ class Strategy(eqx.Module):
         return ()
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
-        """Return numbers for metrics.csv, by name. There are none unless overridden.
-
-        Args:
-            state: state from `ask`.
-        """
+        """Return numbers of a state from `ask` for metrics.csv, by name. None unless overridden."""
         del state
         return {}
 

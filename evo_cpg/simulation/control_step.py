@@ -154,12 +154,7 @@ def control_step(
 ) -> tuple[AnimalState, Effects]:
     """Push, sense, command, and move for one control step.
 
-    Args:
-        simulation: the trial.
-        constants: constants of the trial.
-        animal: the animal at the start of the step.
-        index: number of the step, from 0.
-        physics: True to return `Effects.physics`. Physics steps are then separate programs.
+    With ``physics``, `Effects.physics` is returned, and physics steps are separate programs.
     """
 
     def advance(own: EpisodeConstants, animal: AnimalState):

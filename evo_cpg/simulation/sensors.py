@@ -181,10 +181,7 @@ def light_readings(
 ) -> tuple[Float[Array, "eyes *n"], Float[Array, "eyes *n"], Float[Array, "eyes *n"]]:
     """Return light strength, and cosine and sine of the eyes' angle to the vertical.
 
-    Args:
-        sensors: places of the eyes.
-        kin: present pose of the animal.
-        light: place of the light, m. No eye sees light if it is None.
+    No eye sees light if the place of the light (m) is None.
     """
     bodies = list(sensors.eye_bodies)
     if not bodies:

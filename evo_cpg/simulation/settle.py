@@ -211,9 +211,6 @@ class Settling:
 
         Place and heading stay as in the situation. On uneven ground they may change.
 
-        Args:
-            situation: initial pose of the creature.
-
         Raises:
             NoRestError: the creature finds no rest, or falls over.
         """
@@ -233,9 +230,6 @@ class Settling:
 
     def rest(self, start: State) -> Rest:
         """Return the resting pose after a slow release. Call it with float64 enabled.
-
-        Args:
-            start: the initial pose.
 
         Raises:
             NoRestError: the creature finds no rest, or falls over.

@@ -164,13 +164,8 @@ def draw_settings(
 ) -> ClimbSettings:
     """Draw a step size and a gradient horizon for each individual.
 
-    Horizons lie between the shortest horizon and ten times the trial's duration, or are infinite.
-
-    Args:
-        rng: random generator of all draws.
-        simulation: simulation of the individuals.
-        count: number of individuals.
-        stretched: factor on the shortest horizon.
+    Horizons lie between the shortest horizon, times ``stretched``, and ten times the trial's
+    duration, or are infinite.
     """
     duration = simulation.duration
     rough = simulation.world.contact_model is not None

@@ -181,12 +181,7 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
 def checkpoint_arrays(
     checkpoint: Checkpoint, columns: Mapping[str, np.ndarray] | None = None
 ) -> dict[str, Any]:
-    """Return a checkpoint as named arrays.
-
-    Args:
-        checkpoint: the checkpoint.
-        columns: `history_columns` of the history, if known.
-    """
+    """Return a checkpoint as named arrays, given the `history_columns` if they are known."""
     if columns is None:
         columns = history_columns(checkpoint.history)
     arrays: dict[str, Any] = {

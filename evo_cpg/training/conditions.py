@@ -78,10 +78,6 @@ def compile_variation(
 ) -> Callable[[Champion], Varied]:
     """Compile an individual's trials under other conditions, before there is a champion.
 
-    Args:
-        experiment: the experiment that the champion evolves in.
-        variation: the conditions.
-
     Returns:
         A function of the champion.
     """
@@ -154,9 +150,8 @@ def with_drag(simulation: Simulation, factor: float) -> Simulation:
 def shaken(simulation: Simulation, angle: float) -> Simulation:
     """Return the simulation with a slightly different initial pose in every draw.
 
-    Args:
-        simulation: simulation to change.
-        angle: standard deviation of every joint angle, and of the root's roll and pitch, rad.
+    ``angle`` (rad) is the standard deviation of every joint angle, and of the root's roll and
+    pitch.
     """
     own = simulation.noise
     noise = dataclasses.replace(
@@ -207,11 +202,6 @@ def probe(
     """Simulate one animal in several situations at once, without noise.
 
     The task `ReachLight` measures the distance, even if the animal evolved for another task.
-
-    Args:
-        simulation: simulation that the animal evolved in.
-        genes: genome of the animal.
-        situations: initial situations, each with a light.
     """
     final_steps = simulation.task.final_control_steps(simulation.control_rate)
     task = ReachLight(_light(situations[0]), final_steps=final_steps)

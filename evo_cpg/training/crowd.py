@@ -109,13 +109,8 @@ def populations_at(
 ) -> list[Float[np.ndarray, "g all"]]:
     """Return the populations of some generations of all runs, made anew from the seed.
 
-    Generation 0 is only drawn. The evolution is repeated up to the last of the others, so this
-    takes as long as that part of the training.
-
-    Args:
-        experiment: experiment of the folder.
-        folder: run folder.
-        generations: numbers of the generations, from 0, in ascending order.
+    The generations ascend. Generation 0 is only drawn. The evolution is repeated up to the last of
+    the others, so this takes as long as that part of the training.
 
     Raises:
         RunFolderError: the repeated evolution has other results than the folder has.

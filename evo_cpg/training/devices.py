@@ -74,11 +74,7 @@ def use_cores(count: int | None = None) -> int:
 
 
 def population_mesh(count: int | None = None) -> Mesh:
-    """Return the mesh of devices over which the population is sharded.
-
-    Args:
-        count: number of devices, or None for all of this process.
-    """
+    """Return the mesh of the first devices, or of all, over which the population is sharded."""
     devices = jax.local_devices()[:count]
     return Mesh(np.array(devices), (POPULATION_AXIS,))
 

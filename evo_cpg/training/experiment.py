@@ -114,9 +114,7 @@ def begin(
 ) -> tuple[Float[Array, "g all"], PyTree[Array]]:
     """Return the population of generation 0, run by run, and the strategy's state.
 
-    Args:
-        experiment: experiment to evolve.
-        start: initial genomes, or None for random ones.
+    The initial genomes are random if none are given.
     """
     genome, strategy = experiment.simulation.genome, experiment.strategy
     size = (strategy.population,)

@@ -25,9 +25,7 @@ _OF_ALL = ("fitness", "generation", "run", "index")
 def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Champion]:
     """Return a lineage with new champions, run by run, in the order of generations.
 
-    Args:
-        lineage: champions so far.
-        found: new champions. They replace champions of equal run and generation.
+    New champions replace champions of equal run and generation.
     """
     known = {(each.run, each.generation): each for each in lineage}
     known |= {(each.run, each.generation): each for each in found}
@@ -65,22 +63,15 @@ def until(
 
 
 def champion_at(lineage: Sequence[Champion], generation: int) -> Champion | None:
-    """Return the champion after a generation, or None before the first champion.
-
-    Args:
-        lineage: lineage of one run.
-        generation: number of the generation, from 0.
-    """
+    """Return the champion of one run after a generation, or None before the first champion."""
     found = [each for each in lineage if each.generation <= generation]
     return found[-1] if found else None
 
 
 def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
-    """Return the first champion, the last, and others evenly spaced in ratios of generations.
+    """Return at most ``count`` champions of one run: the first, the last, and others in between.
 
-    Args:
-        lineage: lineage of one run.
-        count: largest number of champions.
+    They are evenly spaced in ratios of generations.
     """
     if count < 2 or len(lineage) <= count:
         return list(lineage)[-count:]

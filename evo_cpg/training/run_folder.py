@@ -302,10 +302,6 @@ class RunFolder:
         """Replace the champion of a run by a refined individual, with its configuration.
 
         It also takes the last place in the run's population, so that evolution can use it.
-
-        Args:
-            champion: refined individual.
-            config_text: configuration of the refined individual.
         """
         config = config_text.encode()
         writes: dict[Path, Callable[[IO[bytes]], object]] = {
@@ -458,9 +454,7 @@ class RunFolder:
 def read_checked(path: Path, is_sound: Callable[[Any], bool]) -> Any:
     """Return the contents of a JSON file, or None if there is no file.
 
-    Args:
-        path: path of the file.
-        is_sound: function that returns whether the contents are valid.
+    The function ``is_sound`` decides whether the contents are valid.
 
     Raises:
         RunFolderError: the file is damaged.

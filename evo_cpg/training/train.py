@@ -69,11 +69,6 @@ class Running:
     Under noise, rounds of trials follow the last generation to choose the champion
     (`evo_cpg.training.reevaluation`). The first round evaluates the final population.
 
-    Args:
-        experiment: experiment that evolves.
-        folder: run folder.
-        mesh: devices for the elites' gradient ascent.
-
     Attributes:
         checkpoint: present state.
 
@@ -122,9 +117,7 @@ class Running:
     def tell(self, outcome: Outcome, start: float) -> list[dict[str, float]]:
         """Take the outcome of the trials, breed, and write a checkpoint.
 
-        Args:
-            outcome: outcome of the trials.
-            start: time at which the generation started, by `time.perf_counter`, s.
+        ``start`` is the time at which the generation started, by `time.perf_counter` (s).
 
         Returns:
             The new rows of metrics.csv. There are none after a round that chooses champions.

@@ -257,11 +257,11 @@ def test_a_number_that_must_not_differ_is_named():
     path, overrides, keys = CASES["swimmer"]
     config = load_config(path, list(overrides))
     density = build_batch(config, path, numbers(config, keys[:1]))
-    with pytest.raises(ConfigError, match=r"form_drag: .*form_drag differs, but is not an input"):
-        build_batch(config, path, numbers(config, keys[-1:]), like=density)
-    with pytest.raises(ConfigError, match="does not exist"):
-        build_batch(config, path, {"world.water.from_drag": np.ones(2)})
-    with pytest.raises(ConfigError, match="greater than 0"):
-        build_batch(config, path, {keys[0]: np.array([1000.0, -1.0])})
-    with pytest.raises(ConfigError, match="all simulations equal the configuration"):
-        build_batch(config, path, {keys[0]: np.full(2, 1000.0)})
+    for given, like, words in (
+        (numbers(config, keys[-1:]), density, "form_drag differs, but is not an input"),
+        ({"world.water.from_drag": np.ones(2)}, None, "does not exist"),
+        ({keys[0]: np.array([1000.0, -1.0])}, None, "greater than 0"),
+        ({keys[0]: np.full(2, 1000.0)}, None, "all simulations equal"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            build_batch(config, path, given, like=like)
