@@ -35,41 +35,6 @@ from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 _FLIPPED = 0.1
 
 
-class Latent(NamedTuple):
-    """Conversion between genes and the unbounded real numbers that algorithms search.
-
-    Attributes:
-        binary: True if genes are bits.
-        sigma: standard deviation of the first sample. The numbers of the bits 0 and 1 are -sigma
-            and sigma.
-        gene_bound: largest magnitude of a gene, or None for bits.
-    """
-
-    binary: bool
-    sigma: float
-    gene_bound: float | None
-
-    def genes(self, numbers: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return the genes for these numbers."""
-        if self.binary:
-            return (numbers > 0).astype(numbers.dtype)
-        bound = np.inf if self.gene_bound is None else self.gene_bound
-        return jnp.clip(numbers, -bound, bound)
-
-    def numbers(self, genes: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return numbers that `genes` converts to these genes."""
-        return self.sigma * (2.0 * genes - 1.0) if self.binary else genes
-
-    def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Add normal noise, or flip each bit with probability 0.1, in all genomes but the first."""
-        if self.binary:
-            flipped = jax.random.bernoulli(key, _FLIPPED, genes.shape)
-            changed = jnp.where(flipped, 1.0 - genes, genes)
-        else:
-            changed = genes + self.sigma * jax.random.normal(key, genes.shape, genes.dtype)
-        return self.genes(self.numbers(changed)).at[:, 0].set(genes[:, 0])
-
-
 class Sample(NamedTuple):
     """State of the search between generations.
 
@@ -123,7 +88,7 @@ class Evosax(Strategy):
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Sample:
         """Return a state with the first genomes."""
-        numbers = self._latent.numbers(genes)
+        numbers = self._numbers(genes)
         fitness = jnp.zeros(numbers.shape[1], numbers.dtype)
         return Sample(numbers, self._started(key, numbers, fitness), jnp.int32(0))
 
@@ -135,14 +100,14 @@ class Evosax(Strategy):
         first = state.told == 0
         numbers = jnp.where(first, state.numbers, rows.T)
         inner_state = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.state, inner)
-        return self._latent.genes(numbers), Sample(numbers, inner_state, state.told)
+        return self._genes(numbers), Sample(numbers, inner_state, state.told)
 
     def tell(
         self, key: Array, state: Sample, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Sample:
         """See `Strategy.tell`."""
-        same = genes == self._latent.genes(state.numbers)
-        numbers = jnp.where(same, state.numbers, self._latent.numbers(genes))
+        same = genes == self._genes(state.numbers)
+        numbers = jnp.where(same, state.numbers, self._numbers(genes))
         fitness = worst_finite(evaluation.fitness)
         algorithm, params = self._tuned
         with jax.numpy_rank_promotion("allow"):
@@ -163,12 +128,24 @@ class Evosax(Strategy):
             return algorithm.init(key, numbers[:, better].mean(1), params)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """See `Latent.around`."""
-        return self._latent.around(key, genes)
+        """Add normal noise, or flip each bit with probability 0.1, in all genomes but the first."""
+        if self.binary:
+            flipped = jax.random.bernoulli(key, _FLIPPED, genes.shape)
+            changed = jnp.where(flipped, 1.0 - genes, genes)
+        else:
+            changed = genes + self.sigma * jax.random.normal(key, genes.shape, genes.dtype)
+        return self._genes(self._numbers(changed)).at[:, 0].set(genes[:, 0])
 
-    @property
-    def _latent(self) -> Latent:
-        return Latent(self.binary, self.sigma, self.gene_bound)
+    def _genes(self, numbers: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Return the genes for the unbounded real numbers that the algorithm searches."""
+        if self.binary:
+            return (numbers > 0).astype(numbers.dtype)
+        bound = np.inf if self.gene_bound is None else self.gene_bound
+        return jnp.clip(numbers, -bound, bound)
+
+    def _numbers(self, genes: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Return numbers that `_genes` converts to these genes: -sigma and sigma for bits."""
+        return self.sigma * (2.0 * genes - 1.0) if self.binary else genes
 
     @property
     def _built(self) -> tuple[Any, Any]:

@@ -22,7 +22,7 @@ from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import (
     ExperimentParts,
-    first_population,
+    begin,
     situation_numbers,
     trial_keys,
 )
@@ -117,7 +117,7 @@ def populations_at(
     """
     start = folder.load_start()
     if start is None and [*generations] == [0]:
-        return [np.asarray(jax.jit(lambda: first_population(experiment))())]
+        return [np.asarray(jax.jit(lambda: begin(experiment)[0])())]
     found: list[np.ndarray] = []
     with tempfile.TemporaryDirectory(prefix="evo_cpg_crowd_") as scratch:
         again = RunFolder(Path(scratch) / "run")

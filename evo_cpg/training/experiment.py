@@ -131,11 +131,6 @@ def begin(
     return genes.reshape(len(genes), -1), state
 
 
-def first_population(experiment: ExperimentParts) -> Float[Array, "g all"]:
-    """Return the population of generation 0 of every run, see `begin`."""
-    return begin(experiment)[0]
-
-
 def trial_keys(
     experiment: ExperimentParts,
     generation: ArrayLike,

@@ -22,7 +22,7 @@ from evo_cpg.training.devices import (
     sharded,
 )
 from evo_cpg.training.evaluate import compile_trials
-from evo_cpg.training.experiment import first_population, generation_keys
+from evo_cpg.training.experiment import begin, generation_keys
 from trials import experiment, folder_at
 
 COUNTS = [*range(2, 700, 17), 1024, 4096, 16_384, 20_000, 100_000]
@@ -123,7 +123,7 @@ def test_results_return_in_order_and_once(count):
 
 def test_chunks_change_no_result(large, narrow):
     """50 trials in two blocks of 32 equal some of the trials, and one alone, to the last bit."""
-    genes = np.asarray(first_population(large))
+    genes = np.asarray(begin(large)[0])
     keys = np.asarray(generation_keys(large, np.int32(1)))
     of_each = keys.reshape(-1, SIZE, 2)
     live = compile_trials(large.simulation, population_mesh(2))

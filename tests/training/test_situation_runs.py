@@ -15,7 +15,7 @@ from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.evaluate import compile_replay, compile_trials
-from evo_cpg.training.experiment import first_population, generation_keys, situation_numbers
+from evo_cpg.training.experiment import begin, generation_keys, situation_numbers
 from trials import evolve, experiment, untimed
 from watching import Watcher
 
@@ -54,7 +54,7 @@ def evolved(request, tmp_path_factory):
 def test_fitness_and_terms_are_means_over_the_situations(evolved):
     """Compare the first generation with separate simulations of one situation each."""
     made, folder, done = evolved
-    genes = np.asarray(first_population(made))
+    genes = np.asarray(begin(made)[0])
     keys = generation_keys(made, np.int32(0))
     lone = []
     for number, situation in enumerate(SITUATIONS):
@@ -108,7 +108,7 @@ def test_more_situations_than_a_chunk_holds_replay_exactly(devices, noise):
     """One individual has 40 trials, in smaller chunks."""
     lights = np.random.default_rng(2).uniform(-3, 3, (40, 3))
     made = in_situations(tuple(Situation(light=tuple(place)) for place in lights), 1, noise)
-    genes = np.asarray(first_population(made))
+    genes = np.asarray(begin(made)[0])
     keys = generation_keys(made, np.int32(3))
     keys = None if keys is None else np.asarray(keys)
     numbers = situation_numbers(made)
