@@ -168,8 +168,8 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
         arrays["genes"],
         arrays["fitness"].item(),
         arrays["generation"].item(),
-        {name: value.item() for name, value in _below(arrays, TERM_PREFIX).items()},
-        {name: value.item() for name, value in _below(arrays, SCALE_PREFIX).items()},
+        {name: value.item() for name, value in below(arrays, TERM_PREFIX).items()},
+        {name: value.item() for name, value in below(arrays, SCALE_PREFIX).items()},
         arrays["run"].item(),
         arrays["index"].item(),
         arrays["lives"].item(),
@@ -211,14 +211,14 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     """
     if arrays["genes"].ndim != 2 or not arrays["genes"].size:
         raise ValueError("it is not a checkpoint")
-    columns = _below(arrays, _HISTORY_PREFIX)
+    columns = below(arrays, _HISTORY_PREFIX)
     rows = len(columns["generation"]) if columns else 0
     if any(column.shape != (rows,) or not rows for column in columns.values()):
         raise ValueError("the columns of its table of generations are empty or differ in length")
     runs = int(arrays["runs"])
     records, chosen = (
         tuple(
-            read_champion(own) if (own := _below(arrays, f"{kind}{run}.")) else None
+            read_champion(own) if (own := below(arrays, f"{kind}{run}.")) else None
             for run in range(runs)
         )
         for kind in ("champion", "chosen")
@@ -230,13 +230,14 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         arrays["genes"],
         records,
         [{name: column[i].item() for name, column in columns.items()} for i in range(rows)],
-        {name: tuple(values.tolist()) for name, values in _below(arrays, SCALE_PREFIX).items()},
-        _below(arrays, _STATE_PREFIX),
+        {name: tuple(values.tolist()) for name, values in below(arrays, SCALE_PREFIX).items()},
+        below(arrays, _STATE_PREFIX),
         chosen if "chose" in arrays else (),
     )
 
 
-def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+def below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Return the arrays whose names begin with a prefix, by the rest of their names."""
     return {
         name.removeprefix(prefix): value
         for name, value in arrays.items()

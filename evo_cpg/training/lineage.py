@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from evo_cpg.training.checkpoint import SCALE_PREFIX, TERM_PREFIX, Champion
+from evo_cpg.training.checkpoint import SCALE_PREFIX, TERM_PREFIX, Champion, below
 
 # Limit for each run. Landmarks take three per factor of ten: 19 for a million generations.
 KEPT = 32
@@ -111,11 +111,7 @@ def read_lineage(arrays: Mapping[str, np.ndarray]) -> list[Champion]:
     genes = arrays["genes"]
     columns = {name: arrays[name].tolist() for name in _OF_ALL}
     terms, scales = (
-        {
-            name.removeprefix(prefix): values.tolist()
-            for name, values in arrays.items()
-            if name.startswith(prefix)
-        }
+        {name: values.tolist() for name, values in below(arrays, prefix).items()}
         for prefix in (TERM_PREFIX, SCALE_PREFIX)
     )
     every = [*columns.values(), *terms.values(), *scales.values()]

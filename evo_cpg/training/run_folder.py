@@ -40,7 +40,7 @@ from jaxtyping import Float
 
 from evo_cpg import locks
 from evo_cpg.errors import UserError
-from evo_cpg.files import cannot_write, read_json, write_table, write_text, write_whole
+from evo_cpg.files import cannot_write, read_json, write_text, write_whole
 from evo_cpg.simulation.recording import Recording, require_shapes
 from evo_cpg.training.checkpoint import (
     DAMAGED,
@@ -346,10 +346,6 @@ class RunFolder:
                 f"{self.lineage} is damaged ({error}). The run can continue, but its earlier "
                 "champions are lost"
             ) from None
-
-    def write_table(self, name: str, rows: list[dict[str, float]]) -> None:
-        """Write rows with equal columns as a .csv file of the folder."""
-        write_table(self.path / name, rows)
 
     def load_champion(self) -> tuple[Champion, Recording | None, dict[str, str]]:
         """Return the champion, its motion if recorded, and the digests written with it.

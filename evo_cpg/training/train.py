@@ -17,6 +17,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, PyTree, UInt32
 
+from evo_cpg.files import write_table
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.ascent import compile_learning
 from evo_cpg.training.checkpoint import (
@@ -185,7 +186,7 @@ class Running:
             self.checkpoint = checkpoint._replace(chosen=self._choice.chosen())
             rows = self._choice.rows()
             if rows:
-                self._folder.write_table(CANDIDATES_FILE, rows)
+                write_table(self._folder.path / CANDIDATES_FILE, rows)
             self._folder.save(self.checkpoint)
 
     def _next(self) -> tuple[np.ndarray, int]:
