@@ -194,7 +194,7 @@ class Strategy(eqx.Module):
         return ()
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
-        """Return numbers of a state from `ask` for metrics.csv, by name. None unless overridden."""
+        """Return numbers for metrics.csv from a state of `ask`, by name. By default there are none."""
         del state
         return {}
 

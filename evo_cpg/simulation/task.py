@@ -111,7 +111,7 @@ class Task(eqx.Module):
     def final_control_steps(self, control_rate: float) -> int:
         """Return the number of final control steps over which a distance to a light is averaged.
 
-        By default, the control steps of the last second.
+        By default, these are the steps of the last second, at ``control_rate`` steps per second.
         """
         return max(1, round(control_rate))
 
