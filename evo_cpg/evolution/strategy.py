@@ -194,7 +194,10 @@ class Strategy(eqx.Module):
         return ()
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
-        """Return numbers for metrics.csv from a state of `ask`, by name. By default there are none."""
+        """Return numbers of a state from `ask` for metrics.csv, by name.
+
+        There are none unless overridden.
+        """
         del state
         return {}
 
