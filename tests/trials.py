@@ -15,7 +15,10 @@ from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.simulation.tasks import ReachLight
+from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.experiment import ExperimentParts
+from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.train import TIMING_COLUMNS, train
 
 
 class SineController(Controller):
@@ -96,3 +99,22 @@ def experiment(
     return ExperimentParts(
         "pair", creature, simulation, RealGenetics(population, 2, 0.5, 0.2, 0.5, 0.5, 8.0), 2, seed
     )
+
+
+def folder_at(path) -> RunFolder:
+    """Return the run folder at a path, which begins a run if it is new."""
+    folder = RunFolder(path)
+    if not folder.config.exists():
+        folder.create("", {})
+    return folder
+
+
+def evolve(made: ExperimentParts, path) -> tuple[RunFolder, Checkpoint]:
+    """Evolve an experiment in a folder, or continue its run there."""
+    folder = folder_at(path)
+    return folder, train(made, folder)
+
+
+def untimed(rows) -> list[dict[str, float]]:
+    """Return rows of metrics.csv without the columns that measure time."""
+    return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]

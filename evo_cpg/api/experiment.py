@@ -212,7 +212,7 @@ class Experiment:
         shapes = jax.eval_shape(lambda: self.task.scales(no_terms(self.parts.simulation)))
         if not shapes:
             return {}
-        genes = np.asarray(jax.jit(lambda: training.first_population(first))())
+        genes = np.asarray(jax.jit(lambda: training.begin(first)[0])())
         keys = jax.device_get(training.generation_keys(first, 0))
         numbers = training.situation_numbers(first)
         numbers = None if numbers is None else np.tile(numbers, genes.shape[1])

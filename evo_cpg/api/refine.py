@@ -12,6 +12,7 @@ from evo_cpg.api.progress import progress
 from evo_cpg.api.run_start import now
 from evo_cpg.api.runs import REPLAY_TOLERANCE, build, champion_of, open_and_build, replayed
 from evo_cpg.errors import UsageError, advise
+from evo_cpg.files import write_table
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.load import dump_config
@@ -108,7 +109,7 @@ def refine(
                 found = parameters.config_at(latest.values) if parameters else config
                 folder.replace_champion(latest.champion, dump_config(found))
             done.append(latest)
-            folder.write_table("refine.csv", [_row(one, keys) for one in done])
+            write_table(folder.path / "refine.csv", [_row(one, keys) for one in done])
 
         settings = Refinement(rounds, steps, seed=seed)
         free = None

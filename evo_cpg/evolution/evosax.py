@@ -35,41 +35,6 @@ from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 _FLIPPED = 0.1
 
 
-class Latent(NamedTuple):
-    """Conversion between genes and the unbounded real numbers that algorithms search.
-
-    Attributes:
-        binary: True if genes are bits.
-        sigma: standard deviation of the first sample. The numbers of the bits 0 and 1 are -sigma
-            and sigma.
-        gene_bound: largest magnitude of a gene, or None for bits.
-    """
-
-    binary: bool
-    sigma: float
-    gene_bound: float | None
-
-    def genes(self, numbers: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return the genes for these numbers."""
-        if self.binary:
-            return (numbers > 0).astype(numbers.dtype)
-        bound = np.inf if self.gene_bound is None else self.gene_bound
-        return jnp.clip(numbers, -bound, bound)
-
-    def numbers(self, genes: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return numbers that `genes` converts to these genes."""
-        return self.sigma * (2.0 * genes - 1.0) if self.binary else genes
-
-    def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Add normal noise, or flip each bit with probability 0.1, in all genomes but the first."""
-        if self.binary:
-            flipped = jax.random.bernoulli(key, _FLIPPED, genes.shape)
-            changed = jnp.where(flipped, 1.0 - genes, genes)
-        else:
-            changed = genes + self.sigma * jax.random.normal(key, genes.shape, genes.dtype)
-        return self.genes(self.numbers(changed)).at[:, 0].set(genes[:, 0])
-
-
 class Sample(NamedTuple):
     """State of the search between generations.
 
@@ -123,28 +88,30 @@ class Evosax(Strategy):
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Sample:
         """Return a state with the first genomes."""
-        numbers = self._latent.numbers(genes)
+        numbers = self._numbers(genes)
         fitness = jnp.zeros(numbers.shape[1], numbers.dtype)
         return Sample(numbers, self._started(key, numbers, fitness), jnp.int32(0))
 
     def ask(self, key: Array, state: Sample) -> tuple[Float[Array, "g n"], Sample]:
         """Return the first genomes in generation 0, later genomes that the algorithm draws."""
+        algorithm, params = self._tuned
         with jax.numpy_rank_promotion("allow"):
-            rows, inner = self._algorithm.ask(key, state.state, self._params)
+            rows, inner = algorithm.ask(key, state.state, params)
         first = state.told == 0
         numbers = jnp.where(first, state.numbers, rows.T)
         inner_state = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.state, inner)
-        return self._latent.genes(numbers), Sample(numbers, inner_state, state.told)
+        return self._genes(numbers), Sample(numbers, inner_state, state.told)
 
     def tell(
         self, key: Array, state: Sample, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Sample:
         """See `Strategy.tell`."""
-        same = genes == self._latent.genes(state.numbers)
-        numbers = jnp.where(same, state.numbers, self._latent.numbers(genes))
+        same = genes == self._genes(state.numbers)
+        numbers = jnp.where(same, state.numbers, self._numbers(genes))
         fitness = worst_finite(evaluation.fitness)
+        algorithm, params = self._tuned
         with jax.numpy_rank_promotion("allow"):
-            later, _ = self._algorithm.tell(key, numbers.T, -fitness, state.state, self._params)
+            later, _ = algorithm.tell(key, numbers.T, -fitness, state.state, params)
         first, started = state.told == 0, self._started(key, numbers, fitness)
         inner = jax.tree.map(lambda a, b: jnp.where(first, a, b), started, later)
         return Sample(numbers, inner, state.told + 1)
@@ -153,24 +120,32 @@ class Evosax(Strategy):
         self, key: Array, numbers: Float[Array, "g n"], fitness: Float[Array, " n"]
     ) -> PyTree[Array]:
         """Return the algorithm's state after the first population."""
-        algorithm = self._algorithm
+        algorithm, params = self._tuned
         with jax.numpy_rank_promotion("allow"):
             if type(algorithm) in _evosax().population_based_algorithms.values():
-                return algorithm.init(key, numbers.T, -fitness, self._params)
+                return algorithm.init(key, numbers.T, -fitness, params)
             better = rank_order(fitness)[: -(-len(fitness) // 2)]
-            return algorithm.init(key, numbers[:, better].mean(1), self._params)
+            return algorithm.init(key, numbers[:, better].mean(1), params)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """See `Latent.around`."""
-        return self._latent.around(key, genes)
+        """Add normal noise, or flip each bit with probability 0.1, in all genomes but the first."""
+        if self.binary:
+            flipped = jax.random.bernoulli(key, _FLIPPED, genes.shape)
+            changed = jnp.where(flipped, 1.0 - genes, genes)
+        else:
+            changed = genes + self.sigma * jax.random.normal(key, genes.shape, genes.dtype)
+        return self._genes(self._numbers(changed)).at[:, 0].set(genes[:, 0])
 
-    @property
-    def _latent(self) -> Latent:
-        return Latent(self.binary, self.sigma, self.gene_bound)
+    def _genes(self, numbers: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Return the genes for the unbounded real numbers that the algorithm searches."""
+        if self.binary:
+            return (numbers > 0).astype(numbers.dtype)
+        bound = np.inf if self.gene_bound is None else self.gene_bound
+        return jnp.clip(numbers, -bound, bound)
 
-    @property
-    def _algorithm(self) -> Any:
-        return self._built[0]
+    def _numbers(self, genes: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Return numbers that `_genes` converts to these genes: -sigma and sigma for bits."""
+        return self.sigma * (2.0 * genes - 1.0) if self.binary else genes
 
     @property
     def _built(self) -> tuple[Any, Any]:
@@ -184,11 +159,11 @@ class Evosax(Strategy):
         )
 
     @property
-    def _params(self) -> Any:
-        params = self._built[1]
+    def _tuned(self) -> tuple[Any, Any]:
+        """The algorithm, and its parameters with the changes in `params`."""
+        algorithm, params = self._built
         given = {"std_init": self.sigma} if hasattr(params, "std_init") else {}
-        given |= dict(self.params)
-        return params.replace(**given)
+        return algorithm, params.replace(**given | dict(self.params))
 
 
 def algorithms() -> list[str]:

@@ -269,11 +269,7 @@ class BitGenetics(Genetics):
         # so separate at most one pair of siblings.
         children = children[:, 2 * pairs - self.population :]
         children = bit_mutation(
-            mutate_key,
-            children,
-            self.mutation_probability,
-            *self.mutated_genes,
-            self.mutation,
+            mutate_key, children, self.mutation_probability, *self.mutated_genes, self.mutation
         )
         return keep_elites(genes, fitness, children, self.elites, self.best_copies)
 

@@ -23,10 +23,11 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, PyTree
 
 from evo_cpg.evolution.operators import bit_mutation, one_point_crossover
-from evo_cpg.evolution.strategy import Archive, Axis, Evaluation, Strategy, descriptor_rows
+from evo_cpg.evolution.strategy import Archive, Axis, Evaluation, Strategy
 
 # Metrics of every map.
 METRICS = ("coverage", "mean_elite")
@@ -110,14 +111,13 @@ class OfBits(Variation):
         first, second = parents
         # Take the child of each pair that begins as the first parent.
         children = one_point_crossover(cross_key, genes, first, second, self.crossover)[:, ::2]
-        return self._changed(mutate_key, children, self.mutation_probability)
+        return bit_mutation(
+            mutate_key, children, self.mutation_probability, *self.mutated_genes, self.mutation
+        )
 
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """See `Variation`."""
-        return self._changed(key, genes, 1.0)
-
-    def _changed(self, key: Array, genes: Array, probability: float) -> Array:
-        return bit_mutation(key, genes, probability, *self.mutated_genes, self.mutation)
+        return bit_mutation(key, genes, 1.0, *self.mutated_genes, self.mutation)
 
 
 class MapStrategy(Strategy):
@@ -153,10 +153,6 @@ class MapStrategy(Strategy):
     def metric_names(self) -> tuple[str, ...]:
         """See `metrics`."""
         return METRICS
-
-    def measured(self) -> tuple[str, ...]:
-        """Return the names of the axes."""
-        return tuple(axis.name for axis in self.axes)
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
         """Return ``coverage`` (fraction of filled cells) and ``mean_elite``.
@@ -195,7 +191,8 @@ class MapStrategy(Strategy):
         self, archive: Archive, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Archive:
         """Return the map in which individuals have replaced the elites with less fitness."""
-        found = descriptor_rows(evaluation, self.measured())
+        known: dict[str, ArrayLike] = {**evaluation.terms, **evaluation.descriptors}
+        found = jnp.stack([jnp.asarray(known[axis.name]) for axis in self.axes])
         fitness = jnp.where(jnp.isfinite(found).all(0), evaluation.fitness, -jnp.inf)
         cell = self.cell_of(found)
         # Best individual for each cell, the first among equals.

@@ -49,11 +49,7 @@ def draw_parents(
 ) -> Int[Array, " count"]:
     """Draw indices of parents independently by rank, with repeats allowed.
 
-    Args:
-        key: random key.
-        fitness: fitness of the population.
-        probabilities: probability of each rank, best first.
-        count: number of parents.
+    The probabilities are those of the ranks, best first.
     """
     ranks = jax.random.choice(
         key, len(probabilities), (count,), p=jnp.asarray(probabilities, jnp.float32)
@@ -62,10 +58,7 @@ def draw_parents(
 
 
 def draw_by_lexicase(
-    key: Array,
-    fitness: Float[Array, " n"],
-    trial_fitness: Float[Array, "trials n"],
-    count: int,
+    key: Array, fitness: Float[Array, " n"], trial_fitness: Float[Array, "trials n"], count: int
 ) -> Int[Array, " count"]:
     """Draw indices of parents, each by a random order of the trials.
 
@@ -207,14 +200,7 @@ def random_places(key: Array, count: int, rate: float) -> UInt32[Array, " m"]:
 def random_bits(
     key: Array, gene_count: int, population: int, dtype: jnp.dtype | type
 ) -> Float[Array, "g n"]:
-    """Return random genomes: 0 or 1 with equal chances.
-
-    Args:
-        key: random key.
-        gene_count: bits in a genome.
-        population: number of individuals.
-        dtype: floating-point type.
-    """
+    """Return random genomes: 0 or 1 with equal chances."""
     return jax.random.bernoulli(key, 0.5, (gene_count, population)).astype(dtype)
 
 

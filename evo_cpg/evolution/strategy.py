@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, PyTree
 
 
@@ -158,11 +157,7 @@ class Strategy(eqx.Module):
 
     @abc.abstractmethod
     def tell(
-        self,
-        key: Array,
-        state: PyTree[Array],
-        genes: Float[Array, "g n"],
-        evaluation: Evaluation,
+        self, key: Array, state: PyTree[Array], genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> PyTree[Array]:
         """Return the state after the trials.
 
@@ -178,11 +173,7 @@ class Strategy(eqx.Module):
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """Return a first population around one individual: its copies with small changes.
 
-        Unless overridden, all copies stay unchanged.
-
-        Args:
-            key: random key.
-            genes: copies of the individual. The first stays unchanged.
+        The first copy stays unchanged. Unless overridden, all do.
         """
         del key
         return genes
@@ -203,10 +194,9 @@ class Strategy(eqx.Module):
         return ()
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
-        """Return numbers for metrics.csv, by name. There are none unless overridden.
+        """Return numbers of a state from `ask` for metrics.csv, by name.
 
-        Args:
-            state: state from `ask`.
+        There are none unless overridden.
         """
         del state
         return {}
@@ -220,12 +210,6 @@ def worst_finite(fitness: Float[Array, " n"]) -> Float[Array, " n"]:
     alive = jnp.isfinite(fitness)
     worst = jnp.where(alive, fitness, jnp.inf).min()
     return jnp.where(alive, fitness, jnp.where(jnp.isfinite(worst), worst, 0.0))
-
-
-def descriptor_rows(evaluation: Evaluation, names: tuple[str, ...]) -> Float[Array, "k n"]:
-    """Return one row per name: the descriptor of that name, or else the task's term."""
-    known: dict[str, ArrayLike] = {**evaluation.terms, **evaluation.descriptors}
-    return jnp.stack([jnp.asarray(known[name]) for name in names])
 
 
 class RandomSearch(Strategy):

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Literal
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.native import machine_constants
@@ -104,7 +104,8 @@ class Backward(NamedTuple):
             moving = {name: getattr(state, name) for name in _FADING}
             moving, nerves = _fading((moving, nerves), kept)
             if self.slides:
-                stays = expand_dims_like(_is_slide(self.slides, state.q), state.q)
+                stays = np.isin(np.arange(len(state.q)), self.slides)
+                stays = expand_dims_like(stays, state.q)
                 moving["q"] = jnp.where(stays, state.q, moving["q"])
             if self.rough:
                 height = _fading(state.position[2:], kept)
@@ -158,11 +159,6 @@ def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> t
     return x, factor.reshape(*rows, *factor.shape) * gradient
 
 
-def _is_slide(slides: tuple[int, ...], q: Float[Array, "d *n"]) -> Bool[np.ndarray, " d"]:
-    """Return which degrees of freedom are slides of the root."""
-    return np.isin(np.arange(len(q)), slides)
-
-
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _cut(slides: tuple[int, ...], state: State) -> State:
     """Return the state unchanged, with the norm of its gradient limited by `_STEEPEST`.
@@ -181,7 +177,7 @@ def _cut_forward(slides: tuple[int, ...], state: State) -> tuple[State, None]:
 def _cut_backward(slides: tuple[int, ...], _: None, gradient: State) -> tuple[State]:
     place, height = gradient.position[:2], gradient.position[2:]
     moving = {name: getattr(gradient, name) for name in _FADING}
-    stays = expand_dims_like(_is_slide(slides, gradient.q), gradient.q)
+    stays = expand_dims_like(np.isin(np.arange(len(gradient.q)), slides), gradient.q)
     if slides:
         place = jnp.concatenate([place, gradient.q[np.array(slides)]])
         moving["q"] = jnp.where(stays, 0.0, gradient.q)

@@ -116,7 +116,15 @@ def batch(
         theirs = [leaves[place] for leaves, _ in others]
         if any(np.shape(other) != np.shape(leaf) for other in theirs):
             raise LayoutError(f"{names[place]} has different shapes in the simulations")
-        moves = _differs(np.stack([np.asarray(x) for x in (leaf, *theirs)]))
+        each = np.stack([np.asarray(x) for x in (leaf, *theirs)])
+        if np.issubdtype(each.dtype, np.floating):
+            finite = np.isfinite(each)
+            largest = np.abs(each, where=finite, out=np.zeros_like(each)).max(initial=0.0)
+            # isclose accepts equal infinities, such as unlimited torques.
+            same = np.isclose(each, each[:1], rtol=0, atol=_ROUNDING * largest)
+        else:
+            same = each == each[:1]
+        moves = np.any(~same, axis=0)
         if moves.any():
             if not is_number(leaf):
                 raise ValueError(f"{names[place]} differs, but is not a real number")
@@ -130,12 +138,3 @@ def batch(
             raise ValueError(f"{names[place]} differs, but is not an input of the program")
     values = zip(*(inputs.of(simulation) for simulation in simulations), strict=True)
     return BatchedSimulation(every[0], inputs, tuple(np.stack(each, axis=-1) for each in values))
-
-
-def _differs(each: np.ndarray) -> np.ndarray | np.bool_:
-    """Return which elements differ along the first axis by more than rounding."""
-    if not np.issubdtype(each.dtype, np.floating):
-        return (each != each[:1]).any(0)
-    largest = np.abs(each, where=np.isfinite(each), out=np.zeros_like(each)).max(initial=0.0)
-    # isclose accepts equal infinities, such as unlimited torques.
-    return np.any(~np.isclose(each, each[:1], rtol=0, atol=_ROUNDING * largest), axis=0)

@@ -19,12 +19,7 @@ from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.noise import disturb_motion, disturb_start, friction_scale_of
-from evo_cpg.simulation.sensors import (
-    body_loads,
-    depth_readings,
-    light_readings,
-    pressure_readings,
-)
+from evo_cpg.simulation.sensors import body_loads, depth_readings, light_readings, pressure_readings
 from evo_cpg.simulation.simulation import Phenotype, Simulation
 from evo_cpg.simulation.situation import light_places, starting_state
 from evo_cpg.simulation.snapshot import Forces, Snapshot
@@ -159,12 +154,7 @@ def control_step(
 ) -> tuple[AnimalState, Effects]:
     """Push, sense, command, and move for one control step.
 
-    Args:
-        simulation: the trial.
-        constants: constants of the trial.
-        animal: the animal at the start of the step.
-        index: number of the step, from 0.
-        physics: True to return `Effects.physics`. Physics steps are then separate programs.
+    With ``physics``, `Effects.physics` is returned, and physics steps are separate programs.
     """
 
     def advance(own: EpisodeConstants, animal: AnimalState):

@@ -6,6 +6,7 @@ audit of the champion (`evo-cpg audit`) would find it.
 """
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -109,10 +110,7 @@ class Judge(Observer):
         """Convert the tallies to terms."""
         del steps
         own, alive = tally
-
-        def finish(own: Any) -> dict[str, Array]:
-            return finish_tally(simulation, own)
-
+        finish = functools.partial(finish_tally, simulation)
         name = f"{type(simulation.task).__name__}.terms"
         return Outcome(fuse(finish, own, batch_ndim=alive.ndim, name=name), alive)
 

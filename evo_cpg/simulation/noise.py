@@ -70,11 +70,7 @@ def disturb_start(
 ) -> State:
     """Return the initial pose with noise, lifted if it would penetrate the ground.
 
-    Args:
-        noise: sizes of the noise.
-        world: the creature and its environment.
-        state: the pose without noise.
-        keys: raw random keys of the trials, or None without noise.
+    ``keys`` are raw random keys of the trials, or None without noise.
     """
     if keys is None or (_is_none(noise.joint_angle) and _is_none(noise.tilt)):
         return state
@@ -109,16 +105,7 @@ def disturb_motion(
     index: Array,
     duration: float,
 ) -> State:
-    """Return the state after the push of one control step.
-
-    Args:
-        noise: sizes of the noise.
-        tree: the creature.
-        state: state before the push.
-        keys: raw random keys of the trials, or None without noise.
-        index: number of the control step.
-        duration: duration of a control step, s.
-    """
+    """Return the state after the push of one control step, which has a duration (s)."""
     if keys is None or _is_none(noise.push):
         return state
     push = noise.push * float(np.sqrt(duration)) * _normals(keys, _PUSH, 3, index)

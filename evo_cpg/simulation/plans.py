@@ -21,11 +21,7 @@ _MOST = 8
 
 
 class WorldPlan:
-    """Common part of worlds that differ only in numbers.
-
-    Args:
-        world: one of these worlds.
-    """
+    """Common part of worlds that differ only in numbers."""
 
     def __init__(self, world: World):
         leaves, self._layout = jax.tree_util.tree_flatten_with_path(world)
@@ -64,20 +60,14 @@ class _Made(NamedTuple):
 class Programs(Generic[_Program]):
     """Programs of one function, one for each plan and settings. The last used ones are kept.
 
-    Args:
-        make: function that makes a program from a plan and settings.
+    A function makes each program from its plan and settings (arrays and numbers).
     """
 
     def __init__(self, make: Callable[..., _Program]):
         self._make, self.kept = make, []
 
     def of(self, world: World, *settings: Any) -> tuple[_Program, list[Any]]:
-        """Return the program for a world, and the world's numbers.
-
-        Args:
-            world: world of any plan.
-            settings: arrays and numbers for which the program is made.
-        """
+        """Return the program for a world, and the world's numbers."""
         for i, made in enumerate(self.kept):
             if made.plan.is_of(world) and all(map(np.array_equal, made.settings, settings)):
                 self.kept.append(self.kept.pop(i))

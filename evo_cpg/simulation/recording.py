@@ -101,10 +101,6 @@ def require_shapes(recording: Recording) -> None:
 def require_whole(recording: Recording, creature: Creature) -> None:
     """Check that a recording shows a creature in a complete motion.
 
-    Args:
-        recording: the motion.
-        creature: the creature.
-
     Raises:
         RecordingError: the recording has no instants, has other bodies, or is not finite.
     """

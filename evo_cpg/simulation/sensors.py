@@ -103,7 +103,13 @@ def pressure_readings(
     pressing = jnp.zeros_like(normal)
     if world.water is not None and world.water.surface is not None:
         depth = _depth(world.water.surface, kin, bodies, world.tree.centre[:, bodies])
-        area = expand_dims_like(_volumes(world.tree)[bodies] ** (2 / 3), depth)
+        # The volume of a body includes its further parts.
+        volume, wholes = world.tree.volume, np.array(world.tree.wholes)
+        if (wholes != np.arange(len(wholes))).any():
+            volume = xp.array([volume[np.flatnonzero(wholes == i)].sum() for i in bodies])
+        else:
+            volume = volume[bodies]
+        area = expand_dims_like(volume ** (2 / 3), depth)
         pressing = world.water.density * world.gravity * jnp.maximum(depth, 0.0) * area
     return (normal > pressing).astype(normal.dtype)
 
@@ -149,19 +155,8 @@ def _touching_bodies(world: World) -> np.ndarray:
     return np.array(world.tree.wholes)[np.array(world.contact_model.bodies)]
 
 
-def _volumes(tree: Tree) -> Numbers:
-    """Return the volume of each body with its further parts, m^3."""
-    wholes = np.array(tree.wholes)
-    if (wholes == np.arange(len(wholes))).all():
-        return tree.volume
-    return xp.array([tree.volume[np.flatnonzero(wholes == i)].sum() for i in range(len(wholes))])
-
-
 def _depth(
-    surface: ArrayLike,
-    kin: Kinematics,
-    bodies: np.ndarray,
-    places: np.ndarray | Array | MixedArray,
+    surface: ArrayLike, kin: Kinematics, bodies: np.ndarray, places: np.ndarray | Array | MixedArray
 ) -> Float[Array, "k *n"]:
     """Return the depth of points of bodies below the water's surface, m, negative above it."""
     own = take(kin.origin[2], bodies, 0)
@@ -186,10 +181,7 @@ def light_readings(
 ) -> tuple[Float[Array, "eyes *n"], Float[Array, "eyes *n"], Float[Array, "eyes *n"]]:
     """Return light strength, and cosine and sine of the eyes' angle to the vertical.
 
-    Args:
-        sensors: places of the eyes.
-        kin: present pose of the animal.
-        light: place of the light, m. No eye sees light if it is None.
+    No eye sees light if the place of the light (m) is None.
     """
     bodies = list(sensors.eye_bodies)
     if not bodies:

@@ -211,9 +211,6 @@ class Settling:
 
         Place and heading stay as in the situation. On uneven ground they may change.
 
-        Args:
-            situation: initial pose of the creature.
-
         Raises:
             NoRestError: the creature finds no rest, or falls over.
         """
@@ -233,9 +230,6 @@ class Settling:
 
     def rest(self, start: State) -> Rest:
         """Return the resting pose after a slow release. Call it with float64 enabled.
-
-        Args:
-            start: the initial pose.
 
         Raises:
             NoRestError: the creature finds no rest, or falls over.
@@ -585,8 +579,6 @@ def _carried(
     position = state.position + jnp.concatenate([displacement, jnp.zeros_like(displacement[:1])])
     place = position[:, None] + rotation @ (friction.place - state.position[:, None])
     carried = dataclasses.replace(
-        state,
-        position=position,
-        orientation=integrate_quaternion(state.orientation, about_z, 1.0),
+        state, position=position, orientation=integrate_quaternion(state.orientation, about_z, 1.0)
     )
     return carried, friction._replace(place=place, slip=rotation @ friction.slip)

@@ -85,13 +85,7 @@ def starting_state(
 def starting_pose(
     situation: Situation, tree: Tree, names: list[str]
 ) -> tuple[Float[np.ndarray, "b 3"], Float[np.ndarray, "b 3 3"]]:
-    """Return the initial centres (m) and rotations of the bodies.
-
-    Args:
-        situation: situation of the trial.
-        tree: the creature.
-        names: names of the bodies, in the order of the result.
-    """
+    """Return the initial centres (m) and rotations of these bodies."""
     order = [tree.names.index(name) for name in names]
     kin = kinematics(tree, starting_state((situation,), None, tree, (), jnp.dtype(jnp.float32)))
     rotation = np.moveaxis(np.asarray(kin.rotation, float), -1, 0)

@@ -71,12 +71,13 @@ class Snapshot:
     @functools.cached_property
     def position(self) -> Float[Array, "3 b *n"]:
         """Centres of the bodies in the world, m: centres of mass of bodies of uniform density."""
-        return self.kinematics.origin + self._lever
+        return self.kinematics.origin + self._lever_of(self.world.tree.centre)
 
     @functools.cached_property
     def velocity(self) -> Float[Array, "3 b *n"]:
         """Velocities of the bodies' centres, m/s."""
-        return self.kinematics.linear + cross(self.kinematics.angular, self._lever)
+        lever = self._lever_of(self.world.tree.centre)
+        return self.kinematics.linear + cross(self.kinematics.angular, lever)
 
     @property
     def angular_velocity(self) -> Float[Array, "3 b *n"]:
@@ -148,11 +149,6 @@ class Snapshot:
         """
         wholes = np.array(self.world.tree.wholes)[self.contact_bodies]
         return np.flatnonzero(np.isin(wholes, [self.body(name) for name in names]))
-
-    @property
-    def _lever(self) -> Array:
-        """Vectors from the bodies' origins to their centres, world axes."""
-        return self._lever_of(self.world.tree.centre)
 
     def _lever_of(self, place: Float[Numbers, "3 b"]) -> Array:
         """Return vectors from the bodies' origins to places on them, world axes."""

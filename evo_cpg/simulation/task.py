@@ -111,10 +111,7 @@ class Task(eqx.Module):
     def final_control_steps(self, control_rate: float) -> int:
         """Return the number of final control steps over which a distance to a light is averaged.
 
-        By default, the control steps of the last second.
-
-        Args:
-            control_rate: control steps per second, 1/s.
+        By default, these are the steps of the last second, at ``control_rate`` steps per second.
         """
         return max(1, round(control_rate))
 
@@ -122,10 +119,6 @@ class Task(eqx.Module):
         self, terms: Mapping[str, float], scales: Mapping[str, float]
     ) -> dict[str, float]:
         """Return the excess of terms over their scale. Fitness ignores this excess.
-
-        Args:
-            terms: terms of one individual.
-            scales: result of `scales`.
 
         Returns:
             Excess divided by the scale, at least 0, for every term that the fitness limits to its

@@ -11,7 +11,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.parts import audit_table, audited, light_table, pictures_part, still
 from evo_cpg.studies.study import Part, Runs, Study, Table, percent, tabled
 from evo_cpg.studies.workshop import Workshop
-from evo_cpg.training.experiment import first_population
+from evo_cpg.training.experiment import begin
 
 _UNTRAINED = 96  # animals with random brains
 _CONFIG = "iwadate2010_swimmer"
@@ -113,7 +113,7 @@ def _untrained(workshop: Workshop) -> dict[str, int]:
     """Count animals with random brains, and those with a wave along the body."""
     experiment = workshop.experiment("shared")
     simulation = experiment.simulation
-    genes = first_population(experiment)[:, :_UNTRAINED]
+    genes = begin(experiment)[0][:, :_UNTRAINED]
     count = genes.shape[1]
     recorder = Recorder(count)
     frames = jax.jit(lambda genes: rollout(simulation, genes, observers=recorder))(genes)

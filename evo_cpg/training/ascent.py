@@ -160,23 +160,16 @@ class ClimbSettings(NamedTuple):
 
 
 def draw_settings(
-    rng: np.random.Generator,
-    simulation: Simulation,
-    count: int,
-    stretched: float = 1.0,
+    rng: np.random.Generator, simulation: Simulation, count: int, stretched: float = 1.0
 ) -> ClimbSettings:
     """Draw a step size and a gradient horizon for each individual.
 
-    Horizons lie between the shortest horizon and ten times the trial's duration, or are infinite.
-
-    Args:
-        rng: random generator of all draws.
-        simulation: simulation of the individuals.
-        count: number of individuals.
-        stretched: factor on the shortest horizon.
+    Horizons lie between the shortest horizon, times ``stretched``, and ten times the trial's
+    duration, or are infinite.
     """
     duration = simulation.duration
-    shortest = stretched * (_SHORTEST_ON_GROUND if _is_rough(simulation) else _SHORTEST_HORIZON)
+    rough = simulation.world.contact_model is not None
+    shortest = stretched * (_SHORTEST_ON_GROUND if rough else _SHORTEST_HORIZON)
     horizons = log_uniform(rng, min(shortest, duration), 10 * duration, count)
     horizons[rng.random(count) < _EXACT] = np.inf
     sizes = reach(simulation) * log_uniform(rng, *_STEP_SIZES, count)
@@ -185,7 +178,7 @@ def draw_settings(
 
 def reach(simulation: Simulation) -> float:
     """Return the factor on step sizes and kicks: 1 in water, `_FINER_ON_GROUND` on the ground."""
-    return _FINER_ON_GROUND if _is_rough(simulation) else 1.0
+    return 1.0 if simulation.world.contact_model is None else _FINER_ON_GROUND
 
 
 def log_uniform(
@@ -255,7 +248,8 @@ def compile_ascent(
     simulation, gene_count = experiment.simulation, experiment.simulation.genome.count
     numbers: Any = situation_numbers(experiment)
     width = max(1, LANES // experiment.trials)
-    rough = _is_rough(simulation)
+    # Gradients pass through ground contact (`evo_cpg.simulation.backward`).
+    rough = simulation.world.contact_model is not None
 
     def fitness(
         genes: Float[Array, " g"],
@@ -295,11 +289,13 @@ def compile_ascent(
         scales: dict[str, Float[np.ndarray, " n"]],
         keys: UInt32[np.ndarray, "w trials n"] | None = None,
     ) -> Climbed:
-        def pick(lanes: Int[np.ndarray, " block"]) -> tuple:
-            return jax.tree.map(lambda x: x[..., lanes], (genes, settings, scales, keys))
-
-        spread = Layout(mesh, width)
-        best, value, finite = run_in_blocks(program, spread, genes.shape[1], pick)
+        given = genes, settings, scales, keys
+        best, value, finite = run_in_blocks(
+            program,
+            Layout(mesh, width),
+            genes.shape[1],
+            lambda lanes: jax.tree.map(lambda x: x[..., lanes], given),
+        )
         bound = getattr(experiment.strategy, "gene_bound", None)
         if bound is not None:
             bounded = np.clip(best[:gene_count], -bound, bound)
@@ -307,11 +303,6 @@ def compile_ascent(
         return Climbed(best, value, finite)
 
     return run
-
-
-def _is_rough(simulation: Simulation) -> bool:
-    """Return whether gradients pass through ground contact (`evo_cpg.simulation.backward`)."""
-    return simulation.world.contact_model is not None
 
 
 # Tag that keeps the draws of the ascents apart from other draws of the same seed.
@@ -332,6 +323,7 @@ def compile_learning(
     assert learning is not None
     elites, runs = learning.elites, experiment.runs
     climb = compile_ascent(experiment, mesh, learning.steps)
+    of_trials = np.indices((runs, elites, experiment.trials)).reshape(3, -1)
 
     def learn(
         genes: Float[np.ndarray, "g all"], generation: int, scales: dict[str, tuple[float, ...]]
@@ -350,20 +342,13 @@ def compile_learning(
         own_scales = {
             name: np.repeat(np.array(values, np.float32), elites) for name, values in scales.items()
         }
-        climbed = climb(genes[:, places], settings, own_scales, _keys(experiment, generation))
+        keys = jax.device_get(trial_keys(experiment, generation, *of_trials))
+        if keys is not None:
+            # Words of a key, trials, and elites.
+            keys = np.moveaxis(keys.reshape(len(keys), -1, experiment.trials), 1, 2)
+        climbed = climb(genes[:, places], settings, own_scales, keys)
         genes = genes.copy()
         genes[:, places] = climbed.genes
         return genes
 
     return learn
-
-
-def _keys(experiment: ExperimentParts, generation: int) -> np.ndarray | None:
-    """Return random keys of all elites' trials, ``(w, trials, n)``, or None without noise."""
-    assert experiment.learning is not None
-    shape = experiment.runs, experiment.learning.elites, experiment.trials
-    run, individual, trial = np.indices(shape).reshape(3, -1)
-    keys = jax.device_get(trial_keys(experiment, generation, run, individual, trial))
-    if keys is None:
-        return None
-    return np.moveaxis(keys.reshape(len(keys), -1, experiment.trials), 1, 2)

@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -168,8 +168,8 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
         arrays["genes"],
         arrays["fitness"].item(),
         arrays["generation"].item(),
-        {name: value.item() for name, value in _below(arrays, TERM_PREFIX).items()},
-        {name: value.item() for name, value in _below(arrays, SCALE_PREFIX).items()},
+        {name: value.item() for name, value in below(arrays, TERM_PREFIX).items()},
+        {name: value.item() for name, value in below(arrays, SCALE_PREFIX).items()},
         arrays["run"].item(),
         arrays["index"].item(),
         arrays["lives"].item(),
@@ -181,12 +181,7 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
 def checkpoint_arrays(
     checkpoint: Checkpoint, columns: Mapping[str, np.ndarray] | None = None
 ) -> dict[str, Any]:
-    """Return a checkpoint as named arrays.
-
-    Args:
-        checkpoint: the checkpoint.
-        columns: `history_columns` of the history, if known.
-    """
+    """Return a checkpoint as named arrays, given the `history_columns` if they are known."""
     if columns is None:
         columns = history_columns(checkpoint.history)
     arrays: dict[str, Any] = {
@@ -216,14 +211,14 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     """
     if arrays["genes"].ndim != 2 or not arrays["genes"].size:
         raise ValueError("it is not a checkpoint")
-    columns = _below(arrays, _HISTORY_PREFIX)
+    columns = below(arrays, _HISTORY_PREFIX)
     rows = len(columns["generation"]) if columns else 0
     if any(column.shape != (rows,) or not rows for column in columns.values()):
         raise ValueError("the columns of its table of generations are empty or differ in length")
     runs = int(arrays["runs"])
     records, chosen = (
         tuple(
-            read_champion(own) if (own := _below(arrays, f"{kind}{run}.")) else None
+            read_champion(own) if (own := below(arrays, f"{kind}{run}.")) else None
             for run in range(runs)
         )
         for kind in ("champion", "chosen")
@@ -235,13 +230,14 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         arrays["genes"],
         records,
         [{name: column[i].item() for name, column in columns.items()} for i in range(rows)],
-        {name: tuple(values.tolist()) for name, values in _below(arrays, SCALE_PREFIX).items()},
-        _below(arrays, _STATE_PREFIX),
+        {name: tuple(values.tolist()) for name, values in below(arrays, SCALE_PREFIX).items()},
+        below(arrays, _STATE_PREFIX),
         chosen if "chose" in arrays else (),
     )
 
 
-def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+def below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Return the arrays whose names begin with a prefix, by the rest of their names."""
     return {
         name.removeprefix(prefix): value
         for name, value in arrays.items()
@@ -259,12 +255,13 @@ def state_arrays(state: PyTree) -> dict[str, np.ndarray]:
     If two arrays have the same path, the later name ends with an apostrophe.
     """
     arrays = {}
-    for name, leaf in _named(jax.tree.flatten_with_path(jax.device_get(state))[0]).items():
-        if _is_key(leaf):
+    leaves, _ = jax.tree.flatten_with_path(jax.device_get(state))
+    for name, leaf in _named(leaves).items():
+        stored = _stored_type(leaf)
+        if stored is None:
             arrays[name] = np.asarray(jax.random.key_data(leaf))
         else:
-            array = np.asarray(leaf)
-            arrays[name] = array.view(_bits(array)) if _is_foreign(array) else array
+            arrays[name] = np.asarray(leaf).view(stored)
     return arrays
 
 
@@ -281,10 +278,10 @@ def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
     leaves, structure = jax.tree.flatten_with_path(like)
     named, expected, restored = _named(leaves), {}, []
     for name, leaf in named.items():
-        if _is_key(leaf):
+        stored = _stored_type(leaf)
+        if stored is None:
             expected[name] = jax.eval_shape(jax.random.key_data, leaf)
         else:
-            stored = _bits(leaf) if _is_foreign(leaf) else leaf.dtype
             expected[name] = jax.ShapeDtypeStruct(leaf.shape, stored)
     shapes, needed = (
         {name: (leaf.shape, np.dtype(leaf.dtype)) for name, leaf in given.items()}
@@ -300,38 +297,39 @@ def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
             f"{described}. Was the section `evolution` changed?"
         )
     for name, leaf in named.items():
-        if _is_key(leaf):
+        if _stored_type(leaf) is None:
             made = []
             jax.eval_shape(lambda key, made=made: made.append(jax.random.key_impl(key)), leaf)
             restored.append(jax.random.wrap_key_data(jnp.asarray(arrays[name]), impl=made[0]))
         else:
-            restored.append(arrays[name].view(leaf.dtype) if _is_foreign(leaf) else arrays[name])
+            restored.append(arrays[name].view(leaf.dtype))
     return jax.tree.unflatten(structure, restored)
+
+
+def _stored_type(leaf: Any) -> np.dtype | None:
+    """Return the type under which files hold a leaf, or None for random keys.
+
+    Files would lose a type that is not NumPy's own, so they hold its bits as integers.
+    """
+    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        return None
+    own = np.dtype(leaf.dtype)
+    return np.dtype(f"u{own.itemsize}") if own.isbuiltin == 2 else own
 
 
 def _named(leaves: Iterable[tuple[tuple, Any]]) -> dict[str, Any]:
     named: dict[str, Any] = {}
     for path, leaf in leaves:
+        if not hasattr(leaf, "dtype"):
+            leaf = np.asarray(leaf)
         name = jax.tree_util.keystr(path, simple=True, separator=".") or "value"
-        if _is_key(leaf) or _is_foreign(leaf):
+        stored = _stored_type(leaf)
+        if stored is None or stored != leaf.dtype:
             name = f"{name}.{leaf.dtype}"
         while name in named:
             name += "'"
         named[name] = leaf
     return named
-
-
-def _is_key(leaf: Any) -> bool:
-    return jnp.issubdtype(getattr(leaf, "dtype", bool), jax.dtypes.prng_key)
-
-
-def _is_foreign(leaf: Any) -> bool:
-    """Return whether a leaf's type is not NumPy's own, so that files would lose the type."""
-    return np.dtype(getattr(leaf, "dtype", bool)).isbuiltin == 2
-
-
-def _bits(leaf: Any) -> np.dtype:
-    return np.dtype(f"u{np.dtype(leaf.dtype).itemsize}")
 
 
 DAMAGED = (
@@ -353,38 +351,32 @@ _END = struct.Struct("<4s4H2LH")
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Return the arrays of a file by name. Any error of `DAMAGED` means a damaged file."""
+    """Return the arrays of a file by name. Any error of `DAMAGED` means a damaged file.
+
+    The file must be uncompressed and hold all entries and bytes that it lists, because a malicious
+    file could otherwise fill all memory.
+    """
     # Given a path, np.load would leave a damaged file open.
     with path.open("rb") as file:
-        _require_honest(file)
+        with zipfile.ZipFile(file) as archive:
+            # A flipped byte may let one entry swallow later ones. The module zipfile does not
+            # notice.
+            file.seek(-_END.size, os.SEEK_END)
+            mark, *_, entries, _, _, _ = _END.unpack(file.read(_END.size))
+            if mark != b"PK\5\6" or entries != len(archive.infolist()):
+                raise ValueError("the list of its arrays is incomplete")
+            for member in archive.infolist():
+                name = member.filename
+                # The package writes uncompressed files.
+                if member.compress_type != zipfile.ZIP_STORED:
+                    raise ValueError(f"{name} is compressed and may need more than the file holds")
+                with archive.open(member) as array:
+                    if np.lib.format.read_magic(array) == (1, 0):
+                        shape, _, kind = np.lib.format.read_array_header_1_0(array)
+                    else:
+                        shape, _, kind = np.lib.format.read_array_header_2_0(array)
+                if math.prod(shape) * kind.itemsize > member.file_size:
+                    raise ValueError(f"{name} declares more than the file holds")
+        file.seek(0)
         with np.load(file, allow_pickle=False) as arrays:
             return dict(arrays)
-
-
-def _require_honest(file: IO[bytes]) -> None:
-    """Check that an .npz file is uncompressed and holds all entries and bytes that it lists.
-
-    Raises:
-        ValueError: a check fails. Other errors of `DAMAGED`: the file is no .npz file.
-    """
-    with zipfile.ZipFile(file) as archive:
-        # A flipped byte may let one entry swallow later ones. The module zipfile does not notice.
-        file.seek(-_END.size, os.SEEK_END)
-        mark, *_, entries, _, _, _ = _END.unpack(file.read(_END.size))
-        if mark != b"PK\5\6" or entries != len(archive.infolist()):
-            raise ValueError("the list of its arrays is incomplete")
-        for member in archive.infolist():
-            # The package writes uncompressed files.
-            if member.compress_type != zipfile.ZIP_STORED:
-                raise ValueError(
-                    f"{member.filename} is compressed and may need more than the file holds"
-                )
-            with archive.open(member) as array:
-                version = np.lib.format.read_magic(array)
-                if version == (1, 0):
-                    shape, _, kind = np.lib.format.read_array_header_1_0(array)
-                else:
-                    shape, _, kind = np.lib.format.read_array_header_2_0(array)
-            if math.prod(shape) * kind.itemsize > member.file_size:
-                raise ValueError(f"{member.filename} declares more than the file holds")
-    file.seek(0)

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from evo_cpg.simulation.batched import batch
 from evo_cpg.simulation.judge import JUDGE
@@ -78,10 +78,6 @@ def compile_variation(
 ) -> Callable[[Champion], Varied]:
     """Compile an individual's trials under other conditions, before there is a champion.
 
-    Args:
-        experiment: the experiment that the champion evolves in.
-        variation: the conditions.
-
     Returns:
         A function of the champion.
     """
@@ -98,7 +94,16 @@ def compile_variation(
 
     def arguments(champion: Champion) -> tuple:
         genes = np.asarray(champion.genes, dtype)[:, None].repeat(rollouts, 1)
-        keys = jax.device_get(_keys(experiment, champion, variation))
+        keys = None
+        if not variation.simulations[0].noise.silent:
+            if variation.draws == 1:
+                keys = champion_keys(experiment, champion)
+                assert keys is not None
+            else:
+                each = jax.random.split(jax.random.key(_SEED), variation.draws * trials)
+                keys = jax.random.key_data(each).T
+            # All simulations get equal keys, so that only the numbers of the simulations differ.
+            keys = jax.device_get(jnp.tile(keys, (1, len(variation.simulations))))
         return genes, keys, numbers, trials, values
 
     placeholder = Champion(np.zeros(experiment.simulation.genome.count), 0.0, 0, {}, {}, 0, 0)
@@ -145,9 +150,8 @@ def with_drag(simulation: Simulation, factor: float) -> Simulation:
 def shaken(simulation: Simulation, angle: float) -> Simulation:
     """Return the simulation with a slightly different initial pose in every draw.
 
-    Args:
-        simulation: simulation to change.
-        angle: standard deviation of every joint angle, and of the root's roll and pitch, rad.
+    ``angle`` (rad) is the standard deviation of every joint angle, and of the root's roll and
+    pitch.
     """
     own = simulation.noise
     noise = dataclasses.replace(
@@ -161,20 +165,6 @@ def limp(simulation: Simulation) -> Simulation:
     tree = simulation.world.tree
     weak = tree.without_motors(np.ones(tree.dof_count, bool))
     return eqx.tree_at(lambda s: s.world.tree, simulation, weak)
-
-
-def _keys(experiment: ExperimentParts, champion: Champion, variation: Variation) -> Array | None:
-    """Return raw random keys of all trials: the champion's own, or others for several draws."""
-    if variation.simulations[0].noise.silent:
-        return None
-    if variation.draws == 1:
-        keys = champion_keys(experiment, champion)
-        assert keys is not None
-    else:
-        each = jax.random.split(jax.random.key(_SEED), variation.draws * experiment.trials)
-        keys = jax.random.key_data(each).T
-    # All simulations get equal random keys, so that only the numbers of the simulations differ.
-    return jnp.tile(keys, (1, len(variation.simulations)))
 
 
 class Probe(NamedTuple):
@@ -212,11 +202,6 @@ def probe(
     """Simulate one animal in several situations at once, without noise.
 
     The task `ReachLight` measures the distance, even if the animal evolved for another task.
-
-    Args:
-        simulation: simulation that the animal evolved in.
-        genes: genome of the animal.
-        situations: initial situations, each with a light.
     """
     final_steps = simulation.task.final_control_steps(simulation.control_rate)
     task = ReachLight(_light(situations[0]), final_steps=final_steps)

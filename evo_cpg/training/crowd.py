@@ -22,7 +22,7 @@ from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import (
     ExperimentParts,
-    first_population,
+    begin,
     situation_numbers,
     trial_keys,
 )
@@ -109,20 +109,15 @@ def populations_at(
 ) -> list[Float[np.ndarray, "g all"]]:
     """Return the populations of some generations of all runs, made anew from the seed.
 
-    Generation 0 is only drawn. The evolution is repeated up to the last of the others, so this
-    takes as long as that part of the training.
-
-    Args:
-        experiment: experiment of the folder.
-        folder: run folder.
-        generations: numbers of the generations, from 0, in ascending order.
+    The generations ascend. Generation 0 is only drawn. The evolution is repeated up to the last of
+    the others, so this takes as long as that part of the training.
 
     Raises:
         RunFolderError: the repeated evolution has other results than the folder has.
     """
     start = folder.load_start()
     if start is None and [*generations] == [0]:
-        return [np.asarray(jax.jit(lambda: first_population(experiment))())]
+        return [np.asarray(jax.jit(lambda: begin(experiment)[0])())]
     found: list[np.ndarray] = []
     with tempfile.TemporaryDirectory(prefix="evo_cpg_crowd_") as scratch:
         again = RunFolder(Path(scratch) / "run")

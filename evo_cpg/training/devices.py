@@ -74,11 +74,7 @@ def use_cores(count: int | None = None) -> int:
 
 
 def population_mesh(count: int | None = None) -> Mesh:
-    """Return the mesh of devices over which the population is sharded.
-
-    Args:
-        count: number of devices, or None for all of this process.
-    """
+    """Return the mesh of the first devices, or of all, over which the population is sharded."""
     devices = jax.local_devices()[:count]
     return Mesh(np.array(devices), (POPULATION_AXIS,))
 
@@ -187,11 +183,10 @@ def run_in_blocks(
         if len(results) > 1:
             jax.block_until_ready(results[-2])
 
-    def join(*parts: jax.Array) -> np.ndarray:
-        whole = np.concatenate([np.asarray(part) for part in parts])[:count]
-        return np.moveaxis(whole, 0, -1)
-
-    return jax.tree.map(join, *results)
+    return jax.tree.map(
+        lambda *parts: np.moveaxis(np.concatenate([*map(np.asarray, parts)])[:count], 0, -1),
+        *results,
+    )
 
 
 def _spec(rank: int) -> PartitionSpec:
@@ -241,15 +236,14 @@ def compiled_folder() -> Path | None:
         return Path(own)
     home = home_folder()
     cache = os.environ.get("XDG_CACHE_HOME") or (home and home / ".cache")
-    return Path(cache) / "evo_cpg" / "compiled" / _processor() if cache else None
-
-
-def _processor() -> str:
-    """Return a short name of the kind of processor, equal for compatible processors."""
+    if not cache:
+        return None
+    # The folder's name is equal for compatible processors.
     kind = [platform.system(), platform.machine(), platform.processor()]
     lines = described_by(Path("/proc/cpuinfo")).splitlines()
     kind += sorted({line for line in lines if line.startswith(("flags", "Features", "model"))})
-    return hashlib.sha256("\n".join(kind).encode()).hexdigest()[:16]
+    processor = hashlib.sha256("\n".join(kind).encode()).hexdigest()[:16]
+    return Path(cache) / "evo_cpg" / "compiled" / processor
 
 
 def _prune(folder: Path, most: int) -> None:

@@ -114,9 +114,7 @@ def begin(
 ) -> tuple[Float[Array, "g all"], PyTree[Array]]:
     """Return the population of generation 0, run by run, and the strategy's state.
 
-    Args:
-        experiment: experiment to evolve.
-        start: initial genomes, or None for random ones.
+    The initial genomes are random if none are given.
     """
     genome, strategy = experiment.simulation.genome, experiment.strategy
     size = (strategy.population,)
@@ -125,17 +123,12 @@ def begin(
         if given is None:
             given = genome.random(_stream(seed, _FIRST_POPULATION), size)
         state = strategy.init(_stream(seed, _STRATEGY), given)
-        next_genes, state = strategy.ask(_ask_key(seed, 0), state)
+        next_genes, state = strategy.ask(jax.random.fold_in(_stream(seed, _ASKS), 0), state)
         return jnp.asarray(next_genes, given.dtype), state
 
     given = None if start is None else start.reshape(len(start), experiment.runs, -1)
     genes, state = jax.vmap(of_run, in_axes=(0, 1), out_axes=(1, 0))(_seeds(experiment), given)
     return genes.reshape(len(genes), -1), state
-
-
-def first_population(experiment: ExperimentParts) -> Float[Array, "g all"]:
-    """Return the population of generation 0 of every run, see `begin`."""
-    return begin(experiment)[0]
 
 
 def trial_keys(
@@ -234,7 +227,8 @@ def breed(
         about = mean.terms, descriptors(simulation, mean.terms)
         worth = Evaluation(fitness, *about, judge_each(task, outcome, scales))
         updated = strategy.tell(key, state, genes, worth)
-        next_genes, state = strategy.ask(_ask_key(seed, index + 1), updated)
+        ask_key = jax.random.fold_in(_stream(seed, _ASKS), index + 1)
+        next_genes, state = strategy.ask(ask_key, updated)
         best = jnp.argmax(fitness)
         found = fitness, mean.terms, mean.alive, scales, best, genes[:, best]
         next_genes = jnp.asarray(next_genes, genes.dtype)
@@ -298,10 +292,6 @@ def judge_each(
 
 def _seeds(experiment: ExperimentParts) -> Int[Array, " runs"]:
     return experiment.seed + jnp.arange(experiment.runs)
-
-
-def _ask_key(seed: ArrayLike, generation: ArrayLike) -> Shaped[Array, ""]:
-    return jax.random.fold_in(_stream(seed, _ASKS), generation)
 
 
 def _stream(seed: ArrayLike, tag: int) -> Shaped[Array, ""]:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from evo_cpg.training.checkpoint import SCALE_PREFIX, TERM_PREFIX, Champion
+from evo_cpg.training.checkpoint import SCALE_PREFIX, TERM_PREFIX, Champion, below
 
 # Limit for each run. Landmarks take three per factor of ten: 19 for a million generations.
 KEPT = 32
@@ -25,18 +25,27 @@ _OF_ALL = ("fitness", "generation", "run", "index")
 def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Champion]:
     """Return a lineage with new champions, run by run, in the order of generations.
 
-    Args:
-        lineage: champions so far.
-        found: new champions. They replace champions of equal run and generation.
+    New champions replace champions of equal run and generation.
     """
     known = {(each.run, each.generation): each for each in lineage}
     known |= {(each.run, each.generation): each for each in found}
     ordered = [known[place] for place in sorted(known)]
-    return [
-        each
-        for _, own in itertools.groupby(ordered, lambda champion: champion.run)
-        for each in _thinned(list(own))
-    ]
+    kept: list[Champion] = []
+    for _, group in itertools.groupby(ordered, lambda champion: champion.run):
+        own = list(group)
+        while len(own) > KEPT:
+            born = [each.generation for each in own]
+            marks = landmarks(born[-1])
+            # Each champion lasts until the generation before the next champion's. The first, the
+            # newest and all that last over a landmark are kept.
+            free = [
+                i
+                for i in range(1, len(own) - 1)
+                if not any(born[i] <= mark < born[i + 1] for mark in marks)
+            ]
+            del own[min(free, key=lambda i: _age(born[i + 1]) - _age(born[i - 1]))]
+        kept += own
+    return kept
 
 
 def until(
@@ -54,22 +63,15 @@ def until(
 
 
 def champion_at(lineage: Sequence[Champion], generation: int) -> Champion | None:
-    """Return the champion after a generation, or None before the first champion.
-
-    Args:
-        lineage: lineage of one run.
-        generation: number of the generation, from 0.
-    """
+    """Return the champion of one run after a generation, or None before the first champion."""
     found = [each for each in lineage if each.generation <= generation]
     return found[-1] if found else None
 
 
 def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
-    """Return the first champion, the last, and others evenly spaced in ratios of generations.
+    """Return at most ``count`` champions of one run: the first, the last, and others in between.
 
-    Args:
-        lineage: lineage of one run.
-        count: largest number of champions.
+    They are evenly spaced in ratios of generations.
     """
     if count < 2 or len(lineage) <= count:
         return list(lineage)[-count:]
@@ -109,11 +111,7 @@ def read_lineage(arrays: Mapping[str, np.ndarray]) -> list[Champion]:
     genes = arrays["genes"]
     columns = {name: arrays[name].tolist() for name in _OF_ALL}
     terms, scales = (
-        {
-            name.removeprefix(prefix): values.tolist()
-            for name, values in arrays.items()
-            if name.startswith(prefix)
-        }
+        {name: values.tolist() for name, values in below(arrays, prefix).items()}
         for prefix in (TERM_PREFIX, SCALE_PREFIX)
     )
     every = [*columns.values(), *terms.values(), *scales.values()]
@@ -140,27 +138,6 @@ def landmarks(last: int) -> list[int]:
     powers = range(len(str(max(last, 1))))
     round_ones = (step * 10**power for power in powers for step in (1, 2, 5))
     return [0, *(each for each in round_ones if each <= last)]
-
-
-def _thinned(own: list[Champion]) -> list[Champion]:
-    """Return at most `KEPT` champions of one run."""
-    while len(own) > KEPT:
-        least = _least([each.generation for each in own])
-        own = own[:least] + own[least + 1 :]
-    return own
-
-
-def _least(found: Sequence[int]) -> int:
-    """Return the index of the champion to drop, given the generations of all."""
-    marks = landmarks(found[-1])
-    # Each champion lasts until the generation before the next champion's. The first, the newest and
-    # all that last over a landmark are kept.
-    free = [
-        i
-        for i in range(1, len(found) - 1)
-        if not any(found[i] <= mark < found[i + 1] for mark in marks)
-    ]
-    return min(free, key=lambda i: _age(found[i + 1]) - _age(found[i - 1]))
 
 
 def _age(generation: int) -> float:

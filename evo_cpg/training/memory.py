@@ -24,10 +24,7 @@ _GENE = 4  # bytes
 # Smallest size of a search's state, bytes, that the error mentions.
 _MENTIONED = 2**20
 
-_CONTROL_GROUPS = (
-    "/sys/fs/cgroup/memory.max",
-    "/sys/fs/cgroup/memory/memory.limit_in_bytes",
-)
+_CONTROL_GROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
 class TooLargeError(UserError):

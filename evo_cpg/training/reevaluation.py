@@ -77,8 +77,7 @@ class Contest:
     def take(self, fitness: Float[np.ndarray, " population"]) -> None:
         """Take the results of a round and drop the worse half.
 
-        Args:
-            fitness: fitness in every place, or -inf if an evaluation ended early.
+        Fitness is -inf in places whose evaluation ended early.
         """
         each = self._population // len(self._left)
         results = fitness[: each * len(self._left)].reshape(len(self._left), each)
@@ -122,9 +121,6 @@ class Contest:
 class Choice:
     """Contests of all runs, in the order of the runs' populations.
 
-    Args:
-        contests: contest of every run.
-
     Attributes:
         generation: generation number that selects the random numbers of the next round.
     """
@@ -139,11 +135,7 @@ class Choice:
         return all(contest.done for contest in self._contests)
 
     def genes(self, genes: Float[np.ndarray, "g all"]) -> Float[np.ndarray, "g all"]:
-        """Return the genomes of the next round.
-
-        Args:
-            genes: genomes of the populations. Runs with a finished contest keep them.
-        """
+        """Return the genomes of the next round. Runs with a finished contest keep theirs."""
         population = genes.shape[1] // len(self._contests)
         population_genes = genes.copy()
         for run, contest in enumerate(self._contests):
@@ -154,12 +146,7 @@ class Choice:
         return population_genes
 
     def keys(self, keys: UInt32[np.ndarray, "w n"], trials: int) -> UInt32[np.ndarray, "w n"]:
-        """Return the random keys of the next round's trials.
-
-        Args:
-            keys: keys of the generation with the number ``generation``.
-            trials: number of trials of every individual.
-        """
+        """Return the random keys of the next round's trials, given those of `generation`."""
         by_place = keys.reshape(len(keys), len(self._contests), -1, trials).copy()
         for run, contest in enumerate(self._contests):
             if not contest.done:

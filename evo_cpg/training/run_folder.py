@@ -40,7 +40,7 @@ from jaxtyping import Float
 
 from evo_cpg import locks
 from evo_cpg.errors import UserError
-from evo_cpg.files import cannot_write, read_json, write_table, write_text, write_whole
+from evo_cpg.files import cannot_write, read_json, write_text, write_whole
 from evo_cpg.simulation.recording import Recording, require_shapes
 from evo_cpg.training.checkpoint import (
     DAMAGED,
@@ -251,7 +251,12 @@ class RunFolder:
             or champion.generation == checkpoint.generation - 1
         ):
             self.save_champion(champion)
-        arrays = checkpoint_arrays(checkpoint, self._columns_of(checkpoint.history))
+        rows, columns = self._columns
+        if checkpoint.history[: len(rows)] != rows:
+            columns = {}
+        columns = history_columns(checkpoint.history, columns)
+        self._columns = checkpoint.history, columns
+        arrays = checkpoint_arrays(checkpoint, columns)
         write_whole(self._checkpoint(checkpoint.generation), lambda file: np.savez(file, **arrays))
         self.write_metrics(checkpoint.history)
         for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
@@ -297,10 +302,6 @@ class RunFolder:
         """Replace the champion of a run by a refined individual, with its configuration.
 
         It also takes the last place in the run's population, so that evolution can use it.
-
-        Args:
-            champion: refined individual.
-            config_text: configuration of the refined individual.
         """
         config = config_text.encode()
         writes: dict[Path, Callable[[IO[bytes]], object]] = {
@@ -346,10 +347,6 @@ class RunFolder:
                 "champions are lost"
             ) from None
 
-    def write_table(self, name: str, rows: list[dict[str, float]]) -> None:
-        """Write rows with equal columns as a .csv file of the folder."""
-        write_table(self.path / name, rows)
-
     def load_champion(self) -> tuple[Champion, Recording | None, dict[str, str]]:
         """Return the champion, its motion if recorded, and the digests written with it.
 
@@ -391,13 +388,6 @@ class RunFolder:
     def config_digest(self) -> str:
         """Return the SHA-256 of config.yaml."""
         return hashlib.sha256(self.config.read_bytes()).hexdigest()
-
-    def _columns_of(self, history: list[dict[str, float]]) -> dict[str, np.ndarray]:
-        rows, columns = self._columns
-        if history[: len(rows)] != rows:
-            columns = {}
-        self._columns = history, history_columns(history, columns)
-        return self._columns[1]
 
     def _checkpoint(self, generation: int) -> Path:
         return self.path / "checkpoints" / f"generation_{generation:06d}.npz"
@@ -460,9 +450,7 @@ class RunFolder:
 def read_checked(path: Path, is_sound: Callable[[Any], bool]) -> Any:
     """Return the contents of a JSON file, or None if there is no file.
 
-    Args:
-        path: path of the file.
-        is_sound: function that returns whether the contents are valid.
+    The function ``is_sound`` decides whether the contents are valid.
 
     Raises:
         RunFolderError: the file is damaged.

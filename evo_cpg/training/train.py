@@ -5,6 +5,7 @@ on the population axis. So a machine's vectors and cores are full however small 
 and the program compiles once.
 """
 
+import contextlib
 import functools
 import itertools
 import time
@@ -16,6 +17,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, PyTree, UInt32
 
+from evo_cpg.files import write_table
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.ascent import compile_learning
 from evo_cpg.training.checkpoint import (
@@ -68,11 +70,6 @@ class Running:
     Under noise, rounds of trials follow the last generation to choose the champion
     (`evo_cpg.training.reevaluation`). The first round evaluates the final population.
 
-    Args:
-        experiment: experiment that evolves.
-        folder: run folder.
-        mesh: devices for the elites' gradient ascent.
-
     Attributes:
         checkpoint: present state.
 
@@ -109,7 +106,8 @@ class Running:
 
     def trials(self) -> Trials:
         """Return the trials of the next generation or round."""
-        genes, keys = self._genes(), jax.device_get(self._programs.keys(np.int32(self._number)))
+        genes, number = self._next()
+        keys = jax.device_get(self._programs.keys(np.int32(number)))
         if self._choice:
             keys = self._choice.keys(keys, self._experiment.trials)
         numbers = situation_numbers(self._experiment)
@@ -120,15 +118,13 @@ class Running:
     def tell(self, outcome: Outcome, start: float) -> list[dict[str, float]]:
         """Take the outcome of the trials, breed, and write a checkpoint.
 
-        Args:
-            outcome: outcome of the trials.
-            start: time at which the generation started, by `time.perf_counter`, s.
+        ``start`` is the time at which the generation started, by `time.perf_counter` (s).
 
         Returns:
             The new rows of metrics.csv. There are none after a round that chooses champions.
         """
         experiment, before = self._experiment, self.checkpoint
-        genes, number = self._genes(), self._number
+        genes, number = self._next()
         scales = {name: np.array(values, np.float32) for name, values in before.scales.items()}
         result = jax.device_get(
             self._programs.breed(genes, outcome, np.int32(number), scales, self._state)
@@ -175,33 +171,30 @@ class Running:
         """Evaluate a round in which champions are chosen, and save them when all are chosen."""
         experiment, checkpoint = self._experiment, self.checkpoint
         if self._choice is None:
-            by_run = np.split(genes, experiment.runs, axis=1)
-            population = experiment.strategy.population
-            self._choice = Choice(
-                [
-                    Contest(_candidates(record, own, result, number, run), population)
-                    for run, (record, own) in enumerate(
-                        zip(checkpoint.records, by_run, strict=True)
-                    )
-                ]
-            )
+            contests, by_run = [], np.split(genes, experiment.runs, axis=1)
+            for run, own in enumerate(by_run):
+                # The record, and the fittest of the last population.
+                fittest = np.argsort(-result.fitness[run], kind="stable")[:CANDIDATES]
+                tried = [_individual(own[:, i], result, number, run, int(i)) for i in fittest]
+                every = (checkpoint.records[run], *tried)
+                candidates = [one for one in every if one is not None and np.isfinite(one.fitness)]
+                contests.append(Contest(candidates, experiment.strategy.population))
+            self._choice = Choice(contests)
         else:
             self._choice.take(np.asarray(result.fitness))
         if self._choice.done:
             self.checkpoint = checkpoint._replace(chosen=self._choice.chosen())
             rows = self._choice.rows()
             if rows:
-                self._folder.write_table(CANDIDATES_FILE, rows)
+                write_table(self._folder.path / CANDIDATES_FILE, rows)
             self._folder.save(self.checkpoint)
 
-    @property
-    def _number(self) -> int:
-        """Number of the generation whose random numbers are used next."""
-        return self._choice.generation if self._choice else self.checkpoint.generation
-
-    def _genes(self) -> np.ndarray:
-        """Return the genomes to evaluate next."""
-        return self._choice.genes(self.checkpoint.genes) if self._choice else self.checkpoint.genes
+    def _next(self) -> tuple[np.ndarray, int]:
+        """Return the next genomes, and the generation number that selects their random numbers."""
+        genes = self.checkpoint.genes
+        if self._choice:
+            return self._choice.genes(genes), self._choice.generation
+        return genes, self.checkpoint.generation
 
 
 def compile_evolution(experiment: ExperimentParts) -> Evolution:
@@ -212,10 +205,9 @@ def compile_evolution(experiment: ExperimentParts) -> Evolution:
 
 def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
     """Return the champions up to a checkpoint, or only the checkpoint's if the file is lost."""
-    try:
+    lineage: list[Champion] = []
+    with contextlib.suppress(RunFolderError):
         lineage = folder.load_lineage()
-    except RunFolderError:
-        lineage = []
     lineage = [each for each in lineage if each.genes.shape == checkpoint.genes.shape[:1]]
     return until(lineage, checkpoint.records, checkpoint.generation)
 
@@ -235,19 +227,6 @@ def _require_finite(
             f"finite for generation {done} ({wrong} of {genes.shape[1]}). The run folder holds the "
             "earlier generations"
         )
-
-
-def _candidates(
-    record: Champion | None,
-    genes: Float[np.ndarray, "g n"],
-    result: Generation,
-    generation: int,
-    run: int,
-) -> list[Champion]:
-    """Return candidates for the champion: the record and the fittest of the last population."""
-    fittest = np.argsort(-result.fitness[run], kind="stable")[:CANDIDATES]
-    tried = [_individual(genes[:, i], result, generation, run, int(i)) for i in fittest]
-    return [one for one in (record, *tried) if one is not None and np.isfinite(one.fitness)]
 
 
 def _individual(

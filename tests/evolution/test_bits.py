@@ -256,32 +256,29 @@ def test_uncompiled_generations_equal_compiled_ones(seed):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("words", "wrong"),
     [
-        ({"population": 0}, "population must be at least 1, got 0"),
-        ({"elites": 15}, "at least 0 and less than the population of 15, got 15"),
-        ({"elites": -1}, "at least 0 and less than the population of 15, got -1"),
-        ({"best_copies": 0}, "best_copies must be from 1 to 7 with 7 elites, got 0"),
-        ({"best_copies": 8}, "best_copies must be from 1 to 7 with 7 elites, got 8"),
-        ({"elites": 0, "best_copies": 2}, "from 1 to 1 with 0 elites, got 2"),
-        ({"rank_probabilities": ()}, "must be 1 to 15 numbers .*, got 0"),
-        ({"population": 7, "elites": 3}, "must be 1 to 7 numbers .*, got 8"),
-        ({"rank_probabilities": (1.5, -0.5)}, r"must not be negative, got \(1.5, -0.5\)"),
-        ({"rank_probabilities": (np.nan,)}, r"must not be negative, got \(nan,\)"),
-        ({"rank_probabilities": (30.0, 70.0)}, "must add up to 1, got a sum of 100"),
-        ({"mutation_probability": 1.5}, "mutation_probability must be from 0 to 1, got 1.5"),
-        ({"mutated_genes": (0, 30)}, "two numbers, 1 <= fewest <= most, got 0 and 30"),
-        ({"mutated_genes": (31, 30)}, "two numbers, 1 <= fewest <= most, got 31 and 30"),
-        ({"mutation": "swap"}, "mutation must be redraw or flip, got 'swap'"),
+        ("population must be", [{"population": 0}]),
+        ("less than the population of 15", [{"elites": 15}, {"elites": -1}]),
+        ("best_copies must be from 1 to 7", [{"best_copies": 0}, {"best_copies": 8}]),
+        ("best_copies must be from 1 to 1", [{"elites": 0, "best_copies": 2}]),
+        ("must be 1 to 15 numbers", [{"rank_probabilities": ()}]),
+        ("must be 1 to 7 numbers", [{"population": 7, "elites": 3}]),
+        ("must not be negative", [{"rank_probabilities": x} for x in ((1.5, -0.5), (np.nan,))]),
+        ("must add up to 1", [{"rank_probabilities": (30.0, 70.0)}]),
+        ("mutation_probability must be", [{"mutation_probability": 1.5}]),
+        ("mutated_genes must be", [{"mutated_genes": (0, 30)}, {"mutated_genes": (31, 30)}]),
+        ("redraw or flip", [{"mutation": "swap"}]),
     ],
 )
-def test_settings_outside_their_range_are_refused(changes, words):
-    with pytest.raises(ValueError, match=words):
-        BitGenetics(**changes)
+def test_settings_outside_their_range_are_refused(words, wrong):
+    for changes in wrong:
+        with pytest.raises(ValueError, match=words):
+            BitGenetics(**changes)
 
 
 def test_a_genome_shorter_than_a_mutation_is_refused():
-    with pytest.raises(ValueError, match="may change 30 genes, but a genome has only 24"):
+    with pytest.raises(ValueError, match=r"30 genes, .* only 24"):
         jax.eval_shape(
             BitGenetics().next_generation, jax.random.key(0), ranks(24), jnp.asarray(FITNESS, float)
         )

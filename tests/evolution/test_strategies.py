@@ -223,10 +223,8 @@ def test_a_state_of_any_arrays_survives_a_file(tmp_path):
 
 
 def test_diverged_individuals_get_the_worst_finite_fitness():
-    np.testing.assert_array_equal(
-        worst_finite(jnp.array([1.0, -jnp.inf, -2.0, jnp.nan])), [1, -2, -2, -2]
-    )
-    np.testing.assert_array_equal(worst_finite(jnp.array([-jnp.inf, jnp.nan])), [0, 0])
+    for given, found in (([1.0, -np.inf, -2.0, np.nan], [1, -2, -2, -2]), ([-np.inf], [0])):
+        np.testing.assert_array_equal(worst_finite(jnp.array(given)), found)
 
 
 def genes_after_migration(genes):
@@ -421,9 +419,7 @@ def test_a_distribution_starts_at_the_mean_of_the_better_half():
 
 
 def test_unknown_parameters_of_evosax_are_refused():
-    with pytest.raises(
-        ValueError, match=r"it has no parameter crossover \(valid: elitism, crossover"
-    ):
+    with pytest.raises(ValueError, match=r"no parameter crossover .*elitism"):
         evosax("DifferentialEvolution", params=(("crossover", 0.5),))
 
 

@@ -111,11 +111,7 @@ def plain():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "budget",
-    [2**30, 0],
-    ids=["one level", "segments"],
-)
+@pytest.mark.parametrize("budget", [2**30, 0], ids=["one level", "segments"])
 def test_gradients_do_not_depend_on_the_memory_budget(budget, plain, monkeypatch):
     monkeypatch.setattr(machine_constants, "LARGEST_RESIDUALS", budget)
     frugal = slopes(Backward(jnp.ones(2)))

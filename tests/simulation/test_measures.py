@@ -14,11 +14,7 @@ from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.load import load_config
 from evo_cpg.physics.step.world import World
-from evo_cpg.simulation.measures import (
-    GROUND_MEASURES,
-    MEASURES,
-    Trial,
-)
+from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Trial
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from tiny_run import REPOSITORY

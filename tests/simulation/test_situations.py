@@ -79,14 +79,6 @@ def test_the_order_of_situations_does_not_matter(simulation, together):
     jax.tree.map(np.testing.assert_array_equal, (outcome, frames), together)
 
 
-def test_equal_situations_give_equal_trials(simulation, together):
-    twice = dataclasses.replace(simulation, situations=SITUATIONS[:1] * 2)
-    outcome, _ = simulate(twice, TRIAL % 2)
-    same = TRIAL == 0
-    for name, values in outcome.terms.items():
-        np.testing.assert_array_equal(values[same], together[0].terms[name][same])
-
-
 def test_animals_start_in_their_situations(simulation, together):
     _, frames = together
     motions = [

@@ -22,8 +22,7 @@ def restored_options(monkeypatch, tmp_path):
 
 def test_programs_have_a_folder_for_each_kind_of_processor(tmp_path):
     folder = keep_compiled_programs()
-    assert folder is not None
-    assert folder.is_dir()
+    assert folder is not None and folder.is_dir()
     assert folder.parent == tmp_path / "cache" / "evo_cpg" / "compiled"
     assert jax.config.jax_compilation_cache_dir == str(folder)
 

@@ -14,14 +14,9 @@ from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.evaluate import compile_trials
-from evo_cpg.training.experiment import (
-    Generation,
-    breed,
-    first_population,
-)
-from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.experiment import Generation, begin, breed
 from evo_cpg.training.train import train
-from trials import SineController, experiment
+from trials import SineController, experiment, folder_at
 
 STEPS = 20
 
@@ -33,7 +28,7 @@ def small():
 
 @pytest.fixture(scope="module")
 def genes(small):
-    return np.asarray(first_population(small))
+    return np.asarray(begin(small)[0])
 
 
 @pytest.fixture(scope="module")
@@ -124,8 +119,8 @@ def test_the_number_of_the_generation_selects_the_random_stream(small, genes, st
 
 
 def test_seeds_differ_from_the_first_generation_on(small, genes):
-    np.testing.assert_array_equal(first_population(small), genes)
-    assert (np.asarray(first_population(small._replace(seed=1))) != np.asarray(genes)).all()
+    np.testing.assert_array_equal(begin(small)[0], genes)
+    assert (np.asarray(begin(small._replace(seed=1))[0]) != np.asarray(genes)).all()
 
 
 def test_one_individual_scores_equally_alone_and_among_others(genes, run_trials, evaluated):
@@ -143,8 +138,7 @@ class Lifeless(SineController):
 
 def test_a_run_whose_individuals_all_diverge_has_no_champion(small, tmp_path):
     simulation = dataclasses.replace(small.simulation, controller=Lifeless())
-    folder = RunFolder(tmp_path / "run")
-    folder.create("", {})
+    folder = folder_at(tmp_path / "run")
     shown = []
     done = train(small._replace(simulation=simulation), folder, shown.extend)
     assert done.generation == 2 and done.champion is None

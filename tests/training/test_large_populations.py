@@ -22,9 +22,8 @@ from evo_cpg.training.devices import (
     sharded,
 )
 from evo_cpg.training.evaluate import compile_trials
-from evo_cpg.training.experiment import first_population, generation_keys
-from evo_cpg.training.run_folder import RunFolder
-from trials import experiment
+from evo_cpg.training.experiment import begin, generation_keys
+from trials import experiment, folder_at
 
 COUNTS = [*range(2, 700, 17), 1024, 4096, 16_384, 20_000, 100_000]
 SIZE = 25
@@ -71,21 +70,18 @@ def test_large_populations_waste_few_places():
 
 
 @pytest.mark.parametrize(
-    ("population", "count", "expected"), [(15, 2, 16), (17, 2, 16), (200, 2, 112), (96, 1, 96)]
+    ("backend", "population", "count", "expected"),
+    [
+        *(("cpu", 15, 2, 16), ("cpu", 17, 2, 16), ("cpu", 200, 2, 112), ("cpu", 96, 1, 96)),
+        # Native code of one individual has no vectors, and costs less than a vector of copies.
+        *(("cpu", 1, 1, 1), ("cpu", 1, 2, 1), ("cpu", 1, 8, 1)),
+        # A GPU computes its whole part at once.
+        *(("gpu", 4000, 1, 4000), ("gpu", 4000, 3, 1344)),
+    ],
 )
-def test_widths_of_usual_populations(population, count, expected):
+def test_widths_of_usual_populations(backend, population, count, expected, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
     assert chunk_width(population, count) == expected
-
-
-def test_a_single_individual_is_a_chunk_without_vectors():
-    """Native code of one individual has no vectors, and costs less than a vector of copies."""
-    assert [chunk_width(1, devices) for devices in (1, 2, 8)] == [1, 1, 1]
-    assert layout(1, population_mesh(2)).block == 1
-
-
-def test_a_gpu_computes_its_whole_part_at_once(monkeypatch):
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert chunk_width(4000, 1) == 4000 and chunk_width(4000, 3) == 1344
 
 
 def two_devices():
@@ -97,7 +93,7 @@ def two_devices():
 def test_devices_without_a_vector_of_their_own_stay_idle():
     mesh = two_devices()
     assert [layout(count, mesh).mesh.size for count in (1, 16, 17, 200)] == [1, 1, 2, 2]
-    assert layout(16, mesh).block == 16 and layout(17, mesh).block == 32
+    assert [layout(count, mesh).block for count in (1, 16, 17)] == [1, 16, 32]
 
 
 @pytest.mark.parametrize("count", [1, 31, 32, 33, 70, 96])
@@ -108,35 +104,26 @@ def test_results_return_in_order_and_once(count):
 
     def pick(numbers):
         blocks.append(numbers)
-        return (
-            np.float32([[0], [100]]) + numbers.astype(np.float32),
-            None,
-            np.array(0.5, np.float32),
-        )
+        return np.float32([[0], [100]]) + np.float32(numbers), None, np.array(0.5, np.float32)
 
     def program(names, nothing, offset):
         assert nothing is None and names.shape == (2, 16)
         return {"sum": names.sum(0), "same": names + offset}
 
-    def flat(*arguments):
-        return program(*arguments)["sum"]
-
     names = np.arange(count, dtype=np.float32)
-    run = sharded(flat, mesh, (2, 1, 0))
+    run = sharded(program, mesh, (2, 1, 0))
     found = run_in_blocks(run, Layout(mesh, 16), count, pick)
-    np.testing.assert_array_equal(found, 2 * names + 100)
+    np.testing.assert_array_equal(found["sum"], 2 * names + 100)
+    np.testing.assert_array_equal(found["same"], [names + 0.5, names + 100.5])
     places = np.concatenate(blocks)
     assert len(places) == -(-count // 32) * 32
     np.testing.assert_array_equal(places[:count], np.arange(count))
     np.testing.assert_array_equal(places[count:], count - 1)
-    wide = sharded(lambda *x: program(*x)["same"], mesh, (2, 1, 0))
-    found = run_in_blocks(wide, Layout(mesh, 16), count, pick)
-    np.testing.assert_array_equal(found, [names + 0.5, names + 100.5])
 
 
 def test_chunks_change_no_result(large, narrow):
     """50 trials in two blocks of 32 equal some of the trials, and one alone, to the last bit."""
-    genes = np.asarray(first_population(large))
+    genes = np.asarray(begin(large)[0])
     keys = np.asarray(generation_keys(large, np.int32(1)))
     of_each = keys.reshape(-1, SIZE, 2)
     live = compile_trials(large.simulation, population_mesh(2))
@@ -178,8 +165,7 @@ def test_more_generations_and_individuals_take_no_more_memory(monkeypatch, tmp_p
     monkeypatch.setattr(evolution, "compile_trials", kept)
     count = 500 * jax.local_device_count()
     made = experiment(2, count)._replace(generations=6)
-    folder = RunFolder(tmp_path / "run")
-    folder.create("", {})
+    folder = folder_at(tmp_path / "run")
     held = []
     done = evolution.train(made, folder, lambda rows: held.append(len(jax.live_arrays())))
     assert len(held) == 6 and len(set(held[1:])) == 1

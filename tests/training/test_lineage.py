@@ -119,7 +119,7 @@ def test_representatives_are_evenly_spaced():
 
 
 def test_a_missing_or_damaged_lineage_is_named(folder):
-    with pytest.raises(RunFolderError, match=r"a has no lineage\.npz: no champion was found yet"):
+    with pytest.raises(RunFolderError, match=r"no lineage\.npz"):
         folder.load_lineage()
     lineage = grown(range(3))
     for change in (
@@ -129,10 +129,10 @@ def test_a_missing_or_damaged_lineage_is_named(folder):
         {"term.way": np.float64(1.0)},
     ):
         np.savez(folder.lineage, **(lineage_arrays(lineage) | change))
-        with pytest.raises(RunFolderError, match=r"lineage\.npz is damaged \(its arrays do not"):
+        with pytest.raises(RunFolderError, match="its arrays do not"):
             folder.load_lineage()
     folder.lineage.write_bytes(b"no archive")
-    with pytest.raises(RunFolderError, match=r"damaged \(.+\)\. The run can continue, but"):
+    with pytest.raises(RunFolderError, match="The run can continue"):
         folder.load_lineage()
 
 

@@ -7,7 +7,7 @@ from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.evaluate import compile_population_replay, compile_replay
-from evo_cpg.training.experiment import first_population, placeholder_scales
+from evo_cpg.training.experiment import begin, placeholder_scales
 from tiny_run import CONFIG, PAIR
 
 
@@ -17,7 +17,7 @@ def test_individuals_side_by_side_move_as_in_their_own_replays():
     settings = [*PAIR, "runs=2", "noise.joint_angle_deg=5", "noise.push=0.05"]
     config = load_config(CONFIG, settings)
     experiment = build_experiment(config, CONFIG)
-    genes = np.asarray(first_population(experiment))
+    genes = np.asarray(begin(experiment)[0])
     checkpoint = Checkpoint(4, genes, (None, None), [], placeholder_scales(experiment))
     places = [6, 1, 4]
     found = compile_population_replay(experiment)(checkpoint, 1, places)

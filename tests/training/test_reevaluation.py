@@ -11,20 +11,14 @@ from evo_cpg.api.sweep import Member
 from evo_cpg.io.load import load_config
 from evo_cpg.io.settings import Setting
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.training.checkpoint import (
-    Champion,
-    Checkpoint,
-    champion_arrays,
-    read_champion,
-)
+from evo_cpg.training.checkpoint import Champion, Checkpoint, champion_arrays, read_champion
 from evo_cpg.training.evaluate import compile_replay
 from evo_cpg.training.experiment import generation_keys, trial_keys
 from evo_cpg.training.reevaluation import EVALUATIONS, FIRST_ROUND, Choice, Contest
-from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.train import train
 from evo_cpg.view.live_page.standing import Standing
 from tiny_run import REPOSITORY
-from trials import experiment
+from trials import experiment, folder_at
 
 NOISE = Noise(joint_angle=0.1, tilt=0.05, push=0.2)
 # Two populations of six, with two trials of each individual.
@@ -140,8 +134,7 @@ def test_each_run_has_its_own_contest():
 
 @pytest.fixture(scope="module")
 def evolved(tmp_path_factory):
-    folder = RunFolder(tmp_path_factory.mktemp("noisy") / "run")
-    folder.create("", {})
+    folder = folder_at(tmp_path_factory.mktemp("noisy") / "run")
     rows = []
     return folder, train(NOISY, folder, rows.extend), rows
 
@@ -193,13 +186,11 @@ def test_chosen_champions_replay_as_recorded(evolved):
 
 def test_a_run_stopped_before_the_choice_chooses_equally(evolved, tmp_path):
     _, done, _ = evolved
-    folder = RunFolder(tmp_path / "run")
-    folder.create("", {})
+    folder = folder_at(tmp_path / "run")
     # Nothing is chosen without noise.
     silent = train(MADE._replace(generations=1), folder)
     assert silent.chosen == () and silent.champions == silent.records
-    other = RunFolder(tmp_path / "other")
-    other.create("", {})
+    other = folder_at(tmp_path / "other")
     other.save(done._replace(chosen=()))
     again = train(NOISY, other)
     assert [one.expected for one in again.chosen] == [one.expected for one in done.chosen]
@@ -211,8 +202,7 @@ def test_a_run_stopped_before_the_choice_chooses_equally(evolved, tmp_path):
 def test_sweeps_and_watchers_wait_for_the_choice(evolved, tmp_path):
     """A run that was stopped between the last generation and the choice is not finished."""
     _, done, _ = evolved
-    folder = RunFolder(tmp_path / "run")
-    folder.create("", {})
+    folder = folder_at(tmp_path / "run")
     waiting = Standing(done._replace(chosen=()), 2, True, None)
     assert not waiting.finished and Standing(done, 2, True, None).finished
     assert waiting._replace(choosing=False).finished
@@ -225,12 +215,10 @@ def test_sweeps_and_watchers_wait_for_the_choice(evolved, tmp_path):
 
 def test_an_extended_run_chooses_again(evolved, tmp_path):
     _, done, _ = evolved
-    folder = RunFolder(tmp_path / "run")
-    folder.create("", {})
+    folder = folder_at(tmp_path / "run")
     folder.save(done)
     longer = train(NOISY._replace(generations=3), folder)
-    whole = RunFolder(tmp_path / "whole")
-    whole.create("", {})
+    whole = folder_at(tmp_path / "whole")
     straight = train(NOISY._replace(generations=3), whole)
     assert [x.fitness for x in longer.records] == [x.fitness for x in straight.records]
     assert [x.expected for x in longer.chosen] == [x.expected for x in straight.chosen]

@@ -15,9 +15,8 @@ from evo_cpg.training.refine import (
     compile_evaluation,
     compile_refinement,
 )
-from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.train import train
-from trials import experiment
+from trials import experiment, folder_at
 
 MADE = experiment(60, 6)._replace(generations=2, runs=2)
 SETTINGS = Refinement(rounds=2, steps=5)
@@ -25,8 +24,7 @@ SETTINGS = Refinement(rounds=2, steps=5)
 
 @pytest.fixture(scope="module")
 def evolved(tmp_path_factory):
-    folder = RunFolder(tmp_path_factory.mktemp("evolved") / "run")
-    folder.create("", {})
+    folder = folder_at(tmp_path_factory.mktemp("evolved") / "run")
     return folder, train(MADE, folder)
 
 
@@ -117,8 +115,7 @@ def test_lanes_start_with_the_free_numbers_of_their_parents(evolved):
 def test_the_folder_replaces_the_champion_of_the_run(evolved, refined, tmp_path):
     _, checkpoint = evolved
     _, after, _ = refined
-    folder = RunFolder(tmp_path / "run")
-    folder.create("", {})
+    folder = folder_at(tmp_path / "run")
     folder.save(checkpoint)
     first = folder.load_champion()[0]
     folder.keep_before(checkpoint.champions[1])

@@ -18,14 +18,9 @@ CHAMPION = Champion(
     np.array([0.25, -1.5], np.float32), -0.5, 1, {"distance": 0.75}, {"energy": 3.0}, 0, 3
 )
 
+PLACE, DOF = np.ones((2, 1, 3)), np.ones((2, 1))
 RECORDING = Recording(
-    time=np.arange(2) / 60,
-    position=np.ones((2, 1, 3)),
-    rotation=np.ones((2, 1, 3, 3)),
-    joint_angle=np.ones((2, 1)),
-    target_rate=np.ones((2, 1)),
-    cpg_output=np.ones((2, 1)),
-    torque=np.ones((2, 1)),
+    *(np.arange(2) / 60, PLACE, np.ones((2, 1, 3, 3)), DOF, DOF, DOF, DOF),
     distance=np.ones(2),
     goal=np.ones(3),
     dof_names=("tail.z",),
@@ -78,9 +73,9 @@ def test_a_new_folder_holds_its_config_and_meta(folder):
     assert json.loads(folder.meta.read_text()) == {"seed": 3, "devices": 2}
     folder.require()
     assert folder.load() is None
-    with pytest.raises(RunFolderError, match="a has no finished generation yet"):
+    with pytest.raises(RunFolderError, match="no finished generation"):
         folder.history()
-    with pytest.raises(RunFolderError, match=r"a has no champion yet\. Train it first"):
+    with pytest.raises(RunFolderError, match="no champion yet"):
         folder.load_champion()
 
 
@@ -127,14 +122,11 @@ def test_a_growing_history_is_saved_completely(folder):
     assert found is not None and found.history == other
 
 
-@pytest.mark.parametrize("champions", [(CHAMPION, None), (None, CHAMPION), (None, None)])
-def test_champions_of_several_runs_are_read_back(folder, champions):
-    folder.save(checkpoint(2, *champions))
-    assert_same(folder.load(), checkpoint(2, *champions))
-    assert folder.champion.exists() == any(champions)
-
-
 def test_the_champion_is_the_best_of_all_runs(folder):
+    for champions in ((None, None), (CHAMPION, None), (None, CHAMPION)):
+        folder.save(checkpoint(2, *champions))
+        assert_same(folder.load(), checkpoint(2, *champions))
+        assert folder.champion.exists() == any(champions)
     better = CHAMPION._replace(fitness=-0.25, run=2)
     folder.save(checkpoint(2, CHAMPION, None, better, better._replace(run=3)))
     assert folder.load_champion()[0].run == 2
@@ -157,17 +149,11 @@ def test_the_champion_is_read_back_with_its_motion_and_digests(folder):
     }
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"fitness": -0.4999},
-        {"generation": 2},
-        {"terms": {"distance": 0.7501}},
-        {"scales": {"energy": 3.001}},
-    ],
-)
-def test_the_digest_covers_all_recorded_results(change):
-    assert outcome_digest(CHAMPION) != outcome_digest(CHAMPION._replace(**change))
+def test_the_digest_covers_all_recorded_results():
+    changes = {"fitness": -0.4999, "generation": 2}
+    changes |= {"terms": {"distance": 0.7501}, "scales": {"energy": 3.001}}
+    for name, value in changes.items():
+        assert outcome_digest(CHAMPION) != outcome_digest(CHAMPION._replace(**{name: value}))
 
 
 def damaged(whole: bytes) -> list[bytes]:
@@ -215,12 +201,8 @@ def test_a_run_without_readable_checkpoints_does_not_restart(folder):
     newest.mkdir()
     whole = older.read_bytes()
     older.write_bytes(whole[:100])
-    with pytest.raises(RunFolderError) as refused:
+    with pytest.raises(RunFolderError, match=r"2\.npz: Is a dir.*1\.npz: "):
         folder.load()
-    assert str(refused.value).startswith(
-        f"{folder.path / 'checkpoints'}: no checkpoint can be read (generation_000002.npz: Is a "
-        "directory, generation_000001.npz: File is not a zip file). Make them readable"
-    )
     older.write_bytes(whole)
     assert_same(folder.load(), checkpoint(1))
 
@@ -249,8 +231,7 @@ def test_a_damaged_champion_is_named_with_the_remedy(folder):
         try:
             champion, _, _ = folder.load_champion()
         except RunFolderError as error:
-            assert "champion.npz is damaged" in str(error)
-            assert "`evo-cpg resume" in str(error) and "\n" not in str(error)
+            assert "champion.npz is damaged" in str(error) and "resume" in str(error)
         else:
             assert champion[1:] == CHAMPION[1:]
 
@@ -270,29 +251,23 @@ def test_an_empty_array_damages_a_checkpoint(folder):
     with np.load(path) as arrays:
         names = [name for name in arrays if name == "genes" or name.startswith("history.")]
     assert len(names) > 2
-    history = "the columns of its table of generations are empty or differ in length"
-    words = dict.fromkeys(names, history)
+    words = dict.fromkeys(names, ".*table of generations")
     words |= {"genes": "it is not a checkpoint", "champion0.genes": "it holds no genome"}
     for name, problem in words.items():
         path.write_bytes(whole)
         emptied(path, name)
         with pytest.raises(RunFolderError, match=rf"no checkpoint can be read \(.*: {problem}"):
             folder.load()
+    path.write_bytes(whole)
+    for name in ("generation", "best", "diverged"):
+        emptied(path, f"history.{name}")
+    with pytest.raises(RunFolderError, match="table of generations"):
+        folder.load()
 
 
 def test_a_champion_with_other_genes_damages_a_checkpoint(folder):
     folder.save(checkpoint(2, CHAMPION._replace(genes=np.ones(3, np.float32))))
-    words = "a champion and the population differ in their number of genes"
-    with pytest.raises(RunFolderError, match=words):
-        folder.load()
-
-
-def test_a_history_without_rows_damages_a_checkpoint(folder):
-    folder.save(checkpoint(2))
-    (path,) = (folder.path / "checkpoints").iterdir()
-    for name in ("generation", "best", "diverged"):
-        emptied(path, f"history.{name}")
-    with pytest.raises(RunFolderError, match="columns of its table of generations are empty"):
+    with pytest.raises(RunFolderError, match="number of genes"):
         folder.load()
 
 
@@ -446,21 +421,21 @@ def test_a_kill_while_replacing_a_champion_leaves_all_files_or_none(folder, monk
 
 def test_used_and_unusable_places_are_refused(folder, tmp_path):
     before = files(folder)
-    with pytest.raises(
-        RunFolderError, match=r"already holds a run\. Continue with `evo-cpg resume "
+    note = tmp_path / "note.txt"
+    note.write_text("mine")
+    for path, kind, words in (
+        (folder.path, RunFolderError, "already holds a run"),
+        (tmp_path, RunFolderError, "is not empty"),
+        (note, RunFolderError, "is a file"),
+        (note / "run", OutputError, "cannot write"),
+        ("/proc/run", OutputError, "cannot write"),
+        (tmp_path / ("x" * 300), OutputError, "cannot write"),
     ):
-        folder.create("name: b\n", {})
+        with pytest.raises(kind, match=words):
+            RunFolder(path).create("name: b\n", {})
     assert files(folder) == before and folder.config.read_text() == "name: a\n"
-    (tmp_path / "note.txt").write_text("mine")
-    with pytest.raises(RunFolderError, match=r"is not empty and holds no run\. Choose another"):
-        RunFolder(tmp_path).create("", {})
-    with pytest.raises(RunFolderError, match=r"note.txt is a file\. Choose another --out"):
-        RunFolder(tmp_path / "note.txt").create("", {})
-    for path in (tmp_path / "note.txt" / "run", "/proc/run", tmp_path / ("x" * 300)):
-        with pytest.raises(OutputError, match=r"cannot write .* \(.+\)"):
-            RunFolder(path).create("", {})
-    assert (tmp_path / "note.txt").read_text() == "mine"
-    with pytest.raises(RunFolderError, match=r"is not a run folder \(it has no config.yaml\)"):
+    assert note.read_text() == "mine"
+    with pytest.raises(RunFolderError, match="is not a run folder"):
         RunFolder(tmp_path).require()
 
 

@@ -19,15 +19,12 @@ from evo_cpg.training.evaluate import compile_replay, compile_trials
 from evo_cpg.training.experiment import (
     begin,
     breed,
-    first_population,
     generation_keys,
     judge,
     judge_each,
     trial_keys,
 )
-from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.train import TIMING_COLUMNS, train
-from trials import OneTerm, SineController, experiment
+from trials import OneTerm, SineController, evolve, experiment, untimed
 
 SEED, SIZE, GENERATIONS = 5, 6, 3
 NOISE = Noise(joint_angle=0.1, tilt=0.05, push=0.2)
@@ -48,13 +45,6 @@ REAL, BITS = PAIR.strategy, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, (1, 2))
 NOISY = noisy(PAIR)._replace(trials=2, generations=2)
 
 
-def evolve(experiment, path):
-    folder = RunFolder(path)
-    if not folder.config.exists():
-        folder.create("", {})
-    return folder, train(experiment, folder)
-
-
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory):
     """Evolve two runs together."""
@@ -66,17 +56,13 @@ def noisy_pair(tmp_path_factory):
     return evolve(NOISY, tmp_path_factory.mktemp("noisy") / "run")
 
 
-def untimed(rows):
-    return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
-
-
 def test_first_genomes_equal_the_single_runs():
-    both = [np.asarray(first_population(alone(seed))) for seed in (SEED, SEED + 1)]
-    np.testing.assert_array_equal(first_population(PAIR), np.concatenate(both, axis=1))
+    both = [np.asarray(begin(alone(seed))[0]) for seed in (SEED, SEED + 1)]
+    np.testing.assert_array_equal(begin(PAIR)[0], np.concatenate(both, axis=1))
     last = alone(2**31 - 2)
     np.testing.assert_array_equal(
-        np.asarray(first_population(last._replace(runs=2)))[:, SIZE:],
-        first_population(last._replace(seed=2**31 - 1)),
+        np.asarray(begin(last._replace(runs=2))[0])[:, SIZE:],
+        begin(last._replace(seed=2**31 - 1))[0],
     )
 
 
@@ -174,7 +160,7 @@ def test_more_trials_than_a_chunk_holds_replay_exactly():
     """One individual has 40 trials, which two devices share."""
     single = noisy(experiment(20, 1))._replace(trials=40)
     assert chunk_width(40, 2) < 40
-    genes = np.asarray(first_population(single))
+    genes = np.asarray(begin(single)[0])
     keys = np.asarray(generation_keys(single, np.int32(3)))
     outcome = compile_trials(single.simulation, population_mesh(2))(genes, keys, None, 40)
     recorded = JUDGE, Recorder()

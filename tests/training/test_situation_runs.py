@@ -15,14 +15,8 @@ from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.evaluate import compile_replay, compile_trials
-from evo_cpg.training.experiment import (
-    first_population,
-    generation_keys,
-    situation_numbers,
-)
-from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.train import TIMING_COLUMNS, train
-from trials import experiment
+from evo_cpg.training.experiment import begin, generation_keys, situation_numbers
+from trials import evolve, experiment, untimed
 from watching import Watcher
 
 STEPS, SIZE = 20, 6
@@ -36,23 +30,13 @@ SITUATIONS = (
 def in_situations(situations=SITUATIONS, size=SIZE, noise=None, **changes):
     made = experiment(STEPS, size, seed=5)
     simulation = dataclasses.replace(
-        made.simulation,
-        controller=Watcher(),
-        situations=situations,
-        noise=noise or Noise(),
+        made.simulation, controller=Watcher(), situations=situations, noise=noise or Noise()
     )
     return made._replace(simulation=simulation, trials=len(situations))._replace(**changes)
 
 
 MADE = in_situations()
 NOISY = in_situations(noise=Noise(joint_angle=0.1, push=0.2), runs=2)
-
-
-def evolve(made, path):
-    folder = RunFolder(path)
-    if not folder.config.exists():
-        folder.create("", {})
-    return folder, train(made, folder)
 
 
 @pytest.fixture(
@@ -67,14 +51,10 @@ def evolved(request, tmp_path_factory):
     return request.param, *evolve(request.param, path)
 
 
-def untimed(rows):
-    return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
-
-
 def test_fitness_and_terms_are_means_over_the_situations(evolved):
     """Compare the first generation with separate simulations of one situation each."""
     made, folder, done = evolved
-    genes = np.asarray(first_population(made))
+    genes = np.asarray(begin(made)[0])
     keys = generation_keys(made, np.int32(0))
     lone = []
     for number, situation in enumerate(SITUATIONS):
@@ -128,7 +108,7 @@ def test_more_situations_than_a_chunk_holds_replay_exactly(devices, noise):
     """One individual has 40 trials, in smaller chunks."""
     lights = np.random.default_rng(2).uniform(-3, 3, (40, 3))
     made = in_situations(tuple(Situation(light=tuple(place)) for place in lights), 1, noise)
-    genes = np.asarray(first_population(made))
+    genes = np.asarray(begin(made)[0])
     keys = generation_keys(made, np.int32(3))
     keys = None if keys is None else np.asarray(keys)
     numbers = situation_numbers(made)
