@@ -28,11 +28,10 @@ from evo_cpg.api.audit_checks import (
     carried_by_flow,
     displacement_checks,
     opinion_checks,
-    replay_check,
 )
 from evo_cpg.api.progress import working
 from evo_cpg.api.run_start import now
-from evo_cpg.api.runs import open_champion
+from evo_cpg.api.runs import REPLAY_TOLERANCE, open_champion
 from evo_cpg.creature.creature import length_of
 from evo_cpg.errors import UsageError, advise
 from evo_cpg.files import make_folder
@@ -252,8 +251,10 @@ def audits(
     made = []
     for champion, alive, steps, found in zip(champions, replayed, trials, kept, strict=True):
         opinions, diverged, missing = _opinions(experiment, champion, steps[0].steps)
+        off = abs(float(alive.fitness[0]) - champion.fitness)
+        off /= max(abs(champion.fitness), REPLAY_TOLERANCE)
         checks = [
-            replay_check(champion, alive),
+            Check("replay", "error of the replayed fitness", off, REPLAY_TOLERANCE, unit="%"),
             *displacement_checks(
                 float(np.nanmean(alive.displacement)),
                 found,
@@ -401,9 +402,19 @@ def _variations(
     if simulation.world.water is not None:
         sims = [conditions.with_drag(simulation, x) for x in more_and_less]
         found["drag"] = drawn("drag 10 % up and down", *sims)
+        settings = config.world.water
+        assert settings is not None
+        changed = {"points_seed": settings.points_seed + 1}
+        if settings.points != "random":
+            changed = {
+                "form_resolution": settings.form_resolution + 1,
+                "skin_resolution": settings.skin_resolution + 1,
+            }
+        water = settings.model_copy(update=changed)
+        world = config.world.model_copy(update={"water": water})
+        other = config.model_copy(update={"world": world})
         found["surface_points"] = drawn(
-            "other surface points",
-            build_experiment(other_points(config), source, folders).simulation,
+            "other surface points", build_experiment(other, source, folders).simulation
         )
     if described(simulation.engine)["engine"] == "native":
         plain = dataclasses.replace(simulation, engine=Engine("jax"))
@@ -416,18 +427,3 @@ def _variations(
 def draws_of(simulation: Simulation) -> int:
     """Return the number of trials that a displacement is averaged over: one without noise."""
     return 1 if simulation.noise.silent else _TRIALS
-
-
-def other_points(config: ExperimentConfig) -> ExperimentConfig:
-    """Return the configuration with other surface points for the water."""
-    water = config.world.water
-    assert water is not None
-    if water.points == "random":
-        changed = {"points_seed": water.points_seed + 1}
-    else:
-        changed = {
-            "form_resolution": water.form_resolution + 1,
-            "skin_resolution": water.skin_resolution + 1,
-        }
-    world = config.world.model_copy(update={"water": water.model_copy(update=changed)})
-    return config.model_copy(update={"world": world})
