@@ -1,6 +1,7 @@
 """Audit of a champion: real gait or artefact of the simulation?"""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -43,12 +44,11 @@ from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.trust import trusting
 from evo_cpg.native.engine import Engine, described
 from evo_cpg.simulation.observers import EachPhysicsStep, PhysicsSteps
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training import conditions
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.conditions import Variation, Varied, blinded
-from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import ExperimentParts, champion_keys, situation_numbers
 from evo_cpg.training.run_folder import RunFolder
 
@@ -348,7 +348,7 @@ def compile_first_look(
 def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[AuditedTrial, ...]]:
     """Return a function that replays all trials of a champion, step by step."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    live = compile_trials(simulation, population_mesh(1), observers=EachPhysicsStep())
+    live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
 
     def of(champion: Champion) -> tuple[AuditedTrial, ...]:
         keys = jax.device_get(champion_keys(experiment, champion))
@@ -357,7 +357,7 @@ def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[Aud
         for i in range(experiment.trials):
             own = None if keys is None else keys[:, i : i + 1]
             number = None if numbers is None else numbers[i : i + 1]
-            steps = live(genes, own, number)
+            steps = jax.device_get(live(genes, own, number))
             place = 0 if numbers is None else i
             trials.append(
                 AuditedTrial(
