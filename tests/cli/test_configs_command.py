@@ -59,22 +59,14 @@ def test_a_failed_copy_is_one_line(cli, tmp_path):
     assert code == 2 and "did you mean 'hexapod' or 'hexapod_tripod'?" in err
 
 
-def test_a_run_records_the_name_of_its_shipped_configuration(cli, tmp_path):
-    settings = (*PAIR, "evolution.generations=1")
-    code, out, err = cli("train", NAME, *settings, folder=tmp_path)
-    assert (code, out) == (0, f"runs/{NAME}\n"), err
-    meta = json.loads((tmp_path / out.strip() / "meta.json").read_text())
-    assert meta["shipped_config"] == NAME
-    assert meta["config"] == str(REPOSITORY / "configs" / f"{NAME}.yaml")
-
-
-def test_a_run_of_a_copy_records_no_shipped_name(cli, tmp_path):
+@pytest.mark.parametrize("given", [NAME, f"{NAME}.yaml"])
+def test_only_a_run_of_a_shipped_configuration_records_its_name(cli, tmp_path, given):
     cli("configs", "copy", NAME, folder=tmp_path)
     settings = (*PAIR, "evolution.generations=1")
-    code, out, err = cli("train", f"{NAME}.yaml", *settings, folder=tmp_path)
-    assert code == 0, err
+    code, out, err = cli("train", given, *settings, folder=tmp_path)
+    assert (code, out) == (0, f"runs/{NAME}\n"), err
     meta = json.loads((tmp_path / out.strip() / "meta.json").read_text())
-    assert "shipped_config" not in meta
+    assert meta.get("shipped_config") == (NAME if given == NAME else None)
 
 
 @pytest.mark.parametrize(
