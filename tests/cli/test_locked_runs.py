@@ -67,8 +67,8 @@ def test_a_command_that_only_reads_is_allowed(cli, run, tmp_path):
 def test_two_commands_cannot_make_one_folder(cli, tmp_path, command, rest):
     folder = tmp_path / "made"
     with locked(folder, make=True):
-        code, _, err = cli(command, *rest, "--out", folder)
-        assert code == 2 and f"{folder} is in use by process {os.getpid()} on " in err
+        err = cli.refuses(command, *rest, "--out", folder)
+        assert f"{folder} is in use by process {os.getpid()} on " in err
         if command == "train":
             with pytest.raises(LockedError, match="is in use by process"):
                 evo.train(evo.load(CONFIG, TINY), folder)
@@ -101,8 +101,7 @@ def test_a_sweep_is_refused_while_one_of_its_runs_is_in_use(cli, tmp_path):
     settings = [Setting(f"seed={seed}", {"seed": seed}) for seed in (1, 2)]
     claim(folder, new_plan(CONFIG, PAIR, settings))
     with RunFolder(folder / "seed=1").locked(new=True):
-        code, _, err = cli("sweep", folder)
-        assert code == 2 and f"{folder / 'seed=1'} is in use by process" in err
+        assert f"{folder / 'seed=1'} is in use by process" in cli.refuses("sweep", folder)
         assert {path.name for path in folder.rglob("*")} == {"sweep.json", "seed=1", ".lock"}
 
 

@@ -83,8 +83,7 @@ def test_a_killed_run_continues_to_the_same_bits(finished_run, start, cli, tmp_p
     newest = max((folder / "checkpoints").iterdir())
     newest.write_bytes(newest.read_bytes()[:100])
     (folder / ".metrics.csv.x").write_text("generation,")
-    code, _, err = cli("resume", folder)
-    assert code == 0, err
+    cli.passes("resume", folder)
     assert_same_run(folder, finished_run)
 
 
@@ -92,8 +91,7 @@ def test_a_run_killed_before_its_first_checkpoint_restarts(finished_run, cli, tm
     folder = tmp_path / "run"
     folder.mkdir()
     shutil.copy(finished_run / "config.yaml", folder)
-    code, _, err = cli("resume", folder, "--cores", 2)
-    assert code == 0, err
+    cli.passes("resume", folder, "--cores", 2)
     assert_same_run(folder, finished_run)
 
 
@@ -102,8 +100,7 @@ def test_resume_restores_files_lost_at_the_end(finished_run, cli, tmp_path):
     shutil.copytree(finished_run, folder)
     for lost in ("champion.npz", "metrics.csv", "meta.json"):
         (folder / lost).unlink()
-    code, _, err = cli("resume", folder, "--cores", 2)
-    assert code == 0, err
+    cli.passes("resume", folder, "--cores", 2)
     assert_same_run(folder, finished_run)
 
 
@@ -116,8 +113,7 @@ def test_resume_of_a_finished_run_prints_how_to_continue(finished_run, cli, tmp_
     assert (code, out) == (0, f"{folder}\n")
     assert err.endswith(f"`evo-cpg resume {folder} --generations {2 * GENERATIONS}`\n")
     assert contents(folder) == before
-    code, _, err = cli("train", CONFIG, *LONG, "--out", folder)
-    assert code == 2
+    err = cli.refuses("train", CONFIG, *LONG, "--out", folder)
     assert f"`evo-cpg resume {folder}` ({GENERATIONS} generations are done)" in err
     code, _, err = cli("resume", folder, "--generations", MORE)
     assert code == 0 and len(rows(folder)) == MORE
@@ -159,8 +155,8 @@ def test_resume_refuses_other_configurations(
         (folder / "config.yaml").write_text(yaml.safe_dump(config))
     before = contents(folder)
     given = () if generations is None else ("--generations", generations)
-    code, _, err = cli("resume", folder, *given)
-    assert code == 2 and "Traceback" not in err and all(word in err for word in words), err
+    err = cli.refuses("resume", folder, *given)
+    assert "Traceback" not in err and all(word in err for word in words), err
     assert contents(folder) == before
 
 
@@ -169,8 +165,8 @@ def test_resume_refuses_to_drop_a_metric_of_a_strategy(finished_run, cli, tmp_pa
     done = folder.load()
     assert done is not None
     folder.save(done._replace(history=[row | {"spread": 0.5} for row in done.history]))
-    code, _, err = cli("resume", folder.path, "--generations", MORE)
-    assert code == 2 and "metrics.csv would drop spread, but all its rows must have" in err
+    err = cli.refuses("resume", folder.path, "--generations", MORE)
+    assert "metrics.csv would drop spread, but all its rows must have" in err
 
 
 def test_resume_continues_with_changes_of_the_search(finished_run, cli, tmp_path):
