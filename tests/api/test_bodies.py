@@ -141,9 +141,7 @@ def test_values_that_change_the_layout_are_refused(experiment, genomes):
 @pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
-    "overrides",
-    [["creature.bodies.1.repeat=1"], []],
-    ids=["two bodies", "three bodies"],
+    "overrides", [["creature.bodies.1.repeat=1"], []], ids=["two bodies", "three bodies"]
 )
 def test_the_gradient_by_body_numbers_equals_finite_differences(overrides):
     loaded = evo.load(CONFIG, [*TINY, *overrides, "simulation.seconds=0.1333"])

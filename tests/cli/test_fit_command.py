@@ -21,32 +21,23 @@ from evo_cpg.training.run_folder import RunFolder
 from pictures import ink
 from tiny_run import CONFIG, REPOSITORY
 
-FALL = {
-    "name": "dropped",
-    "creature": {
-        "name": "pair",
-        "materials": {"a": {"density": 1200.0}},
-        "bodies": [
-            {"name": "head", "shape": {"type": "sphere", "radius": 0.1}, "material": "a"},
-            {
-                "name": "tail",
-                "shape": {"type": "box", "size": [0.2, 0.1, 0.02]},
-                "material": "a",
-                "joint": {
-                    "parent": "head",
-                    "at": [-0.1, 0.0, 0.0],
-                    "child_at": [0.11, 0.0, 0.0],
-                    "axes": ["y"],
-                    "actuator": {"gain": 1.0},
-                },
-            },
-        ],
-    },
-    "world": {"water": {"form_drag": 0.8}},
-    "simulation": {"seconds": 20 / 60, "substeps": 1},
-    "controller": {"type": "evo_cpg.control.commanded:Commanded"},
-    "task": {"type": "distance"},
-}
+FALL = yaml.safe_load("""
+name: dropped
+creature:
+  name: pair
+  materials: {a: {density: 1200.0}}
+  bodies:
+    - {name: head, shape: {type: sphere, radius: 0.1}, material: a}
+    - name: tail
+      shape: {type: box, size: [0.2, 0.1, 0.02]}
+      material: a
+      joint: {parent: head, at: [-0.1, 0.0, 0.0], child_at: [0.11, 0.0, 0.0], axes: [y],
+              actuator: {gain: 1.0}}
+world: {water: {form_drag: 0.8}}
+simulation: {seconds: 0.3333333333333333, substeps: 1}
+controller: {type: "evo_cpg.control.commanded:Commanded"}
+task: {type: distance}
+""")
 
 
 def write(path, columns, rows):

@@ -6,8 +6,9 @@ import pytest
 import yaml
 
 from evo_cpg.cli.ask import short_heads
+from evo_cpg.io.load import load_config
 from pictures import ink
-from tiny_run import PAIR
+from tiny_run import CONFIG, PAIR
 
 TINY = ("u=0.4,0.8", "b=2", "--seconds", "1")
 
@@ -15,9 +16,6 @@ TINY = ("u=0.4,0.8", "b=2", "--seconds", "1")
 @pytest.fixture(scope="module")
 def animal(tmp_path_factory):
     """Configuration of a tiny swimmer."""
-    from evo_cpg.io.load import load_config
-    from tiny_run import CONFIG
-
     path = tmp_path_factory.mktemp("lab") / "tiny.yaml"
     path.write_text(yaml.safe_dump(load_config(CONFIG, PAIR).model_dump(mode="json")))
     return path

@@ -1,9 +1,12 @@
 """Unlikely values in a configuration: a warning, or an error with --strict. And --version."""
 
 import platform
+import subprocess
+from importlib import metadata
 
 import pytest
 
+from evo_cpg.api.machine import commit_of, version
 from evo_cpg.native import engine as engines
 from evo_cpg.native.backend.machine import llvm_version
 from evo_cpg.native.engine import is_native
@@ -67,8 +70,6 @@ def test_train_and_preview_warn_and_continue(cli, tmp_path):
 
 
 def test_version_names_the_program_and_its_packages(cli):
-    from importlib import metadata
-
     code, out, err = cli("--version")
     assert (code, err) == (0, "")
     words = out.split()
@@ -83,8 +84,6 @@ def test_version_names_the_program_and_its_packages(cli):
 
 
 def test_version_says_why_there_is_no_native_code(monkeypatch):
-    from evo_cpg.api.machine import version
-
     reason = "llvmlite is not installed"
 
     def no_target():
@@ -97,23 +96,21 @@ def test_version_says_why_there_is_no_native_code(monkeypatch):
 
 
 def test_version_names_the_commit_of_a_checkout(tmp_path):
-    import subprocess
-
-    from evo_cpg.api.machine import commit_of
+    def git(*words: object) -> str:
+        author = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
+        command = ["git", "-C", tmp_path, *author, *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
     assert commit_of(tmp_path) is None
     (tmp_path / ".git").mkdir()
     assert commit_of(tmp_path) is None
     (tmp_path / ".git").rmdir()
-    subprocess.run(["git", "init", "-q", tmp_path], check=True)
-    author = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
+    git("init", "-q")
     (tmp_path / "file").write_text("one")
-    subprocess.run(["git", "-C", tmp_path, "add", "file"], check=True)
-    subprocess.run(["git", "-C", tmp_path, *author, "commit", "-qm", "x"], check=True)
-    command = ["git", "-C", str(tmp_path), "rev-parse", "HEAD"]
-    head = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    git("add", "file")
+    git("commit", "-qm", "x")
     commit = commit_of(tmp_path)
-    assert commit and head.startswith(commit) and len(commit) >= 4
+    assert commit and git("rev-parse", "HEAD").startswith(commit) and len(commit) >= 4
     (tmp_path / "file").write_text("two")
     assert commit_of(tmp_path) == f"{commit}-dirty"
     # If only other files count, nothing has changed.

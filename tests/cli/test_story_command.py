@@ -52,16 +52,9 @@ def test_a_story_shows_early_generations(done, champion, shown):
         (("--size", "4x4"), "the smallest is 16 x 16"),
     ],
 )
-def test_options_that_do_not_fit_a_story_are_refused(cli, run_folder, options, words):
-    assert words in cli.refuses("render", run_folder, "--story", *options)
-
-
-@pytest.fixture(scope="module")
-def run_folder(tmp_path_factory):
-    """A folder that is never read, because the options are wrong."""
-    folder = tmp_path_factory.mktemp("unread")
-    (folder / "config.yaml").touch()
-    return folder
+def test_options_that_do_not_fit_a_story_are_refused(cli, tmp_path, options, words):
+    (tmp_path / "config.yaml").touch()
+    assert words in cli.refuses("render", tmp_path, "--story", *options)
 
 
 @pytest.mark.slow

@@ -459,8 +459,7 @@ def test_invalid_command_line_prints_the_usage(cli, arguments):
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [("render", "run", "--camera", "front"), ("train", CONFIG, "--start", "front")],
+    "arguments", [("render", "run", "--camera", "front"), ("train", CONFIG, "--start", "front")]
 )
 def test_invalid_choice_lists_the_choices(cli, arguments):
     assert f"Invalid value for '{arguments[2]}': 'front' is not one of '" in cli.refuses(*arguments)
