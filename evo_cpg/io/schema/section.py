@@ -9,7 +9,6 @@ import importlib
 import inspect
 import math
 import re
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar
 
@@ -109,8 +108,6 @@ def section_of(
         usual = ... if field.default is dataclasses.MISSING else field.default
         fields[field.name] = (hints[field.name], None if usual == math.inf else usual)
     made = create_model(name, __base__=DescribedSection, __doc__=described.__doc__, **fields)
-    # The module of the caller, where pickle looks the class up.
-    made.__module__ = sys._getframe(1).f_globals["__name__"]
     made.described = described
     return made
 
