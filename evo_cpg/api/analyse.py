@@ -90,26 +90,14 @@ def analyse(
             together = crowd_panel(opened, crowd, trial, Film())
         path = output or opened.folder.path / f"analysis{suffix(number, trial)}.html"
         with working("replaying the champion") as work:
-            measured = measure(opened, trial)
+            recording, numbers = measure(opened, trial)
             work.doing("drawing")
-            write_text(path, page(opened, trial, measured, together))
+            write_text(path, page(opened, trial, recording, numbers, together))
         table, champion = numbers_path(path), opened.champion
         about = {"run": champion.run, "generation": champion.generation, "trial": trial}
-        contents = about | {"made": now()} | measured.numbers.as_dict()
+        contents = about | {"made": now()} | numbers.as_dict()
         write_text(table, json.dumps(contents, indent=2, allow_nan=False) + "\n")
-    return Analysis(path, table, measured.numbers)
-
-
-class Measured(NamedTuple):
-    """Recorded trial of a champion, and the numbers of its motion.
-
-    Attributes:
-        recording: motion in the trial.
-        numbers: numbers of the motion.
-    """
-
-    recording: Recording
-    numbers: GaitNumbers
+    return Analysis(path, table, numbers)
 
 
 def gait_numbers(run: Path | str, trial: int = 0, trust: bool = False) -> GaitNumbers:
@@ -134,10 +122,10 @@ def gait_numbers(run: Path | str, trial: int = 0, trust: bool = False) -> GaitNu
         opened = open_champion(run, trial=trial)
         opened.require_configured()
         with working(f"measuring {run}"):
-            return measure(opened, trial).numbers
+            return measure(opened, trial)[1]
 
 
-def measure(opened: Run, trial: int) -> Measured:
+def measure(opened: Run, trial: int) -> tuple[Recording, GaitNumbers]:
     """Replay a champion's trial and return its motion with the numbers."""
     from evo_cpg.analysis import gait_numbers as measuring
 
@@ -148,7 +136,7 @@ def measure(opened: Run, trial: int) -> Measured:
     numbers = measuring.gait_numbers(
         experiment.simulation, experiment.creature, replay.frames, replay.recording
     )
-    return Measured(replay.recording, numbers)
+    return replay.recording, numbers
 
 
 def numbers_path(page: Path) -> Path:
@@ -159,7 +147,8 @@ def numbers_path(page: Path) -> Path:
 def page(
     opened: Run,
     trial: int,
-    measured: Measured,
+    recording: Recording,
+    numbers: GaitNumbers,
     crowd: "Panel | None" = None,
 ) -> str:
     """Return the HTML text of a champion's page."""
@@ -173,7 +162,6 @@ def page(
     folder, config, champion = opened.folder, opened.config, opened.champion
     experiment, meta = opened.experiment, folder.read_meta()
     simulation = experiment.simulation
-    recording, numbers = measured
     panel, still = panel_of(experiment, recording, experiment.name), io.BytesIO()
     picture([panel], Film(_STILL)).save(still, "JPEG", quality=_QUALITY)
     motion = RecordedMotion(
@@ -187,7 +175,7 @@ def page(
         root_index=experiment.creature.root_index,
         crowd=None if crowd is None else _together(crowd),
     )
-    audit = _audit(folder, champion)
+    audit, stale = _audit(folder, champion)
     expected = {}
     if champion.expected is not None:
         expected[f"mean fitness in {champion.lives} new draws of the noise"] = champion.expected
@@ -207,7 +195,7 @@ def page(
         config=folder.config.read_text(encoding="utf-8"),
         meta=meta,
         audit=audit,
-        stale=bool(audit) and not _is_of(audit, champion),
+        stale=stale,
         half_step=_kept_at_half_the_step(meta, champion),
         differences=paper_differences(config),
         program=version().splitlines()[0],
@@ -254,17 +242,17 @@ def _sentence(experiment: ExperimentParts, config: ExperimentConfig) -> str:
     )
 
 
-def _audit(folder: RunFolder, champion: Champion) -> dict[str, Any] | None:
-    """Return the audit of the champion, else any audit of the run, else None."""
+def _audit(folder: RunFolder, champion: Champion) -> tuple[dict[str, Any] | None, bool]:
+    """Return the champion's audit or else any of the run, and whether it is of another champion."""
     audits = []
     for name in (f"audit_run{champion.run}.json", "audit.json"):
         try:
             audits.append(read_json(folder.path / name, dict[str, Any]))
         except (OSError, ValueError):
             continue
-    return next((each for each in audits if _is_of(each, champion)), next(iter(audits), None))
-
-
-def _is_of(audit: dict[str, Any] | None, champion: Champion) -> bool:
-    keys = "run", "generation", "fitness"
-    return audit is not None and all(audit.get(key) == getattr(champion, key) for key in keys)
+    for audit in audits:
+        if all(
+            audit.get(key) == getattr(champion, key) for key in ("run", "generation", "fitness")
+        ):
+            return audit, False
+    return next(iter(audits), None), bool(audits and audits[0])

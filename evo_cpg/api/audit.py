@@ -1,6 +1,7 @@
 """Audit of a champion: real gait or artefact of the simulation?"""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -28,11 +29,10 @@ from evo_cpg.api.audit_checks import (
     carried_by_flow,
     displacement_checks,
     opinion_checks,
-    replay_check,
 )
 from evo_cpg.api.progress import working
 from evo_cpg.api.run_start import now
-from evo_cpg.api.runs import open_champion
+from evo_cpg.api.runs import REPLAY_TOLERANCE, open_champion
 from evo_cpg.creature.creature import length_of
 from evo_cpg.errors import UsageError, advise
 from evo_cpg.files import make_folder
@@ -44,12 +44,11 @@ from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.trust import trusting
 from evo_cpg.native.engine import Engine, described
 from evo_cpg.simulation.observers import EachPhysicsStep, PhysicsSteps
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training import conditions
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.conditions import Variation, Varied, blinded
-from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import ExperimentParts, champion_keys, situation_numbers
 from evo_cpg.training.run_folder import RunFolder
 
@@ -252,8 +251,10 @@ def audits(
     made = []
     for champion, alive, steps, found in zip(champions, replayed, trials, kept, strict=True):
         opinions, diverged, missing = _opinions(experiment, champion, steps[0].steps)
+        off = abs(float(alive.fitness[0]) - champion.fitness)
+        off /= max(abs(champion.fitness), REPLAY_TOLERANCE)
         checks = [
-            replay_check(champion, alive),
+            Check("replay", "error of the replayed fitness", off, REPLAY_TOLERANCE, unit="%"),
             *displacement_checks(
                 float(np.nanmean(alive.displacement)),
                 found,
@@ -347,7 +348,7 @@ def compile_first_look(
 def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[AuditedTrial, ...]]:
     """Return a function that replays all trials of a champion, step by step."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    live = compile_trials(simulation, population_mesh(1), observers=EachPhysicsStep())
+    live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
 
     def of(champion: Champion) -> tuple[AuditedTrial, ...]:
         keys = jax.device_get(champion_keys(experiment, champion))
@@ -356,7 +357,7 @@ def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[Aud
         for i in range(experiment.trials):
             own = None if keys is None else keys[:, i : i + 1]
             number = None if numbers is None else numbers[i : i + 1]
-            steps = live(genes, own, number)
+            steps = jax.device_get(live(genes, own, number))
             place = 0 if numbers is None else i
             trials.append(
                 AuditedTrial(
@@ -401,9 +402,19 @@ def _variations(
     if simulation.world.water is not None:
         sims = [conditions.with_drag(simulation, x) for x in more_and_less]
         found["drag"] = drawn("drag 10 % up and down", *sims)
+        settings = config.world.water
+        assert settings is not None
+        changed = {"points_seed": settings.points_seed + 1}
+        if settings.points != "random":
+            changed = {
+                "form_resolution": settings.form_resolution + 1,
+                "skin_resolution": settings.skin_resolution + 1,
+            }
+        water = settings.model_copy(update=changed)
+        world = config.world.model_copy(update={"water": water})
+        other = config.model_copy(update={"world": world})
         found["surface_points"] = drawn(
-            "other surface points",
-            build_experiment(other_points(config), source, folders).simulation,
+            "other surface points", build_experiment(other, source, folders).simulation
         )
     if described(simulation.engine)["engine"] == "native":
         plain = dataclasses.replace(simulation, engine=Engine("jax"))
@@ -416,18 +427,3 @@ def _variations(
 def draws_of(simulation: Simulation) -> int:
     """Return the number of trials that a displacement is averaged over: one without noise."""
     return 1 if simulation.noise.silent else _TRIALS
-
-
-def other_points(config: ExperimentConfig) -> ExperimentConfig:
-    """Return the configuration with other surface points for the water."""
-    water = config.world.water
-    assert water is not None
-    if water.points == "random":
-        changed = {"points_seed": water.points_seed + 1}
-    else:
-        changed = {
-            "form_resolution": water.form_resolution + 1,
-            "skin_resolution": water.skin_resolution + 1,
-        }
-    world = config.world.model_copy(update={"water": water.model_copy(update=changed)})
-    return config.model_copy(update={"world": world})

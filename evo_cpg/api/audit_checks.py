@@ -38,9 +38,6 @@ LEAST_DISPLACEMENT = 0.1
 # fraction of the trial.
 _LESS_UPRIGHT = 0.1
 
-# Largest allowed relative error of the replayed fitness.
-_REPLAY = 1e-3
-
 
 class AuditedTrial(NamedTuple):
     """Step-by-step results of one trial of the champion.
@@ -54,12 +51,6 @@ class AuditedTrial(NamedTuple):
     steps: PhysicsSteps
     ledger: Ledger
     excursions: Excursions
-
-
-def replay_check(champion: Champion, replayed: Varied) -> Check:
-    """Return the check that the champion replays with its recorded fitness."""
-    off = abs(float(replayed.fitness[0]) - champion.fitness) / max(abs(champion.fitness), _REPLAY)
-    return Check("replay", "error of the replayed fitness", off, _REPLAY, unit="%")
 
 
 def displacement_checks(
@@ -189,19 +180,29 @@ def books(
     def check(key: str, question: str, measured: float, unit: str = "%", detail: str = "") -> Check:
         return Check(key, question, measured, getattr(limits, key), False, unit, detail)
 
+    def given(one: Ledger, work: np.ndarray) -> float:
+        """Return the positive net work of a constraint, relative to the motors' work."""
+        return max(0.0, float(work.sum())) / _effort(one)
+
+    # Unaccounted energy of each trial, summed over the stretches in which energy is gained.
+    gains = []
+    for one in ledgers:
+        starts = np.arange(0, len(one.stored), max(1, round(_STRETCH / h)))
+        gain = np.maximum(np.add.reduceat(one.left_over, starts), 0.0).sum()
+        gains.append(float(gain) / _effort(one))
     first = ledgers[0]
     parts = [f"{name} {value.sum():.3g}" for name, value in first.work.items() if np.any(value)]
     checks = [
         check(
             "simulator_energy",
             "unaccounted energy / motors' work",
-            max(energy_gain(one, h) / _effort(one) for one in ledgers),
+            max(gains),
             detail=f"{', '.join(parts)}, left over {first.left_over.sum():.3g} J",
         ),
         check(
             "limit_energy",
             "work of joint limits / motors' work",
-            max(_given(one, one.limits) for one in ledgers),
+            max(given(one, one.limits) for one in ledgers),
         ),
         check("speed", "highest speed of the root", worst("peak_speed") / length, "lengths/s"),
         check("power", "peak power of all motors", worst("peak_power") / mass, "W/kg"),
@@ -221,7 +222,10 @@ def books(
         checks.insert(1, check("simulator_momentum", words, float(max(fractions, default=0.0))))
     if np.isfinite(world.tree.torque_limit).any():
         checks.append(check("overload", "torque above its limit", worst("overload")))
-    checks += _between_limbs(experiment, found, ledgers, check)
+    if world.pairs is not None or any(np.any(one.limbs) for one in ledgers):
+        pushed = max(given(one, one.limbs) for one in ledgers)
+        checks.append(check("limb_energy", "work between limbs / motors' work", pushed))
+    checks += _overlap(experiment, found, check)
     if world.contact_model is not None:
         checks += [
             check("penetration", "penetration of the ground", worst("penetration"), "m"),
@@ -249,42 +253,23 @@ def books(
     return checks
 
 
-def _between_limbs(
-    experiment: ExperimentParts,
-    found: Sequence[Excursions],
-    ledgers: Sequence[Ledger],
-    check: Callable[..., Check],
+def _overlap(
+    experiment: ExperimentParts, found: Sequence[Excursions], check: Callable[..., Check]
 ) -> list[Check]:
-    """Return the checks of limbs that may touch, or [] if no two limbs can meet."""
-    checks, world = [], experiment.simulation.world
-    if world.pairs is not None or any(np.any(one.limbs) for one in ledgers):
-        pushed = max(_given(one, one.limbs) for one in ledgers)
-        checks.append(check("limb_energy", "work between limbs / motors' work", pushed))
+    """Return the check of the overlap of limbs, or [] if no two limbs can meet."""
+    world = experiment.simulation.world
     # Pairs that touch in the neutral pose have no check of their overlap, so they are named.
     touching = pairs_that_touch_at_rest(experiment.creature, world.tree, world.watched)
     names = [f"{world.tree.names[i]} and {world.tree.names[j]}" for i, j in touching]
     more = [f"{len(names) - _NAMED} more"] if len(names) > _NAMED else []
     passing = ", ".join(names[:_NAMED] + more)
-    if passing or make_pairs(experiment.creature, world.tree, world.watched) is not None:
-        deepest = max(found, key=lambda each: each.overlap)
-        words = [" in ".join(deepest.overlapping)] if deepest.overlapping else []
-        if passing:
-            words.append(f"not checked, because they touch in the neutral pose: {passing}")
-        words = "; ".join(words)
-        checks.append(check("overlap", "overlap of limbs", deepest.overlap, "m", words))
-    return checks
-
-
-def energy_gain(one: Ledger, h: float) -> float:
-    """Return the unaccounted energy, J, summed over the stretches in which energy is gained."""
-    length = max(1, round(_STRETCH / h))
-    starts = np.arange(0, len(one.stored), length)
-    return float(np.maximum(np.add.reduceat(one.left_over, starts), 0.0).sum())
-
-
-def _given(one: Ledger, work: np.ndarray) -> float:
-    """Return the positive net work of a constraint, relative to the motors' work."""
-    return max(0.0, float(work.sum())) / _effort(one)
+    if not passing and make_pairs(experiment.creature, world.tree, world.watched) is None:
+        return []
+    deepest = max(found, key=lambda each: each.overlap)
+    words = [" in ".join(deepest.overlapping)] if deepest.overlapping else []
+    if passing:
+        words.append(f"not checked, because they touch in the neutral pose: {passing}")
+    return [check("overlap", "overlap of limbs", deepest.overlap, "m", "; ".join(words))]
 
 
 def _effort(one: Ledger) -> float:

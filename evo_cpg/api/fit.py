@@ -1,5 +1,6 @@
 """Estimate numbers of a configuration from a recorded motion."""
 
+import contextlib
 import csv
 import math
 from collections.abc import Sequence
@@ -194,7 +195,13 @@ def fit(
             raise UserError(f"--run: the champion of {run} does not fit {source}: {wrong}")
         if np.isfinite(recording.data).sum() <= len(names):
             raise UserError(f"{path}: too few numbers for {len(names)} parameters")
-        positive = np.array([_is_positive(parameters, name) for name in names])
+        positive = np.array([name in inner and number_at(start, name) > 0 for name in names])
+        for i in np.flatnonzero(positive):
+            # A positive number stays positive if its negative is not allowed.
+            opposite = {names[i]: -number_at(start, names[i])}
+            with contextlib.suppress(ConfigError):
+                with_numbers(parameters.config, opposite, source)
+                positive[i] = False
         with working("fitting"):
             result, late = _search(recording, parameters, names, begin, positive, fixed, genes)
     values = dict(zip(names, map(float, result.values), strict=True))
@@ -258,18 +265,6 @@ def _check_names(
             if name not in valid:
                 hint = nearest(name, valid) if valid else "the creature has no joints"
                 raise UserError(f"{what} {name}: {hint}")
-
-
-def _is_positive(parameters: Parameters, name: str) -> bool:
-    """Return whether a number of the configuration is positive and must stay positive."""
-    if name not in parameters.keys:
-        return False
-    value = number_at(parameters.config, name)
-    try:
-        with_numbers(parameters.config, {name: -abs(value)}, parameters.source)
-    except ConfigError:
-        return value > 0
-    return False
 
 
 def _search(

@@ -51,22 +51,19 @@ def lab(
     """
     count = int(np.prod([len(each) for each in knobs.values()]))
     with trusting(trust):
-        subject = _subject(find_config(animal, folders=True), number)
+        source = find_config(animal, folders=True)
+        if source.is_dir():
+            opened = open_champion(source, number, cores=devices.available_cores())
+            opened.require_configured()
+            own, genes = class_folders(opened.folder), opened.champion.genes
+            subject = Subject(opened.config, opened.folder.config, own, genes)
+        elif number is None:
+            devices.use_cores()
+            subject = Subject(load_config(source), source)
+        else:
+            raise LabError(f"run {number}: {source} is a configuration, not a run folder")
         with working(f"compiling, and simulating {count} setting{'s' if count > 1 else ''}"):
             return ask(subject, knobs, seconds)
-
-
-def _subject(animal: Path, number: int | None) -> Subject:
-    """Return a configuration's animal, or the champion of a run folder."""
-    if not animal.is_dir():
-        if number is not None:
-            raise LabError(f"run {number}: {animal} is a configuration, not a run folder")
-        devices.use_cores()
-        return Subject(load_config(animal), animal)
-    opened = open_champion(animal, number, cores=devices.available_cores())
-    opened.require_configured()
-    source, genes = opened.folder.config, opened.champion.genes
-    return Subject(opened.config, source, class_folders(opened.folder), genes)
 
 
 def varied_knobs(answer: Answer) -> list[str]:

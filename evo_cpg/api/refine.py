@@ -131,7 +131,16 @@ def refine(
                 champion, report
             )
         last, gained = done[-1], any(one.gain > 0 for one in done)
-        _warn_of_problems(folder, done, champion.fitness, rounds * steps)
+        found, recorded = last.initial_fitness, champion.fitness
+        if not math.isclose(found, recorded, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE):
+            advise(
+                f"the champion's fitness is {found:.4f} here, not {recorded:.4f} as recorded. "
+                f"{folder.config} or the program has changed since the evolution"
+            )
+        if not any(one.finite for one in done):
+            advise("no gradient was finite, so there was no direction to climb")
+        if not gained:
+            advise(f"no better individual found in {rounds * steps} steps. Try another seed")
         if gained:
             best, _, _ = folder.load_champion()
             opened = open_and_build(run, cores)
@@ -149,22 +158,6 @@ def refine(
         gained=gained,
         rounds=done,
     )
-
-
-def _warn_of_problems(
-    folder: RunFolder, done: Sequence[Round], recorded: float, steps: int
-) -> None:
-    """Warn if the champion replays with another fitness, or if there was no gain."""
-    found = done[-1].initial_fitness
-    if not math.isclose(found, recorded, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE):
-        advise(
-            f"the champion's fitness is {found:.4f} here, not {recorded:.4f} as recorded. "
-            f"{folder.config} or the program has changed since the evolution"
-        )
-    if not any(one.finite for one in done):
-        advise("no gradient was finite, so there was no direction to climb")
-    if not any(one.gain > 0 for one in done):
-        advise(f"no better individual found in {steps} steps. Try another seed")
 
 
 def _rebuild(parameters: Parameters) -> Callable[[np.ndarray], ExperimentParts | None]:

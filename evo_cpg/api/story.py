@@ -140,7 +140,14 @@ def _cast_of(opened: Run, recording: Recording, trial: int) -> Cast:
     crowds = _crowds(opened, trial, chosen, speed * _FIRST)
     random = opened.folder.load_start() is None
     selects = not isinstance(opened.experiment.strategy, RandomSearch)
-    told = opened.champion.generation, task.heading, _aim(opened, recording, course)
+    aim = ""
+    if np.isfinite(recording.goal).all():
+        aim = "Its task: reach the light."
+    elif ":" not in opened.config.task.type:
+        aim = "Its task: get as far as it can."
+        if course.finish is not None:
+            aim += f" Can it reach {course.finish:g} m?"
+    told = opened.champion.generation, task.heading, aim
     found = Cast(panel, *told, course, speed, random, selects, crowds, [])
     racers = _racers(opened, recording, trial, found.end, _APART * length)
     return found._replace(racers=racers)
@@ -185,7 +192,8 @@ def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], 
     for generation, animals in cast.crowds:
         leader, others = in_lanes(animals, root, cast.heading, tank.others)
         add(leader, others, ("best",), race=False)
-        captions.append(_named(generation, cast.random))
+        words = "The first generation" + (" moves at random" if cast.random else "")
+        captions.append(f"After {_generations(generation)}" if generation else words)
     if racers := cast.racers:
         names = [str(generation) for generation in (final, *(number for number, _ in racers))]
         add(recording, _together([motion for _, motion in racers]), tuple(names), race=True)
@@ -344,24 +352,8 @@ def _speed(recording: Recording, root: int, length: float) -> float:
     return float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
 
 
-def _aim(opened: Run, recording: Recording, course: Course) -> str:
-    """Return the animal's task in words, or nothing for a task of the user's own."""
-    if np.isfinite(recording.goal).all():
-        return "Its task: reach the light."
-    if opened.config.task.type == "custom":
-        return ""
-    far = "Its task: get as far as it can."
-    return far if course.finish is None else f"{far} Can it reach {course.finish:g} m?"
-
-
 def _generations(count: int) -> str:
     return f"{count} generation" + ("s" if count != 1 else "")
-
-
-def _named(generation: int, random: bool) -> str:
-    if generation:
-        return f"After {_generations(generation)}"
-    return "The first generation" + (" moves at random" if random else "")
 
 
 def _title(cast: Cast) -> str:

@@ -147,7 +147,7 @@ def main() -> None:
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     try:
         with interrupts_delivered(), advice_printed():
-            app()
+            app(prog_name="evo-cpg")
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None
     except Exception as error:

@@ -9,7 +9,6 @@ two restitutions, and whether a mutated gene is flipped or redrawn.
 """
 
 import dataclasses
-from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -38,7 +37,7 @@ _LEGS = range(1, 9)
 COLLAPSE = 0.25
 HELD_ANGLE = 170.0  # degrees, one of the two allowed angles closest to straight down
 
-MODELS = ("model1", "model2", "model3")
+MODELS = {"model1": "Model 1", "model2": "Model 2", "model3": "Model 3"}
 _NOISE = ("noise.joint_angle_deg=1", "noise.tilt_deg=1", "noise.push=0.02")
 _SHORT = ("evolution.generations=250",)
 # Weights that configs/hexapod.yaml had before the first of these runs.
@@ -157,17 +156,19 @@ def models(workshop: Workshop) -> list[Table]:
     """Compare the distances of the three models."""
     from evo_cpg.view.search_plots import generations_figure
 
-    best = {_title(model): _ends(workshop, model) for model in MODELS}
-    against = beside(best, _title("model2"))
+    best = {title: _ends(workshop, model) for model, title in MODELS.items()}
+    against = beside(best, MODELS["model2"])
     rows = [
         [name, in_order(ends), f"{np.median(ends):.2f}", f"{np.median(ends) / TORSO:.1f}",
          against[name]]
         for name, ends in best.items()
     ]  # fmt: skip
     head = ["", "best of each run, m (sorted)", "median, m", "torso lengths", "beats Model 2"]
-    p = float(stats.kruskal(*best.values()).pvalue) if _differ(list(best.values())) else 1.0
+    # The test needs values that differ.
+    differ = len({value for ends in best.values() for value in ends}) > 1
+    p = float(stats.kruskal(*best.values()).pvalue) if differ else 1.0
     rows.append(["all three equal (Kruskal-Wallis)", "", "", "", f"p = {p:.2g}"])
-    curves = {_title(model): _best(workshop, model) for model in MODELS}
+    curves = {title: workshop.column(model, _BEST) for model, title in MODELS.items()}
     workshop.draw(generations_figure(curves, _LABEL, single_runs=True))
     return [Table("", head, rows)]
 
@@ -177,7 +178,7 @@ def long(workshop: Workshop) -> list[Table]:
     from evo_cpg.view.search_plots import generations_figure
 
     names = {"long": "without noise", "long_noise": "noise, 7 kept"}
-    curves = {title: _best(workshop, name) for name, title in names.items()}
+    curves = {title: workshop.column(name, _BEST) for name, title in names.items()}
     workshop.draw(generations_figure(curves, _LABEL, single_runs=True))
     return [_collapse(workshop, names)]
 
@@ -186,13 +187,13 @@ def single(workshop: Workshop) -> list[Table]:
     """Show two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
     from evo_cpg.view.search_plots import generations_figure
 
-    best, first = _best(workshop, "single"), workshop.experiment("single").seed
+    best, first = workshop.column("single", _BEST), workshop.experiment("single").seed
     curves = {f"seed {first + run}": best[:, run : run + 1] for run in range(best.shape[1])}
     workshop.draw(generations_figure(curves, _LABEL))
     rows = []
     for name, own in curves.items():
-        falls, fraction = _falls(own)
-        deepest = float(np.nanmin(own[len(own) // 10 :] / _highest(own)[len(own) // 10 :]))
+        falls, fraction, highest = _falls(own)
+        deepest = float(np.nanmin(own[len(own) // 10 :] / highest[len(own) // 10 :]))
         cells = f"{np.nanmax(own):.2f}", f"{own[-1, 0]:.2f}", f"{falls[0]}"
         rows.append([name, *cells, f"{100 * fraction:.0f} %", f"{100 * deepest:.0f} %"])
     head = ["", "best ever, m", "best of the last generation, m", "falls", "generations fallen",
@@ -212,10 +213,10 @@ def halving(workshop: Workshop) -> list[Table]:
         return found
 
     rows = []
-    for model, gone in workshop.kept("halving", MODELS, measure).items():
+    for model, gone in workshop.kept("halving", tuple(MODELS), measure).items():
         own, half, quarter, hair = (np.array(each, float) for each in gone)
         fractions = f"{100 * kept(own, half):.0f}", f"{100 * kept(own, hair):.0f}"
-        rows.append([_title(model), *(middle(each) for each in (own, half, quarter)), *fractions])
+        rows.append([MODELS[model], *(middle(each) for each in (own, half, quarter)), *fractions])
     head = ["", "at its own step (1/240 s), m", "at half the step, m", "at a quarter, m",
             "kept at half (median), %", "kept with turned joints, %"]  # fmt: skip
     return [Table("", head, rows)]
@@ -225,17 +226,24 @@ def random(workshop: Workshop) -> list[Table]:
     """Compare the models with random search and with an animal that holds one posture."""
 
     def measure() -> dict[str, float]:
-        return {model: _held(workshop, model) for model in MODELS}
+        found = {}
+        for model in MODELS:
+            simulation = workshop.experiment(model).simulation
+            posture = one_posture(simulation.controller, HELD_ANGLE)[:, None]
+            run = compile_trials(simulation, population_mesh())
+            terms = run(simulation.genome.with_controller(posture)).terms
+            found[model] = float(terms["distance"][0])
+        return found
 
-    held = workshop.kept("held", MODELS, measure)
+    held = workshop.kept("held", tuple(MODELS), measure)
     rows = []
-    for model in MODELS:
+    for model, title in MODELS.items():
         name = f"random{model[-1]}"
         own, drawn = _ends(workshop, model), _ends(workshop, name)
         words = beside({"evolved": own, "random": drawn}, "random")["evolved"]
         middling = float(np.nanmedian(workshop.column(name, "median")))
         cells = middle(own), middle(drawn), words, f"{middling:.2f}", f"{held[model]:.2f}"
-        rows.append([_title(model), *cells])
+        rows.append([title, *cells])
     head = ["", "evolved, m", "random search with equal evaluations, m",
             "evolution beats random search", "median random agent, m",
             "fixed posture (170 degrees), m"]  # fmt: skip
@@ -272,7 +280,7 @@ def noise(workshop: Workshop) -> list[Table]:
     """Compare the loss of lineages without noise, with noise, and with the thesis's remedies."""
     from evo_cpg.view.search_plots import generations_figure
 
-    curves = {title: _best(workshop, name) for name, title in _NOISES.items()}
+    curves = {title: workshop.column(name, _BEST) for name, title in _NOISES.items()}
     shortest = min(map(len, curves.values()))
     cut = {title: best[:shortest] for title, best in curves.items()}
     workshop.draw(generations_figure(cut, _LABEL))
@@ -294,15 +302,7 @@ def alternatives(workshop: Workshop, names: dict[str, str]) -> list[Table]:
     return [Table("", head, rows)]
 
 
-_LABEL = "best distance in 20 s (m)"
-
-
-def _title(model: str) -> str:
-    return f"Model {model[-1]}"
-
-
-def _best(workshop: Workshop, name: str) -> np.ndarray:
-    return workshop.column(name, "best_distance")
+_LABEL, _BEST = "best distance in 20 s (m)", "best_distance"
 
 
 def _ends(workshop: Workshop, name: str) -> list[float]:
@@ -310,24 +310,16 @@ def _ends(workshop: Workshop, name: str) -> list[float]:
     return [champion.terms["distance"] for champion in workshop.champions(name)]
 
 
-def _differ(values: Sequence[Sequence[float]]) -> bool:
-    """Return whether any two values differ, as the Kruskal-Wallis test requires."""
-    return len({value for each in values for value in each}) > 1
-
-
-def _highest(best: np.ndarray) -> np.ndarray:
-    return np.maximum.accumulate(np.nan_to_num(best), 0)
-
-
-def _falls(best: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the number of falls of each run, and the fraction of fallen generations."""
-    fallen = best < (1 - COLLAPSE) * _highest(best)
-    return (np.diff(fallen.astype(int), axis=0) == 1).sum(0), float(fallen.mean())
+def _falls(best: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    """Return the falls of each run, the fraction of fallen generations, and the highest so far."""
+    highest = np.maximum.accumulate(np.nan_to_num(best), 0)
+    fallen = best < (1 - COLLAPSE) * highest
+    return (np.diff(fallen.astype(int), axis=0) == 1).sum(0), float(fallen.mean()), highest
 
 
 def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = None) -> Table:
     """Return a table of the best distances ever, the best distances at the end, and the falls."""
-    best = {name: _best(workshop, name) for name in names}
+    best = {name: workshop.column(name, _BEST) for name in names}
     ever = {name: np.nanmax(own, 0).tolist() for name, own in best.items()}
     last = {name: own[-max(len(own) // 10, 1) :] for name, own in best.items()}
     held = {name: np.median(own, 0).tolist() for name, own in last.items()}
@@ -335,7 +327,7 @@ def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = Non
     tests = beside(ever, first), beside(held, first)
     rows = []
     for name, title in names.items():
-        falls, fraction = _falls(best[name])
+        falls, fraction, _ = _falls(best[name])
         rows.append(
             [
                 title,
@@ -350,13 +342,6 @@ def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = Non
     head = ["", "best ever, m", "best of a generation, last tenth, m", "falls per run, median",
             "generations fallen", *against]  # fmt: skip
     return Table("", head, rows)
-
-
-def _held(workshop: Workshop, model: str) -> float:
-    simulation = workshop.experiment(model).simulation
-    held = one_posture(simulation.controller, HELD_ANGLE)[:, None]
-    genes = simulation.genome.with_controller(held)
-    return float(compile_trials(simulation, population_mesh())(genes).terms["distance"][0])
 
 
 def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float]]:
@@ -387,10 +372,10 @@ STUDY = Study(
     "Fukui 2003: the walkers",
     RUNS,
     {
-        "models": Part("distances of the three models", MODELS, models),
+        "models": Part("distances of the three models", tuple(MODELS), models),
         "long": Part("Model 1 for 2000 generations (Fig. 4-2)", ("long", "long_noise"), long),
         "single": Part("two single runs of Model 1 (Fig. 4-5, 4-6)", ("single",), single),
-        "halving": Part("champions at smaller time steps", MODELS, halving),
+        "halving": Part("champions at smaller time steps", tuple(MODELS), halving),
         "robust": audit_part(
             "audit of champions evolved with noise",
             {f"Model {n}": f"robust{n}" for n in (1, 2, 3)},

@@ -45,7 +45,20 @@ def lags(workshop: Workshop) -> list[Table]:
     from evo_cpg.view.plots import joint_signals_figure
 
     best, rows = workshop.checkpoint("shared").champion, []
-    simulation = workshop.experiment("shared").simulation
+    experiment = workshop.experiment("shared")
+    simulation = experiment.simulation
+
+    def measure() -> dict[str, int]:
+        """Count animals with random brains, and those with a wave along the body."""
+        genes = begin(experiment)[0][:, :_UNTRAINED]
+        count = genes.shape[1]
+        recorder = Recorder(count)
+        frames = jax.jit(lambda genes: rollout(simulation, genes, observers=recorder))(genes)
+        names = [body.name for body in experiment.creature.bodies]
+        recordings = (as_recording(simulation, frames, names, i) for i in range(count))
+        waves = sum(_gait(simulation, recording).has_wave() for recording in recordings)
+        return {"animals": count, "waves": int(waves)}
+
     for champion, recording in workshop.recordings("shared"):
         found = _gait(simulation, recording)
         middle = float(np.median(found.frequency))
@@ -53,7 +66,7 @@ def lags(workshop: Workshop) -> list[Table]:
         size = np.rad2deg(found.amplitude)
         rows.append(
             {
-                "seed": str(workshop.experiment("shared").seed + champion.run),
+                "seed": str(experiment.seed + champion.run),
                 "axis": found.axis,
                 "frequency (Hz)": f"{middle:.2f}",
                 "spread": percent(float(spread) / middle) if middle else "",
@@ -64,7 +77,7 @@ def lags(workshop: Workshop) -> list[Table]:
         )
         if best is not None and champion.run == best.run:
             workshop.draw(joint_signals_figure(recording))
-    waves = workshop.kept("untrained", ["shared"], lambda: _untrained(workshop))
+    waves = workshop.kept("untrained", ["shared"], measure)
     words = f"{waves['waves']} of {waves['animals']}"
     return [tabled([*rows, {"seed": "untrained", "orderly wave": words}])]
 
@@ -107,20 +120,6 @@ def audit(workshop: Workshop) -> list[Table]:
         for row in found
     ]
     return [audit_table("", {"swimmer": found}), tabled(rows, "Load of the motors:")]
-
-
-def _untrained(workshop: Workshop) -> dict[str, int]:
-    """Count animals with random brains, and those with a wave along the body."""
-    experiment = workshop.experiment("shared")
-    simulation = experiment.simulation
-    genes = begin(experiment)[0][:, :_UNTRAINED]
-    count = genes.shape[1]
-    recorder = Recorder(count)
-    frames = jax.jit(lambda genes: rollout(simulation, genes, observers=recorder))(genes)
-    names = [body.name for body in experiment.creature.bodies]
-    recordings = (as_recording(simulation, frames, names, i) for i in range(count))
-    waves = sum(_gait(simulation, recording).has_wave() for recording in recordings)
-    return {"animals": count, "waves": int(waves)}
 
 
 def _gait(simulation: Simulation, recording: Recording) -> JointGait:

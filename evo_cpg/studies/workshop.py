@@ -205,9 +205,21 @@ class Workshop:
         return RunFolder(self.folder / "runs" / name)
 
     def _evolve(self, part: str, declared: Part) -> None:
+        """Evolve the runs of a part.
+
+        Raises:
+            RunFolderError: an existing run was evolved with another configuration.
+        """
         members = [self.member(name) for name in declared.runs]
         for member in members:
-            _require_same(member)
+            folder, config = member.folder, dump_config(member.config)
+            if not folder.config.is_file() or folder.config.read_text("utf-8") == config:
+                continue
+            if _what_evolves(load_config(folder.config)) != _what_evolves(member.config):
+                raise RunFolderError(
+                    f"{folder.path} was made with another configuration. Choose another --out, or "
+                    "--fresh to delete and repeat it"
+                )
         here = program_commit()
 
         def note_program(member: Member) -> None:
@@ -223,6 +235,8 @@ class Workshop:
         engine = self.experiment(runs[0]).simulation.engine if runs else Engine()
         folders = {name: self._run(name) for name in runs}
         commits = [each for run in folders.values() for each in run.read_meta().get("commits", [])]
+        # Every row has the duration of all runs side by side.
+        trained = sum(float(self.column(name, "seconds")[:, 0].sum()) for name in runs)
         record: dict[str, Any] = {
             "study": self.study.name,
             "quick": self.quick,
@@ -230,7 +244,7 @@ class Workshop:
             "run_commits": list(dict.fromkeys(commits)),
             "date": now(),
             "seconds": round(seconds, 1),
-            "training_seconds": round(sum(map(self._seconds, runs)), 1),
+            "training_seconds": round(trained, 1),
             "runs": {
                 name: {
                     "config": self.study.runs[name].config,
@@ -253,10 +267,6 @@ class Workshop:
         provenance.note(self.folder, part, record)
         return files
 
-    def _seconds(self, name: str) -> float:
-        """Return the duration of runs, s. Every row has the duration of all runs together."""
-        return float(self.column(name, "seconds")[:, 0].sum())
-
 
 def configuration(study: Study, name: str, quick: bool = False) -> ExperimentConfig:
     """Return the configuration of a study's run, scaled down if `quick`."""
@@ -264,7 +274,16 @@ def configuration(study: Study, name: str, quick: bool = False) -> ExperimentCon
     source = shipped(declared.config).path
     overrides = [*declared.overrides, f"runs={declared.count}"]
     if quick:
-        overrides += _smaller(source, overrides, declared.count)
+        evolution = load_config(source, overrides).evolution.model_dump()
+        overrides += [
+            f"runs={min(declared.count, _QUICK_RUNS)}",
+            f"simulation.seconds={_QUICK_SECONDS}",
+            f"evolution.generations={_QUICK_GENERATIONS}",
+        ]
+        if evolution["population"] > _QUICK_POPULATION:
+            overrides.append(f"evolution.population={_QUICK_POPULATION}")
+            if "elites" in evolution:
+                overrides.append(f"evolution.elites={min(evolution['elites'], _QUICK_ELITES)}")
     return load_config(source, overrides).model_copy(update={"name": name})
 
 
@@ -273,34 +292,6 @@ def markdown(table: Table) -> str:
     lines = [table.head, ["---"] * len(table.head), *table.rows]
     body = "\n".join("| " + " | ".join(map(str, row)) + " |" for row in lines)
     return f"{table.title}\n\n{body}" if table.title else body
-
-
-def _smaller(source: Path, overrides: Sequence[str], count: int) -> list[str]:
-    """Return overrides that make runs small enough for a test."""
-    evolution = load_config(source, overrides).evolution.model_dump()
-    small = [f"runs={min(count, _QUICK_RUNS)}", f"simulation.seconds={_QUICK_SECONDS}"]
-    small.append(f"evolution.generations={_QUICK_GENERATIONS}")
-    if evolution["population"] > _QUICK_POPULATION:
-        small.append(f"evolution.population={_QUICK_POPULATION}")
-        if "elites" in evolution:
-            small.append(f"evolution.elites={min(evolution['elites'], _QUICK_ELITES)}")
-    return small
-
-
-def _require_same(member: Member) -> None:
-    """Check that an existing run was evolved with the configuration of its declaration.
-
-    Raises:
-        RunFolderError: the configuration differs.
-    """
-    folder, config = member.folder, dump_config(member.config)
-    if not folder.config.is_file() or folder.config.read_text("utf-8") == config:
-        return
-    if _what_evolves(load_config(folder.config)) != _what_evolves(member.config):
-        raise RunFolderError(
-            f"{folder.path} was made with another configuration. Choose another --out, or --fresh "
-            "to delete and repeat it"
-        )
 
 
 def _what_evolves(config: ExperimentConfig) -> dict[str, Any]:

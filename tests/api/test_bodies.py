@@ -32,13 +32,18 @@ def numbers(experiment):
     return {key: value * np.array([0.8, 1.0, 1.3]) for key, value in own.items()}
 
 
-@pytest.mark.slow
-def test_each_body_equals_an_experiment_with_its_numbers(experiment, genomes, numbers):
-    together = experiment.evaluate(0, genomes, numbers)
-    for i in range(3):
+def assert_as_alone(experiment, genomes, numbers, together):
+    """Check that each individual has the fitness of an experiment with its numbers."""
+    for i in range(len(genomes)):
         body = experiment.with_numbers({key: values[i] for key, values in numbers.items()})
         alone = body.evaluate(0, genomes[i : i + 1])
         np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_each_body_equals_an_experiment_with_its_numbers(experiment, genomes, numbers):
+    together = experiment.evaluate(0, genomes, numbers)
+    assert_as_alone(experiment, genomes, numbers, together)
     same = experiment.evaluate(0, genomes)
     np.testing.assert_allclose(together.fitness[1], same.fitness[1], rtol=1e-4)
     assert np.abs(together.fitness / same.fitness - 1)[[0, 2]].min() > 1e-2
@@ -66,9 +71,7 @@ def test_a_longer_limb_shelters_other_surface_points(genomes):
         for i in range(len(plan.batched.values[0][0]))
     ]
     assert len({*map(tuple, dry)}) > 1
-    for i in range(3):
-        alone = loaded.with_numbers({LENGTH: lengths[i]}).evaluate(0, genomes[i : i + 1])
-        np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
+    assert_as_alone(loaded, genomes, {LENGTH: lengths}, together)
 
 
 def test_bodies_that_do_not_fit_the_plan_are_built_one_by_one(experiment, genomes):
@@ -79,10 +82,7 @@ def test_bodies_that_do_not_fit_the_plan_are_built_one_by_one(experiment, genome
     together = experiment.evaluate(0, genomes, numbers)
     plan, _ = experiment._bodies._made[frozenset(keys)]
     assert plan.hindrance == "numbers are checked together"
-    for i in range(3):
-        body = experiment.with_numbers({key: values[i] for key, values in numbers.items()})
-        alone = body.evaluate(0, genomes[i : i + 1])
-        np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
+    assert_as_alone(experiment, genomes, numbers, together)
 
 
 @pytest.mark.slow
@@ -96,10 +96,7 @@ def test_a_new_pair_of_colliding_limbs_makes_a_new_plan():
     mixed = {key: np.array([1.2, 0.25]) for key in hips}
     together = loaded.evaluate(0, genomes, mixed)
     assert loaded._bodies._made[frozenset(hips)][0] is not first
-    for i in range(2):
-        body = loaded.with_numbers({key: values[i] for key, values in mixed.items()})
-        alone = body.evaluate(0, genomes[i : i + 1])
-        np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
+    assert_as_alone(loaded, genomes, mixed, together)
 
 
 @pytest.mark.slow
@@ -144,9 +141,7 @@ def test_values_that_change_the_layout_are_refused(experiment, genomes):
 @pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
-    "overrides",
-    [["creature.bodies.1.repeat=1"], []],
-    ids=["two bodies", "three bodies"],
+    "overrides", [["creature.bodies.1.repeat=1"], []], ids=["two bodies", "three bodies"]
 )
 def test_the_gradient_by_body_numbers_equals_finite_differences(overrides):
     loaded = evo.load(CONFIG, [*TINY, *overrides, "simulation.seconds=0.1333"])

@@ -64,6 +64,17 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def module(here, monkeypatch):
+    """Return a function that writes a module of the reader, which is imported anew."""
+
+    def write(name: str, text: str) -> None:
+        (here / f"{name}.py").write_text(text)
+        monkeypatch.delitem(sys.modules, name, raising=False)
+
+    return write
+
+
 @pytest.mark.slow
 def test_the_notebook_runs_in_order(here, capsys):
     first, search, *others = programs("docs/notebook.md")
@@ -86,12 +97,11 @@ def test_the_readme_runs(here, capsys):
     assert len(capsys.readouterr().out.split()) == 2
 
 
-def test_a_custom_animal_trains(here, monkeypatch):
+def test_a_custom_animal_trains(here, module):
     classes, program, *_ = programs("docs/own.md")
     config, *_ = configs("docs/own.md")
-    (here / "wriggler.py").write_text(classes)
+    module("wriggler", classes)
     (here / "wriggler.yaml").write_text(config)
-    monkeypatch.delitem(sys.modules, "wriggler", raising=False)
     names: dict = {}
     run(program, names)
     trained = names["trained"]
@@ -103,18 +113,15 @@ def test_a_custom_animal_trains(here, monkeypatch):
     assert evo.load(trained.folder).gene_count == 3
 
 
-def test_the_documented_sensor_measures_the_motor(here, monkeypatch):
+def test_the_documented_sensor_measures_the_motor(here, module):
     classes, _, _, sensor = programs("docs/own.md")
     config, *_ = configs("docs/own.md")
-    for name, text in (("wriggler", classes), ("tension", sensor)):
-        (here / f"{name}.py").write_text(text)
-        monkeypatch.delitem(sys.modules, name, raising=False)
+    # The reading that the controller uses moves by one place.
+    module("wriggler", classes.replace("custom[1]", "custom[2]"))
+    module("tension", sensor)
     line = '{type: "tension:Tension", options: {dofs: [tail1.z], full_scale: 0.5}}'
     assert line in (ROOT / "docs/own.md").read_text()
     (here / "wriggler.yaml").write_text(config.replace("sensors: [", f"sensors: [{line}, "))
-    # The reading that the controller uses moves by one place.
-    wave = (here / "wriggler.py").read_text().replace("custom[1]", "custom[2]")
-    (here / "wriggler.py").write_text(wave)
     experiment = evo.load("wriggler.yaml")
     record = experiment.record(0, experiment.random_genomes(0, 1)[0])
     felt, torque = record["sense.custom.0"], record["tail1.z.torque"]
@@ -123,7 +130,7 @@ def test_the_documented_sensor_measures_the_motor(here, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_documented_rower_has_no_resting_oscillator(here, monkeypatch):
+def test_the_documented_rower_has_no_resting_oscillator(here):
     """All oscillators swing: the couplings of the page are sufficient."""
     *_, config = configs("docs/own.md")
     (here / "rower.yaml").write_text(config)
@@ -177,11 +184,10 @@ def test_the_documented_walker_walks(lizard):
 
 
 @pytest.mark.slow
-def test_the_task_of_the_tutorial_trains(here, monkeypatch):
+def test_the_task_of_the_tutorial_trains(here, module):
     (task,) = programs("docs/tutorials/task.md")
     (sections,) = configs("docs/tutorials/task.md")
-    (here / "dive.py").write_text(task)
-    monkeypatch.delitem(sys.modules, "dive", raising=False)
+    module("dive", task)
     config = yaml.safe_load((here / "configs" / "turtle.yaml").read_text())
     config |= yaml.safe_load(sections) | {"creature": "configs/creatures/turtle.yaml"}
     (here / "turtle.yaml").write_text(yaml.safe_dump(config))
@@ -192,21 +198,19 @@ def test_the_task_of_the_tutorial_trains(here, monkeypatch):
     assert trained.fitness == pytest.approx(depth - 0.002 * energy, rel=1e-4) and depth > 0
 
 
-def test_a_custom_optimiser_trains(here, monkeypatch):
+def test_a_custom_optimiser_trains(module):
     strategy, program, *_ = programs("docs/searches.md")
-    (here / "climber.py").write_text(strategy)
-    monkeypatch.delitem(sys.modules, "climber", raising=False)
+    module("climber", strategy)
     names: dict = {}
     run(program, names)
     assert type(names["experiment"].parts.strategy).__name__ == "Climber"
     assert len(names["trained"].history) == 3
 
 
-def test_pyribs_resumes_to_the_same_genomes(here, monkeypatch):
+def test_pyribs_resumes_to_the_same_genomes(here, module):
     """The bytes of the state may differ, because pyribs leaves empty cells uninitialised."""
     pytest.importorskip("ribs")
-    (here / "cma_mae.py").write_text(programs("docs/searches.md")[2])
-    monkeypatch.delitem(sys.modules, "cma_mae", raising=False)
+    module("cma_mae", programs("docs/searches.md")[2])
     section = next(yaml.safe_load(one) for one in configs("docs/searches.md") if "CmaMae" in one)
     path = "configs/iwadate2010_swimmer.yaml"
     found = []

@@ -173,20 +173,16 @@ def test_commands_refuse_a_run_with_a_fitness_from_python(tmp_path, capsys, monk
     np.testing.assert_array_equal(start, newest.genes)
 
 
-def test_a_fitness_of_unknown_terms_is_refused_at_once(experiment):
+def test_a_wrong_fitness_is_refused_at_once(experiment):
     known = r"the task has no term 'distanse': did you mean 'distance'\? valid here: .*, light"
-    with pytest.raises(KeyError, match=known):
-        experiment.with_fitness(lambda terms: -terms["distanse"])
-
-
-def test_a_fitness_of_the_wrong_shape_is_refused_at_once(experiment):
-    for wrong, got in (
+    for wrong, words in (
+        (lambda terms: -terms["distanse"], known),
         (lambda terms: terms["distance"].sum(), r"shape \(7,\), got float32\[\]"),
         (lambda terms: jnp.stack([*terms.values()]), r"shape \(7,\), got float32\[3, 7\]"),
         (lambda terms: terms["distance"] * 1j, r"shape \(7,\), got complex64\[7\]"),
         (lambda terms: jnp.atleast_1d(terms["distance"]), r"shape \(\), got float32\[1\]"),
     ):
-        with pytest.raises(ValueError, match="one real number for each individual: the .*" + got):
+        with pytest.raises((KeyError, ValueError), match=words):
             experiment.with_fitness(wrong)
 
 

@@ -257,35 +257,21 @@ def test_lint_reports_no_falling_if_a_law_may_hold_the_creature(glider):
 
 
 @pytest.mark.parametrize(
-    ("setting", "expected"),
+    ("kind", "body", "expected"),
     [
-        ({"type": "plate:PlateLift", "options": {"body": "wing", "area": 1}}, "no body 'wing'"),
-        ({"type": "plate:PlateLift"}, "cannot be built with these options"),
-        ({"type": "plate:Nobody"}, "cannot be imported"),
-        (
-            {"type": "wriggler:Wave"},
-            "is not a subclass of evo_cpg.physics.water.force_law:ForceLaw",
-        ),
-        (
-            {"type": "plate:Wrong", "options": {"body": "fluke", "area": 1}},
-            r"Wrong.wrench must return float32\[6, 2, 7\]",
-        ),
-        (
-            {"type": "plate:Broken", "options": {"body": "fluke", "area": 1}},
-            r"Broken.wrench fails at line \d+ of plate.py \(ValueError",
-        ),
-        (
-            {"type": "plate:Slow", "options": {"body": "fluke", "area": 1}},
-            r"Slow\.\w+ is NaN or infinite for a creature at rest",
-        ),
-        (
-            {"type": "plate:Kinked", "options": {"body": "fluke", "area": 1}},
-            "Kinked.derivative is NaN or infinite for a creature at rest",
-        ),
-        ({"type": "drag"}, "must be a module and a class, such as my_module:MyClass"),
+        ("plate:PlateLift", "wing", "no body 'wing'"),
+        ("plate:PlateLift", None, "cannot be built with these options"),
+        ("plate:Nobody", None, "cannot be imported"),
+        ("wriggler:Wave", None, "is not a subclass of evo_cpg.physics.water.force_law:ForceLaw"),
+        ("plate:Wrong", "fluke", r"Wrong.wrench must return float32\[6, 2, 7\]"),
+        ("plate:Broken", "fluke", r"Broken.wrench fails at line \d+ of plate.py \(ValueError"),
+        ("plate:Slow", "fluke", r"Slow\.\w+ is NaN or infinite for a creature at rest"),
+        ("plate:Kinked", "fluke", "Kinked.derivative is NaN or infinite for a creature at rest"),
+        ("drag", None, "must be a module and a class, such as my_module:MyClass"),
     ],
 )
-def test_wrong_laws_are_refused(glider, setting, expected):
+def test_wrong_laws_are_refused(glider, kind, body, expected):
+    setting = {"type": kind} | ({"options": {"body": body, "area": 1}} if body else {})
     with pytest.raises(ConfigError, match=rf"world\.forces.*{expected}"):
         evo.load("glider.yaml", {"world.forces": [setting]})
 

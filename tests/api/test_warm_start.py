@@ -114,25 +114,17 @@ def test_genomes_that_do_not_fit_are_refused(tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-def test_a_damaged_start_is_named(earlier, tmp_path):
-    _, given = start(earlier, "champion")
-    folder = RunFolder(tmp_path / "run")
-    folder.create("", {}, given.genes)
-    folder.start.write_bytes(folder.start.read_bytes()[:100])
-    with pytest.raises(RunFolderError, match=r"start\.npz is damaged .*\. Start a new run"):
-        folder.load_start()
-
-
-def test_a_missing_or_wrong_start_is_named(earlier, tmp_path):
+def test_a_damaged_or_missing_start_is_named(earlier, tmp_path):
     _, given = start(earlier, "champion")
     folder = RunFolder(tmp_path / "run")
     folder.create("", {"start": "from the champion of x"}, given.genes)
+    folder.start.write_bytes(folder.start.read_bytes()[:100])
+    with pytest.raises(RunFolderError, match=r"start\.npz is damaged .*\. Start a new run"):
+        folder.load_start()
     for wrong in (given.genes[0], np.full_like(given.genes, np.nan)):
         np.savez(folder.start, genes=wrong)
         with pytest.raises(RunFolderError, match=r"start\.npz is damaged \(it holds no genomes\)"):
             folder.load_start()
     folder.start.unlink()
-    with pytest.raises(
-        RunFolderError, match=r"start\.npz is missing\..* genomes \(from the champion"
-    ):
+    with pytest.raises(RunFolderError, match=r"start\.npz is missing\..* \(from the champion"):
         folder.load_start()

@@ -10,25 +10,8 @@ from benchmarks.report import comparison, notes, page_tables, tables
 from benchmarks.rows import Row, RowsError
 
 MACHINE = {"processor": "abacus", "cores": 2, "float32_peak": 1e11, "quick": False}
-BESIDE = Row(
-    "swimmer",
-    "physics",
-    200,
-    2.5e6,
-    "steps/s",
-    "in turn",
-    9.5,
-    100_000,
-    2**28,
-    0.004,
-    3e10,
-    0.3,
-    "MuJoCo",
-    5e4,
-    0.012,
-    50.0,
-    (49.0, 51.0),
-)
+BESIDE = Row("swimmer", "physics", 200, 2.5e6, "steps/s", "in turn", 9.5, 100_000, 2**28,
+             0.004, 3e10, 0.3, "MuJoCo", 5e4, 0.012, 50.0, (49.0, 51.0))  # fmt: skip
 ALONE = Row("cpg", "oscillators", 200, 1e7, "control steps/s", "alone")
 TIMED = Row("startup", "again", 200, 20.0, "s", "a process of its own")
 ABSENT = Row("ga", "bits", 200, 6.0, "generations/s", "alone", peer="evosax", note="not installed")

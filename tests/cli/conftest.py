@@ -23,10 +23,29 @@ __all__ = ["programs_of_its_own", "remember_programs"]
 Called = tuple[int, str, str]
 
 
+class CommandLine:
+    """`evo-cpg` in this process."""
+
+    def __call__(self, *arguments: object, folder: Path | None = None) -> Called:
+        """Return exit code, standard output and standard error of a command."""
+        return called(*arguments, folder=folder)
+
+    def passes(self, *arguments: object, folder: Path | None = None) -> tuple[str, str]:
+        """Return standard output and error of a command that must succeed."""
+        code, out, err = called(*arguments, folder=folder)
+        assert code == 0, err
+        return out, err
+
+    def refuses(self, *arguments: object, folder: Path | None = None) -> str:
+        """Return the message of a command that must refuse its input without output."""
+        code, out, err = called(*arguments, folder=folder)
+        assert (code, out) == (2, "") and "Traceback" not in err, err
+        return err
+
+
 @pytest.fixture(scope="session")
-def cli() -> Callable[..., Called]:
-    """Return a function that calls `evo-cpg` in this process."""
-    return called
+def cli() -> CommandLine:
+    return CommandLine()
 
 
 def called(*arguments: object, folder: Path | None = None) -> Called:
@@ -123,15 +142,7 @@ def finished_run(shared: Path, finish) -> Path:
             time.sleep(0.1)
     else:
         try:
-            code, out, err = finish(
-                "train",
-                CONFIG,
-                *LONG,
-                "--out",
-                folder,
-                "--cores",
-                2,
-            )
+            code, out, err = finish("train", CONFIG, *LONG, "--out", folder, "--cores", 2)
         finally:
             done.touch()
         assert code == 0, err

@@ -34,8 +34,7 @@ STILL = SimpleNamespace(ledger=Ledger(*[np.zeros(1)] * len(Ledger._fields)))
 def mapped(cli, tmp_path_factory):
     """Make a run with a map, and return a cell that has an elite."""
     run = tmp_path_factory.mktemp("mapped") / "run"
-    code, _, complaint = cli("train", CONFIG, *MAPPED, "--out", run)
-    assert code == 0, complaint
+    cli.passes("train", CONFIG, *MAPPED, "--out", run)
     folder = RunFolder(run)
     found = gait_map(built(run), folder.load(), 0)
     cell = tuple(np.argwhere(np.isfinite(found.fitness))[0].tolist())
@@ -58,8 +57,7 @@ def test_a_film_is_captioned_with_its_cell(cli, mapped, monkeypatch):
     shown = []
     monkeypatch.setattr(film, "side_by_side", lambda *given, **_: shown.extend(given[0]) or "made")
     name = ",".join(map(str, cell))
-    code, _, complaint = cli("render", run, "--cell", name)
-    assert code == 0, complaint
+    cli.passes("render", run, "--cell", name)
     place = np.ravel_multi_index(cell, found.fitness.shape)
     speed, frequency = found.archive.descriptors[:, place]
     assert shown[-1].title == f"iwadate2010_swimmer, cell {name}"
@@ -89,10 +87,10 @@ def test_cell_selects_the_elite_to_audit(cli, mapped, monkeypatch):
     kept = json.loads((run / f"audit_cell_{'_'.join(map(str, cell))}.json").read_text())
     assert kept["fitness"] == audited[0].fitness and kept["passed"] is False
     assert not (run / "audit.json").exists()
-    code, _, complaint = cli("audit", run, "--cell", name, "--all")
-    assert code == 2 and "--all and --cell exclude each other" in complaint
-    code, _, complaint = cli("audit", run, "--cell", "9,9")
-    assert code == 2 and "there is no cell 9,9. Allowed: speed 0 to 2" in complaint
+    complaint = cli.refuses("audit", run, "--cell", name, "--all")
+    assert "--all and --cell exclude each other" in complaint
+    complaint = cli.refuses("audit", run, "--cell", "9,9")
+    assert "there is no cell 9,9. Allowed: speed 0 to 2" in complaint
 
 
 def test_an_elite_is_audited_with_all_its_terms(mapped):

@@ -27,8 +27,7 @@ def test_the_list_has_every_name_with_its_study(cli, monkeypatch):
 
 def test_missing_configurations_are_an_error(cli, monkeypatch):
     monkeypatch.setattr(module, "shipped_folder", lambda: None)
-    code, _, err = cli("configs")
-    assert code == 2 and "no configurations" in err
+    assert "no configurations" in cli.refuses("configs")
 
 
 def test_the_schema_is_printed_as_json(cli):
@@ -48,33 +47,22 @@ def test_a_copy_goes_to_the_working_folder_or_another(cli, tmp_path):
 
 def test_a_failed_copy_is_one_line(cli, tmp_path):
     (tmp_path / "file").touch()
-    code, out, err = cli("configs", "copy", "hexapod", "file", folder=tmp_path)
-    assert (code, out) == (2, "")
+    err = cli.refuses("configs", "copy", "hexapod", "file", folder=tmp_path)
     assert err == "evo-cpg: cannot write file (File exists)\n"
     (tmp_path / "hexapod.yaml").write_text("mine")
-    code, out, err = cli("configs", "copy", "hexapod", folder=tmp_path)
-    assert (code, out) == (2, "")
-    assert "already exists" in err
-    code, _, err = cli("configs", "copy", "hexapot", folder=tmp_path)
-    assert code == 2 and "did you mean 'hexapod' or 'hexapod_tripod'?" in err
+    assert "already exists" in cli.refuses("configs", "copy", "hexapod", folder=tmp_path)
+    err = cli.refuses("configs", "copy", "hexapot", folder=tmp_path)
+    assert "did you mean 'hexapod' or 'hexapod_tripod'?" in err
 
 
-def test_a_run_records_the_name_of_its_shipped_configuration(cli, tmp_path):
-    settings = (*PAIR, "evolution.generations=1")
-    code, out, err = cli("train", NAME, *settings, folder=tmp_path)
-    assert (code, out) == (0, f"runs/{NAME}\n"), err
-    meta = json.loads((tmp_path / out.strip() / "meta.json").read_text())
-    assert meta["shipped_config"] == NAME
-    assert meta["config"] == str(REPOSITORY / "configs" / f"{NAME}.yaml")
-
-
-def test_a_run_of_a_copy_records_no_shipped_name(cli, tmp_path):
+@pytest.mark.parametrize("given", [NAME, f"{NAME}.yaml"])
+def test_only_a_run_of_a_shipped_configuration_records_its_name(cli, tmp_path, given):
     cli("configs", "copy", NAME, folder=tmp_path)
     settings = (*PAIR, "evolution.generations=1")
-    code, out, err = cli("train", f"{NAME}.yaml", *settings, folder=tmp_path)
-    assert code == 0, err
+    code, out, err = cli("train", given, *settings, folder=tmp_path)
+    assert (code, out) == (0, f"runs/{NAME}\n"), err
     meta = json.loads((tmp_path / out.strip() / "meta.json").read_text())
-    assert "shipped_config" not in meta
+    assert meta.get("shipped_config") == (NAME if given == NAME else None)
 
 
 @pytest.mark.parametrize(
@@ -86,8 +74,7 @@ def test_a_run_of_a_copy_records_no_shipped_name(cli, tmp_path):
     ],
 )
 def test_commands_accept_names_of_shipped_configurations(cli, tmp_path, arguments, made):
-    code, out, err = cli(*arguments, folder=tmp_path)
-    assert code == 0, err
+    out, _ = cli.passes(*arguments, folder=tmp_path)
     assert made in out
 
 
@@ -96,8 +83,7 @@ def test_commands_accept_names_of_shipped_configurations(cli, tmp_path, argument
 )
 def test_every_command_suggests_the_nearest_name(cli, tmp_path, command):
     more = {"sweep": ["--grid", "seed=1,2"], "export": ["x.xml"], "fit": ["x.csv", "a.b"]}
-    code, out, err = cli(command, "hexapodd", *more.get(command, []), folder=tmp_path)
-    assert (code, out) == (2, "")
+    err = cli.refuses(command, "hexapodd", *more.get(command, []), folder=tmp_path)
     assert err.startswith("evo-cpg: hexapodd: no such file here") and err.count("\n") == 1
     assert "did you mean 'hexapod' or 'hexapod_tripod'?" in err
 

@@ -45,7 +45,7 @@ def test_commands_are_found_in_the_pages():
 @pytest.mark.parametrize(("page", "words"), OURS, ids=lambda x: x if isinstance(x, str) else x[1])
 def test_the_program_accepts_every_command(monkeypatch, page, words):
     # The runs of the pages do not exist.
-    monkeypatch.setattr(options, "find_run", lambda given: given)
+    monkeypatch.setattr(options, "_is_run", lambda folder: True)
     _, name, *arguments = words
     program = typer.main.get_command(app)
     assert name in program.commands, page

@@ -73,16 +73,6 @@ def run(*arguments, prefix=(), compiled=None, without=(), **changed):
     return done.returncode, done.stdout.decode("utf-8", "replace"), done.stderr.decode()
 
 
-def python(code, **changed):
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | changed,
-        capture_output=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 # No home
 
 
@@ -106,30 +96,21 @@ def test_without_a_home_matplotlib_gets_a_folder(homeless):
 
 def test_with_a_home_matplotlib_keeps_its_folder(monkeypatch, tmp_path):
     monkeypatch.delenv("MPLCONFIGDIR", raising=False)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    for name in ("HOME", "USERPROFILE"):
+        monkeypatch.setenv(name, str(tmp_path))
     system.lend_matplotlib_a_folder()
     assert "MPLCONFIGDIR" not in os.environ
 
 
 @pytest.mark.slow
-def test_another_user_without_a_home_runs_commands(stranger):
-    missing = ("HOME", "XDG_CACHE_HOME")
-    code, out, err = run("validate", "starfish", prefix=stranger, without=missing)
-    assert (code, err) == (0, "") and " genes\n" in out
-
-
-@pytest.mark.slow
 def test_another_user_without_a_home_trains(stranger, compiled):
+    missing = ("HOME", "XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR")
     with tempfile.TemporaryDirectory() as place:
         os.chmod(place, 0o777)
         folder = Path(place) / "run"
-        words = ("train", CONFIG, *SMALL, "--out", folder)
-        missing = ("HOME", "XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR")
-        code, out, err = run(*words, prefix=stranger, compiled=compiled, without=missing)
-        assert (code, out) == (0, f"{folder}\n"), err
-        code, _, err = run("plot", folder, prefix=stranger, compiled=compiled, without=missing)
-        assert code == 0 and "Traceback" not in err
+        for words in (("train", CONFIG, *SMALL, "--out", folder), ("plot", folder)):
+            code, _, err = run(*words, prefix=stranger, compiled=compiled, without=missing)
+            assert code == 0 and "Traceback" not in err, err
 
 
 # No permission
@@ -212,8 +193,7 @@ def test_without_a_working_folder_other_paths_are_refused(cli, words, expected):
 
 
 def test_a_setting_that_is_not_utf8_is_refused(cli):
-    code, _, err = cli("validate", CONFIG, "name=\udcff")
-    assert code == 2
+    err = cli.refuses("validate", CONFIG, "name=\udcff")
     assert err == "evo-cpg: command line: name: '\\udcff' is not UTF-8 text\n"
 
 
@@ -242,23 +222,18 @@ def test_training_finishes_if_output_is_lost(which, tmp_path, finished_run):
 
 
 @needs_full
-def test_a_command_whose_output_is_lost_fails():
-    with open(FULL, "wb") as full:
-        words = [sys.executable, "-m", "evo_cpg", "configs"]
-        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, check=False)
-    assert done.returncode == 2
-    words = b"evo-cpg: cannot write to standard output (No space left on device)\n"
-    assert done.stderr == words
-
-
-@posix
-def test_a_closed_pipe_is_no_error():
+def test_only_a_command_whose_output_is_lost_fails():
+    """A closed pipe is no error, because its reader has seen enough."""
     reading, writing = os.pipe()
     os.close(reading)
-    words = [sys.executable, "-m", "evo_cpg", "configs"]
-    done = subprocess.run(words, stdout=writing, stderr=subprocess.PIPE, check=False)
-    os.close(writing)
-    assert (done.returncode, done.stderr) == (0, b"")
+    for descriptor, expected in (
+        (os.open(FULL, os.O_WRONLY), (2, b"output (No space left on device)\n")),
+        (writing, (0, b"")),
+    ):
+        words = [sys.executable, "-m", "evo_cpg", "configs"]
+        done = subprocess.run(words, stdout=descriptor, stderr=subprocess.PIPE, check=False)
+        os.close(descriptor)
+        assert done.returncode == expected[0] and done.stderr.endswith(expected[1])
 
 
 @posix
@@ -289,7 +264,8 @@ with open({str(tmp_path / "file")!r}, "w") as file:
     os.write(1, b"lost, too")
     file.write(str([os.get_inheritable(number) for number in (0, 1, 2)]))
 """
-    python(code)
+    own = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    subprocess.run([sys.executable, "-c", code], env=own, capture_output=True, check=True)
     assert (tmp_path / "file").read_text() == "[True, True, True]"
 
 
@@ -313,12 +289,11 @@ def test_a_missing_platform_is_one_line(monkeypatch):
 
     monkeypatch.setattr(jax, "devices", none)
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
-    expected = (
-        "JAX finds no device to compute on (JAX_PLATFORMS is 'cuda'). Set JAX_PLATFORMS to 'cpu', "
-        "or unset it"
+    words = (
+        "JAX finds no device to compute on (JAX_PLATFORMS is 'cuda'). Set JAX_PLATFORMS to 'cpu'"
     )
-    assert message_for(AssertionError()) == expected
-    assert message_for(RuntimeError("Unable to initialize backend 'cuda'")) == expected
+    for error in (AssertionError(), RuntimeError("Unable to initialize backend 'cuda'")):
+        assert str(message_for(error)).startswith(words)
 
 
 def test_version_is_printed_without_a_device(monkeypatch):

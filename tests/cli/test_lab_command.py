@@ -6,8 +6,9 @@ import pytest
 import yaml
 
 from evo_cpg.cli.ask import short_heads
+from evo_cpg.io.load import load_config
 from pictures import ink
-from tiny_run import PAIR
+from tiny_run import CONFIG, PAIR
 
 TINY = ("u=0.4,0.8", "b=2", "--seconds", "1")
 
@@ -15,17 +16,13 @@ TINY = ("u=0.4,0.8", "b=2", "--seconds", "1")
 @pytest.fixture(scope="module")
 def animal(tmp_path_factory):
     """Configuration of a tiny swimmer."""
-    from evo_cpg.io.load import load_config
-    from tiny_run import CONFIG
-
     path = tmp_path_factory.mktemp("lab") / "tiny.yaml"
     path.write_text(yaml.safe_dump(load_config(CONFIG, PAIR).model_dump(mode="json")))
     return path
 
 
 def test_lab_prints_a_table_and_its_files(animal, cli, tmp_path):
-    code, out, err = cli("lab", animal, *TINY, "--out", tmp_path)
-    assert code == 0, err
+    out, _ = cli.passes("lab", animal, *TINY, "--out", tmp_path)
     *table, file, picture = out.splitlines()
     assert (file, picture) == (str(tmp_path / "lab.csv"), str(tmp_path / "lab.png"))
     assert max(map(len, table)) <= 80
@@ -42,14 +39,11 @@ def test_answers_are_kept(animal, cli, tmp_path, monkeypatch):
     name = yaml.safe_load(animal.read_text())["name"]
     (tmp_path / "lab" / name).mkdir(parents=True)
     (tmp_path / "lab" / name / "lab.csv").touch()
-    code, out, err = cli("lab", animal, *TINY)
-    assert code == 0, err
+    out, _ = cli.passes("lab", animal, *TINY)
     assert out.splitlines()[-1] == f"lab/{name}_2/lab.png"
-    code, _, err = cli("lab", animal, *TINY, "--out", f"lab/{name}")
-    assert code == 2
+    err = cli.refuses("lab", animal, *TINY, "--out", f"lab/{name}")
     assert f"lab/{name}/lab.csv exists. Choose another name, or replace it with" in err
-    code, _, err = cli("lab", animal, *TINY, "--out", f"lab/{name}", "--overwrite")
-    assert code == 0, err
+    cli.passes("lab", animal, *TINY, "--out", f"lab/{name}", "--overwrite")
 
 
 def test_heads_of_a_table_are_the_last_parts_of_keys():
@@ -60,8 +54,7 @@ def test_heads_of_a_table_are_the_last_parts_of_keys():
 
 @pytest.mark.slow
 def test_champion_of_a_run_keeps_its_brain(finished_run, cli, tmp_path):
-    code, out, err = cli("lab", finished_run, "silence=none,light", "--out", tmp_path)
-    assert code == 0, err
+    out, _ = cli.passes("lab", finished_run, "silence=none,light", "--out", tmp_path)
     assert "light" in out
 
 
@@ -79,6 +72,5 @@ def test_champion_of_a_run_keeps_its_brain(finished_run, cli, tmp_path):
     ],
 )
 def test_wrong_words_have_one_clear_line(animal, cli, words, message):
-    code, _, err = cli("lab", animal, *(word.format(animal=animal) for word in words))
-    assert code == 2
+    err = cli.refuses("lab", animal, *(word.format(animal=animal) for word in words))
     assert message in err and len(err.strip().splitlines()) == 1

@@ -56,13 +56,22 @@ def test_a_command_that_only_reads_is_allowed(cli, run, tmp_path):
         assert contents(run) == before
 
 
-def test_two_runs_cannot_start_in_one_folder(cli, tmp_path):
-    folder = tmp_path / "run"
-    with RunFolder(folder).locked(new=True):
-        code, _, err = cli("train", CONFIG, *PAIR, "--out", folder)
-        assert code == 2 and f"{folder} is in use by process {os.getpid()} on " in err
-        with pytest.raises(LockedError, match="is in use by process"):
-            evo.train(evo.load(CONFIG, TINY), folder)
+@pytest.mark.parametrize(
+    ("command", "rest"),
+    [
+        ("train", (CONFIG, *PAIR)),
+        ("sweep", (CONFIG, *PAIR, "--grid", "seed=1,2")),
+        ("reproduce", ("starfish", "--quick")),
+    ],
+)
+def test_two_commands_cannot_make_one_folder(cli, tmp_path, command, rest):
+    folder = tmp_path / "made"
+    with locked(folder, make=True):
+        err = cli.refuses(command, *rest, "--out", folder)
+        assert f"{folder} is in use by process {os.getpid()} on " in err
+        if command == "train":
+            with pytest.raises(LockedError, match="is in use by process"):
+                evo.train(evo.load(CONFIG, TINY), folder)
         assert [path.name for path in folder.iterdir()] == [".lock"]
 
 
@@ -87,22 +96,12 @@ def test_an_interrupted_write_of_another_process_is_left_alone(run, monkeypatch)
     assert not (run / ".decided").exists()
 
 
-def test_a_sweep_is_refused_while_another_command_runs_it(cli, tmp_path):
-    folder = tmp_path / "sweep"
-    words = (CONFIG, *PAIR, "--grid", "seed=1,2", "--out", folder)
-    with locked(folder, make=True):
-        code, _, err = cli("sweep", *words)
-        assert code == 2 and f"{folder} is in use by process {os.getpid()} on " in err
-        assert [path.name for path in folder.iterdir()] == [".lock"]
-
-
 def test_a_sweep_is_refused_while_one_of_its_runs_is_in_use(cli, tmp_path):
     folder = tmp_path / "sweep"
     settings = [Setting(f"seed={seed}", {"seed": seed}) for seed in (1, 2)]
     claim(folder, new_plan(CONFIG, PAIR, settings))
     with RunFolder(folder / "seed=1").locked(new=True):
-        code, _, err = cli("sweep", folder)
-        assert code == 2 and f"{folder / 'seed=1'} is in use by process" in err
+        assert f"{folder / 'seed=1'} is in use by process" in cli.refuses("sweep", folder)
         assert {path.name for path in folder.rglob("*")} == {"sweep.json", "seed=1", ".lock"}
 
 
@@ -118,10 +117,3 @@ def test_commands_with_only_share_a_sweep(cli, tmp_path):
     assert "seed=1" not in (folder / "runs.csv").read_text()
     assert cli("sweep", folder)[0] == 0
     assert "seed=1" in (folder / "runs.csv").read_text()
-
-
-def test_a_study_is_refused_while_another_command_makes_it(cli, tmp_path):
-    with locked(tmp_path):
-        code, _, err = cli("reproduce", "starfish", "--quick", "--out", tmp_path)
-        assert code == 2 and f"{tmp_path} is in use by process" in err
-        assert [path.name for path in tmp_path.iterdir()] == [".lock"]

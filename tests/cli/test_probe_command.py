@@ -26,8 +26,7 @@ def rows(path: Path) -> list[dict[str, float]]:
 @pytest.fixture(scope="module")
 def probed(finished_run, cli, tmp_path_factory):
     folder = tmp_path_factory.mktemp("probe") / "made"
-    code, out, err = cli("probe", finished_run, *LIGHTS, "--out", folder, "--reach", 0.97)
-    assert code == 0, err
+    out, _ = cli.passes("probe", finished_run, *LIGHTS, "--out", folder, "--reach", 0.97)
     return folder, out
 
 
@@ -60,8 +59,7 @@ def test_a_light_has_the_same_result_alone_and_among_others(finished_run, probed
 
 
 def test_trials_of_the_configuration_give_the_terms_of_training(finished_run, cli, tmp_path):
-    code, _, err = cli("probe", finished_run, "--trials", "--out", tmp_path)
-    assert code == 0, err
+    _, err = cli.passes("probe", finished_run, "--trials", "--out", tmp_path)
     missed = (
         f"evo-cpg: warning: {finished_run}: the champion: it misses most lights: it reaches 0 of 1"
     )
@@ -74,8 +72,7 @@ def test_trials_of_the_configuration_give_the_terms_of_training(finished_run, cl
 
 
 def test_a_blind_probe_has_its_own_files_and_sees_no_light(finished_run, cli, probed, tmp_path):
-    code, out, err = cli("probe", finished_run, *LIGHTS, "--blind", "--out", tmp_path)
-    assert code == 0, err
+    out, err = cli.passes("probe", finished_run, *LIGHTS, "--blind", "--out", tmp_path)
     assert f"warning: {finished_run}: the champion: it " in err or "blinded, it keeps" in out
     found = rows(tmp_path / "probe_blind.csv")
     assert out.splitlines()[-1] == str(tmp_path / "probe_blind.png")
@@ -151,8 +148,8 @@ def test_an_animal_without_displacement_cannot_be_compared():
     ],
 )
 def test_wrong_options_are_refused(finished_run, cli, options, words):
-    code, out, err = cli("probe", finished_run, *options)
-    assert (code, out) == (2, "") and words in err and err.count("\n") == 1
+    err = cli.refuses("probe", finished_run, *options)
+    assert words in err and err.count("\n") == 1
 
 
 def test_a_task_without_a_light_cannot_be_probed(finished_run, cli, tmp_path):
@@ -161,6 +158,4 @@ def test_a_task_without_a_light_cannot_be_probed(finished_run, cli, tmp_path):
     config = yaml.safe_load((copy / "config.yaml").read_text())
     config["task"] = {"type": "distance"}
     (copy / "config.yaml").write_text(yaml.safe_dump(config))
-    code, out, err = cli("probe", copy)
-    assert (code, out) == (2, "")
-    assert "has no light" in err
+    assert "has no light" in cli.refuses("probe", copy)

@@ -21,8 +21,7 @@ QUICK = "--rounds", 1, "--steps", 3
 @pytest.fixture(scope="module")
 def refined(finished_run, cli, tmp_path_factory):
     folder = shutil.copytree(finished_run, tmp_path_factory.mktemp("refined") / "run")
-    code, out, err = cli("refine", folder, *QUICK, "--cores", 2)
-    assert code == 0, err
+    out, err = cli.passes("refine", folder, *QUICK, "--cores", 2)
     assert out == f"{folder}\n"
     return RunFolder(folder), err
 
@@ -62,8 +61,7 @@ def test_evolution_continues_from_the_refined_champion(refined, cli, tmp_path):
     folder = RunFolder(shutil.copytree(refined[0].path, tmp_path / "run"))
     done = folder.load()
     assert done is not None
-    code, _, err = cli("resume", folder.path, "--generations", done.generation + 1)
-    assert code == 0, err
+    cli.passes("resume", folder.path, "--generations", done.generation + 1)
     last = folder.history()["best"][-1]
     np.testing.assert_allclose(last, done.champion.fitness, rtol=1e-4)
 
@@ -113,10 +111,8 @@ def test_refined_postures_stay_graded(cli, tmp_path):
     folder = RunFolder(tmp_path / "run")
     config = REPOSITORY / "configs" / "fukui2003_model1.yaml"
     settings = "simulation.seconds=2", "evolution.generations=3"
-    code, _, err = cli("train", config, *settings, "--out", folder.path)
-    assert code == 0, err
-    code, _, err = cli("refine", folder.path, *QUICK)
-    assert code == 0, err
+    cli.passes("train", config, *settings, "--out", folder.path)
+    _, err = cli.passes("refine", folder.path, *QUICK)
     assert "the genes count as graded" in err
     genes = folder.load_champion()[0].genes
     assert ((genes > 0) & (genes < 1)).any()

@@ -31,8 +31,7 @@ def film(cli, tmp_path_factory):
 def two_runs(cli, tmp_path_factory):
     folder = tmp_path_factory.mktemp("two") / "run"
     overrides = (*PAIR, "runs=2", "evolution.generations=5", "simulation.seconds=0.5")
-    code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
-    assert code == 0, err
+    cli.passes("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     return folder
 
 
@@ -41,8 +40,8 @@ def refuse(cli):
     """Return a function that checks for an error and returns its message."""
 
     def refused(*arguments):
-        code, out, err = cli("render", *arguments)
-        assert (code, out) == (2, "") and err.startswith("evo-cpg: ")
+        err = cli.refuses("render", *arguments)
+        assert err.startswith("evo-cpg: ")
         return err.removeprefix("evo-cpg: ").rstrip("\n")
 
     return refused

@@ -68,5 +68,4 @@ def test_bits_have_no_sensitivity(finished_run, cli, monkeypatch):
         return dataclasses.replace(opened, config=opened.config.model_copy(update=postures))
 
     monkeypatch.setattr(sensitivity, "open_champion", with_postures)
-    code, _, complaint = cli("sensitivity", finished_run, "genes")
-    assert code == 2 and "genes: bits are 0 or 1" in complaint
+    assert "genes: bits are 0 or 1" in cli.refuses("sensitivity", finished_run, "genes")

@@ -55,15 +55,13 @@ def folder(tmp_path, monkeypatch):
 
 def test_thin_plates_get_a_number_of_substeps(cli, folder):
     (folder / "x.yaml").write_text(plates(0.0005))
-    code, _, err = cli("validate", "x.yaml")
-    assert code == 0
+    _, err = cli.passes("validate", "x.yaml")
     assert err == (
         "evo-cpg: warning: x.yaml: simulation.substeps: 1: 8 of 8 random individuals diverge "
         "within 2 s, because the physics step of 0.017 s is too long. With simulation.substeps: 2 "
         "none diverges\n"
     )
-    code, _, err = cli("train", "x.yaml", "evolution.generations=1", "--out", "run")
-    assert code == 2
+    err = cli.refuses("train", "x.yaml", "evolution.generations=1", "--out", "run")
     assert "all of generation 0 diverged. simulation.substeps: 1: 8 of 8 random" in err
 
 

@@ -214,15 +214,16 @@ def test_a_grid_may_hold_vectors(text):
     assert [setting.name for setting in found] == ["start=1_2", "start=3_4"]
 
 
-def test_a_wrong_setting_is_refused_before_any_run(tmp_path):
-    with pytest.raises(evo.ConfigError, match=r"evolution\.mutation_rate: .*less than or equal"):
-        sweep(tmp_path / "sweep", grid=("evolution.mutation_rate=0.5,1.5",))
-    assert not (tmp_path / "sweep").exists()
-
-
-def test_values_of_a_wrong_type_are_refused(tmp_path):
-    with pytest.raises(evo.ConfigError, match=r"seed: .*Allowed: numbers, texts, lists"):
-        sweep(tmp_path / "sweep", grid=("seed=!!binary aGVsbG8=",))
+@pytest.mark.parametrize(
+    ("grid", "words"),
+    [
+        ("evolution.mutation_rate=0.5,1.5", r"evolution\.mutation_rate: .*less than or equal"),
+        ("seed=!!binary aGVsbG8=", "seed: .*Allowed: numbers, texts, lists"),
+    ],
+)
+def test_a_wrong_setting_is_refused_before_any_run(tmp_path, grid, words):
+    with pytest.raises(evo.ConfigError, match=words):
+        sweep(tmp_path / "sweep", grid=(grid,))
     assert not (tmp_path / "sweep").exists()
 
 

@@ -65,7 +65,6 @@ def test_a_missing_checkout_or_package_is_named(tmp_path, monkeypatch):
     # None makes the import fail.
     monkeypatch.setitem(sys.modules, "benchmarks.suite", None)
     with pytest.raises(
-        SuiteError,
-        match=r"suite needs benchmarks.suite. Install it: `.*\[test\]'`",
+        SuiteError, match=r"suite needs benchmarks.suite. Install it: `.*\[test\]'`"
     ):
         bench_suite()

@@ -23,7 +23,7 @@ from tiny_run import CONFIG, PAIR
 
 def test_falls_are_relative_to_the_highest_before():
     best = np.array([[4.0, 1.0], [2.9, 2.0], [4.0, 3.0], [3.1, 4.0], [1.0, 5.0], [1.0, 6.0]])
-    falls, share = fukui2003._falls(best)
+    falls, share, _ = fukui2003._falls(best)
     # The first run is below 3 m in the generations 1, 4 and 5. The second run only rises.
     np.testing.assert_array_equal(falls, [2, 0])
     assert share == 3 / 12
