@@ -69,11 +69,6 @@ def finer(
     return CubicSpline(np.arange(len(values)), values)(places), own * step
 
 
-def samples(step: float, frequency: float) -> int:
-    """Return the number of samples in a cycle."""
-    return max(1, round(1.0 / (frequency * step)))
-
-
 def whole_cycles(values: Float[np.ndarray, "t *n"], step: float, frequency: float) -> Cycles | None:
     """Return the last whole cycles of signals, or None if there is none.
 
@@ -85,7 +80,7 @@ def whole_cycles(values: Float[np.ndarray, "t *n"], step: float, frequency: floa
     if not frequency > 0 or len(values) < 2:
         return None
     values, step = finer(values, step, frequency)
-    width = samples(step, frequency)
+    width = max(1, round(1.0 / (frequency * step)))
     count = len(values) // width * width
     return Cycles(values[len(values) - count :], step, width) if count else None
 
@@ -113,7 +108,7 @@ def moving_mean(
     values: Float[np.ndarray, "t *n"], step: float, frequency: float
 ) -> Float[np.ndarray, "m *n"]:
     """Return means over a cycle, or a straight line from start to end without cycles."""
-    width = samples(step, frequency) if frequency > 0 else len(values)
+    width = max(1, round(1.0 / (frequency * step))) if frequency > 0 else len(values)
     if width >= len(values):
         return np.linspace(values[0], values[-1], len(values))
     total = np.cumsum(values - values[0], axis=0)

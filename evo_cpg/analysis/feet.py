@@ -137,7 +137,7 @@ def contacts(
         load=load[feet] / len(force),
         slip=slip[feet],
         whole_slip=whole,
-        airborne=airborne_fraction((force != 0).any(1)),
+        airborne=float((force == 0).all((1, 2)).mean()),
     )
 
 
@@ -258,11 +258,6 @@ def duty_factors(touched: Bool[np.ndarray, "t f"]) -> Float[np.ndarray, " f"]:
     """Return each foot's fraction of the time on the ground. NaN without contact."""
     fraction = touched.mean(0)
     return np.where(fraction > 0, fraction, np.nan)
-
-
-def airborne_fraction(touched: Bool[np.ndarray, "t f"]) -> float:
-    """Return the fraction of the time in which no foot touches the ground."""
-    return float((~touched.any(1)).mean())
 
 
 def phases(touched: Bool[np.ndarray, "t f"], step: float) -> Phases:

@@ -197,7 +197,8 @@ def bending_lag(swaying: Sway) -> BendingLag:
     bent = -2.0 * np.diff(slope) / (place[2:] - place[:-2])
     moved = component[1:-1]
     ahead = bent * np.conj(moved)
-    seen = np.minimum(_of_largest(bent), _of_largest(moved)) > _FAINT
+    sizes = (np.abs(values) for values in (bent, moved))
+    seen = np.minimum(*(size / max(size.max(initial=0.0), 1e-300) for size in sizes)) > _FAINT
     each[1:-1] = np.where(seen, np.angle(ahead) / (2 * np.pi), np.nan)
     mean = float(np.angle(ahead[seen].sum()) / (2 * np.pi)) if seen.any() else np.nan
     return BendingLag(each, mean)
@@ -206,11 +207,6 @@ def bending_lag(swaying: Sway) -> BendingLag:
 def _unit(vectors: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(size > 0, size, 1.0)
-
-
-def _of_largest(values: np.ndarray) -> np.ndarray:
-    size = np.abs(values)
-    return size / max(size.max(initial=0.0), 1e-300)
 
 
 def midline_chain(creature: Creature) -> SlenderChain | None:

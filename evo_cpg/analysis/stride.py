@@ -110,17 +110,6 @@ def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) ->
     return float(np.linalg.norm(np.diff(smooth, axis=0), axis=-1).sum() / (step * len(smooth[1:])))
 
 
-def if_anywhere(speed: float, time: float, length: float) -> float:
-    """Return a speed (m/s), or NaN if the path is shorter than 1 % of the body.
-
-    Args:
-        speed: speed along the path, m/s.
-        time: duration of the path, s.
-        length: body length, m.
-    """
-    return speed if speed * time >= STANDING_FRACTION * length else math.nan
-
-
 def stride_length(speed: float, frequency: float) -> float:
     """Return the stride length, m: speed / frequency (Alexander 2003).
 

@@ -89,12 +89,7 @@ class Coupling:
     lag_deg: float | None = None
 
     def __post_init__(self):
-        _check_lag(self.lag_deg)
-        if self.lag_deg is not None and not self.weight >= 0:
-            raise ValueError(
-                "weight is the strength with which a lag is held and must not be negative, got "
-                f"{self.weight}"
-            )
+        _check_lag(self)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,12 +113,7 @@ class Ring:
     weight: float = 0.5
 
     def __post_init__(self):
-        _check_lag(self.lag_deg)
-        if not self.weight >= 0:
-            raise ValueError(
-                "weight is the strength with which a lag is held and must not be negative, got "
-                f"{self.weight}"
-            )
+        _check_lag(self)
 
 
 def axis_names(tree: Tree) -> tuple[str, ...]:
@@ -401,6 +391,13 @@ def _cosine_and_sine(lag_deg: Number) -> tuple[Number, Number]:
     return cosine if cosine_counts else 0.0, sine if sine_counts else 0.0
 
 
-def _check_lag(lag_deg: float | None) -> None:
-    if lag_deg is not None and not -180 <= lag_deg <= 180:
-        raise ValueError(f"lag_deg must be from -180 to 180, got {lag_deg}")
+def _check_lag(settings: Coupling | Ring) -> None:
+    if settings.lag_deg is None:
+        return
+    if not -180 <= settings.lag_deg <= 180:
+        raise ValueError(f"lag_deg must be from -180 to 180, got {settings.lag_deg}")
+    if not settings.weight >= 0:
+        raise ValueError(
+            "weight is the strength with which a lag is held and must not be negative, got "
+            f"{settings.weight}"
+        )

@@ -77,11 +77,11 @@ _LONGEST = 1.0
 Weight = float | tuple[float, float]
 
 
-def check_weights(settings: Any, *names: str) -> None:
-    """Check the weights among some settings.
+def _check(settings: Any, *names: str) -> None:
+    """Check the delay and the weights of some settings.
 
     Raises:
-        ValueError: the range of a weight that evolves is empty.
+        ValueError: the range of a weight that evolves is empty, or the delay is outside its range.
     """
     for name in names:
         weight = getattr(settings, name)
@@ -89,16 +89,8 @@ def check_weights(settings: Any, *names: str) -> None:
             raise ValueError(
                 f"{name} must be a number, or [low, high] with low < high, got {list(weight)}"
             )
-
-
-def check_delay(delay: float) -> None:
-    """Check a delay, s.
-
-    Raises:
-        ValueError: the delay is outside its range.
-    """
-    if not 0 <= delay <= _LONGEST:
-        raise ValueError(f"delay must be from 0 to {_LONGEST:g} s, got {delay}")
+    if not 0 <= settings.delay <= _LONGEST:
+        raise ValueError(f"delay must be from 0 to {_LONGEST:g} s, got {settings.delay}")
 
 
 class Gain(eqx.Module):
@@ -135,12 +127,6 @@ class Delay(eqx.Module):
 
     samples: int = eqx.field(static=True)
     newer: Number
-
-    def memory(
-        self, count: int, batch: tuple[int, ...], dtype: jnp.dtype | type
-    ) -> Float[Array, "k o *n"] | None:
-        """Return former samples of 0, the newest first, or None if the delay needs none."""
-        return jnp.zeros((self.samples, count, *batch), dtype) if self.samples else None
 
     def after(
         self, now: Float[Array, "o *n"], past: Float[Array, "k o *n"] | None
@@ -203,8 +189,7 @@ class StretchFeedback:
     from_children: int = 0
 
     def __post_init__(self):
-        check_weights(self, "angle_weight", "rate_weight")
-        check_delay(self.delay)
+        _check(self, "angle_weight", "rate_weight")
         for name in ("from_parents", "from_children"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
@@ -302,8 +287,7 @@ class LoadFeedback:
     delay: float = 0.0
 
     def __post_init__(self):
-        check_weights(self, "weight", "neighbour_weight")
-        check_delay(self.delay)
+        _check(self, "weight", "neighbour_weight")
 
 
 class Limbs(eqx.Module):
@@ -421,11 +405,6 @@ class Feedback(eqx.Module):
     limit: Number
     unit: Number
 
-    @property
-    def uses_load(self) -> bool:
-        """Return whether any sense is the load of a limb."""
-        return bool(self.load)
-
 
 class Memory(NamedTuple):
     """Former samples of the senses.
@@ -491,10 +470,14 @@ def first_memory(
         batch: trailing axes, such as ``(population,)``.
         dtype: floating-point type.
     """
-    return Memory(
-        tuple(sense.delay.memory(count, batch, dtype) for sense in feedback.stretch),
-        tuple(sense.delay.memory(count, batch, dtype) for sense in feedback.load),
+    stretch, load = (
+        tuple(
+            jnp.zeros((samples, count, *batch), dtype) if samples else None
+            for samples in (sense.delay.samples for sense in senses)
+        )
+        for senses in (feedback.stretch, feedback.load)
     )
+    return Memory(stretch, load)
 
 
 def feel(
@@ -524,14 +507,11 @@ def feel(
         delayed, past = sense.delay.after(sense.now(genes, joint_angle, joint_rate), past)
         total -= delayed
         stretched.append(past)
-    if not feedback.uses_load:
-        load = None
-    elif load is None:
-        raise ValueError("the spinal cord feels the load of limbs, but got no Observation.load")
-    if load is not None:
-        for sense, past in zip(feedback.load, memory.load, strict=True):
-            delayed, past = sense.delay.after(sense.now(genes, load), past)
-            total += delayed
-            loaded.append(past)
+    for sense, past in zip(feedback.load, memory.load, strict=True):
+        if load is None:
+            raise ValueError("the spinal cord feels the load of limbs, but got no Observation.load")
+        delayed, past = sense.delay.after(sense.now(genes, load), past)
+        total += delayed
+        loaded.append(past)
     bounded = jnp.clip(feedback.unit * total, -feedback.limit, feedback.limit)
     return jnp.stack([bounded, -bounded]), Memory(tuple(stretched), tuple(loaded))

@@ -13,6 +13,7 @@ a brain k is 0 everywhere.
 """
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -75,7 +76,7 @@ class Preparation(Controller):
     def gene_count(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Number of genes of the animal, plus the numbers of a `Surgery`."""
         animal = self.animal.gene_count if self.trained else 0
-        return animal + sum(map(_size, self._shapes))
+        return animal + sum(map(math.prod, self._shapes))
 
     @property
     def rhythm_generator(self) -> Oscillators:
@@ -130,9 +131,9 @@ class Preparation(Controller):
             first = self.animal.gene_count
             animal = self.animal.decode(genes[:first])
         for shape in self._shapes:
-            part = genes[first : first + _size(shape)]
-            parts.append(part.reshape(*shape, *genes.shape[1:]))
-            first += _size(shape)
+            last = first + math.prod(shape)
+            parts.append(genes[first:last].reshape(*shape, *genes.shape[1:]))
+            first = last
         return animal, Surgery(*parts)
 
     def act(
@@ -228,7 +229,3 @@ def factors_within(
 
 def _heard(factor: Float[Array, "*n"], readings: Float[Array, "s *n"]) -> Float[Array, "s *n"]:
     return of_each(factor, readings) * readings
-
-
-def _size(shape: tuple[int, ...]) -> int:
-    return int(np.prod(shape))

@@ -138,7 +138,8 @@ def lag_figure(wave: BodyWave, place: Float[np.ndarray, " j"]) -> Figure:
     left, right = figure.subplots(1, 2)
     left.plot(place, wave.phase, "o-", color=BLUE, lw=1.6)
     left.set_ylabel("phase lag (deg)")
-    right.bar(place, np.degrees(wave.amplitude), color=ORANGE, width=0.6 * _gap(place))
+    gap = float(np.diff(place).min()) if len(place) > 1 else 1.0
+    right.bar(place, np.degrees(wave.amplitude), color=ORANGE, width=0.6 * gap)
     right.set_ylabel("amplitude (deg)")
     for axes in (left, right):
         axes.set_xlabel("position along the body (m)")
@@ -206,7 +207,3 @@ def _over_time(axes: Axes, window: tuple[float, float]) -> None:
     axes.set_xlim(*window)
     axes.set_xlabel("time (s)")
     axes.xaxis.set_major_locator(MaxNLocator(8))
-
-
-def _gap(place: Float[np.ndarray, " j"]) -> float:
-    return float(np.diff(place).min()) if len(place) > 1 else 1.0
