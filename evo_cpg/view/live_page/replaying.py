@@ -102,26 +102,19 @@ class Replays:
 
     def prepare(self, program: Literal["champion", "population"]) -> bool:
         """Compile a program. Return whether it was not compiled before."""
-        name = f"_{program}"
-        new = name not in self.__dict__
-        getattr(self, name)
+        new = program not in self.__dict__
+        getattr(self, program)
         return new
 
-    def champion(self, champion: Champion) -> Recording:
-        """Return the motion of a champion in its first trial."""
-        return self._champion(champion).recording
-
-    def population(self, checkpoint: Checkpoint, run: int, places: Sequence[int]) -> list[Replay]:
-        """Run individuals of the next generation (see `compile_population_replay`)."""
-        return self._population(checkpoint, run, places)
-
     @functools.cached_property
-    def _champion(self) -> Callable[[Champion], Replay]:
+    def champion(self) -> Callable[[Champion], Replay]:
+        """Program that runs a champion in its first trial."""
         # The trainer compiles the same program, and keeps it on disk.
         return compile_replay(self.experiment, self._devices)
 
     @functools.cached_property
-    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], list[Replay]]:
+    def population(self) -> Callable[[Checkpoint, int, Sequence[int]], list[Replay]]:
+        """Program that runs individuals of the next generation."""
         return compile_population_replay(self.experiment)
 
 
@@ -184,7 +177,8 @@ class Replaying:
                     return
                 self._shown = which
                 with self._champions.working():
-                    self._show(replays.experiment, champion, kept or replays.champion(champion))
+                    recording = kept or replays.champion(champion).recording
+                    self._show(replays.experiment, champion, recording)
                 return
             if replays.prepare("population"):
                 return
