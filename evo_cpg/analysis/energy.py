@@ -111,13 +111,7 @@ class Ledger(NamedTuple):
 
 
 def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
-    """Compute the ledger of a trial.
-
-    Args:
-        world: world of the trial.
-        steps: physics steps of the trial.
-        h: duration of a physics step, s.
-    """
+    """Compute the ledger of a trial with physics steps of h (s)."""
     # The final state of the step before. The first step gets its own initial state.
     previous = jax.tree.map(
         lambda after, before: np.concatenate([before[..., :1], after[..., :-1]], -1),

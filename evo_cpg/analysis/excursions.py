@@ -79,14 +79,7 @@ def excursions(
     steps: PhysicsSteps,
     situation: int = 0,
 ) -> Excursions:
-    """Measure the extremes of a trial.
-
-    Args:
-        simulation: simulation of the trial.
-        creature: the animal.
-        steps: physics steps of the trial.
-        situation: index of the trial's situation.
-    """
+    """Measure the extremes of a trial in one of the simulation's situations."""
     world, light = simulation.world, simulation.lights[situation]
     every = make_pairs(creature, world.tree, world.watched)
 

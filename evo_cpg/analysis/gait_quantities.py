@@ -371,13 +371,7 @@ def _water(
 
 
 def drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float[np.ndarray, "t 3"]:
-    """Return the displacement by the water's flow since the first sample, m.
-
-    Args:
-        water: water with its flow.
-        middle: centre of mass of the animal, m.
-        step: time between samples, s.
-    """
+    """Return the displacement by the water's flow since the first sample, m."""
     flow = water.velocity(jnp.asarray(middle.T))
     carried = np.broadcast_to(np.asarray(flow, float), middle.T.shape).T * step
     return np.concatenate([np.zeros((1, 3)), np.cumsum(carried, 0)[:-1]])

@@ -138,9 +138,6 @@ class LimitCycle(NamedTuple):
     def lags(self, order: Sequence[int]) -> Float[np.ndarray, " n"]:
         """Return the lags in another order, the first behind the last, as around a ring.
 
-        Args:
-            order: some of `oscillators`.
-
         Returns:
             Lags, degrees. NaN if one of the two oscillators rests.
         """

@@ -133,14 +133,9 @@ def midline_motion(
 
 
 def sway(points: Float[np.ndarray, "t p 3"], step: float, frequency: float) -> Sway | None:
-    """Return the sway of each point in whole cycles, or None with less than two cycles.
+    """Return the sway of points from head to tail in whole cycles, or None with less than two.
 
     A turn of the animal does not count, because the frame turns with it.
-
-    Args:
-        points: paths of points on the midline, from head to tail, m.
-        step: time between samples, s.
-        frequency: frequency of the cycles, Hz.
     """
     if not frequency > 0 or len(points) * step * frequency < 2.0 - 1e-9:
         return None
@@ -185,9 +180,6 @@ def bending_lag(swaying: Sway) -> BendingLag:
 
     The second derivative is the second divided difference of neighbours. Its error is of second
     order in their distance: 14 points with 1.7 waves give 9.6 % for 10 %.
-
-    Args:
-        swaying: sway of points on the body.
     """
     component, place = swaying.cycles.component, swaying.place
     each = np.full(len(place), np.nan)

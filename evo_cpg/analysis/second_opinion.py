@@ -293,15 +293,7 @@ def _compile(
 
 
 class _Player:
-    """MuJoCo's animal.
-
-    Args:
-        mujoco: the module.
-        model: model of the animal and its world.
-        world: our world of the animal.
-        h: length of our physics step, s.
-        start: initial state of our animal, which MuJoCo's takes.
-    """
+    """MuJoCo's animal, which starts in the state of ours."""
 
     def __init__(self, mujoco: Any, model: Any, world: World, h: float, start: State):
         self.mujoco, self.model, self.tree = mujoco, model, world.tree

@@ -89,11 +89,7 @@ def build_brain(input_count: int, output_count: int, settings: BrainSettings) ->
 
 
 def decode_weights(brain: Brain, genes: Float[Array, "g *n"]) -> Weights:
-    """Return the weights for `think`.
-
-    Args:
-        brain: structure.
-        genes: weights of each individual, layer by layer.
+    """Return the weights for `think` from genes, layer by layer.
 
     Raises:
         ValueError: the number of genes does not fit the brain.
@@ -114,12 +110,7 @@ def decode_weights(brain: Brain, genes: Float[Array, "g *n"]) -> Weights:
 
 
 def think(brain: Brain, weights: Weights, inputs: Float[Array, "i *n"]) -> Float[Array, "o *n"]:
-    """Return the outputs of the brain, each between 0 and 1.
-
-    Args:
-        brain: structure.
-        weights: result of `decode_weights`.
-        inputs: inputs of each individual.
+    """Return the outputs of the brain, each between 0 and 1, with weights of `decode_weights`.
 
     Raises:
         ValueError: the number of inputs does not fit the brain.

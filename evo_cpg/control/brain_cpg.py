@@ -350,10 +350,6 @@ class BrainCpg(Controller):
 
         A muscle is activated by its own neuron, ``min(1, y / u_max)``. The extensor's muscle pulls
         to positive angles. A torque motor gets its gear times the difference of both activations.
-
-        Args:
-            state: state of the neurons after the control step.
-            observation: senses at the start of the control step.
         """
         signal = matsuoka.output(state)
         rate_gain, centring = (expand_dims_like(x, signal) for x in (self.rate_gain, self.centring))

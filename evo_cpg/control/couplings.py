@@ -174,11 +174,6 @@ def matching_bodies(
 def matching_oscillators(tree: Tree, pattern: str, where: Sequence[str | int]) -> list[int]:
     """Return the oscillators that match a pattern such as ``arm*_1.y``, in the order of bodies.
 
-    Args:
-        tree: the creature.
-        pattern: a degree of freedom, in which ``*`` matches anything.
-        where: path of the setting, for the message.
-
     Raises:
         CouplingError: no degree of freedom matches.
     """
@@ -193,11 +188,6 @@ def listed_oscillators(
     tree: Tree, patterns: Sequence[str], where: Sequence[str | int]
 ) -> list[int]:
     """Return the oscillators of several patterns, in the order of the patterns.
-
-    Args:
-        tree: the creature.
-        patterns: degrees of freedom or patterns.
-        where: path of the list, for the message.
 
     Raises:
         CouplingError: no degree of freedom matches a pattern.
@@ -316,11 +306,6 @@ def start_phases(
 def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
     """Return the oscillators of a ring, in its order.
 
-    Args:
-        tree: the creature.
-        ring: ring that names the oscillators.
-        number: index of the ring in the settings, for messages.
-
     Raises:
         CouplingError: fewer than two oscillators, one twice, or a ring that does not close.
     """
@@ -349,11 +334,7 @@ def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
 
 
 def uncoupled(matrix: Float[np.ndarray, "o o"]) -> list[int]:
-    """Return the oscillators that neither inhibit another one nor are inhibited by one.
-
-    Args:
-        matrix: result of `evo_cpg.control.matsuoka.inhibition_matrix`.
-    """
+    """Return the oscillators that neither inhibit another one nor are inhibited by one."""
     others = matrix - np.diag(np.diag(matrix))
     return [int(i) for i in np.flatnonzero(~others.any(0) & ~others.any(1))]
 

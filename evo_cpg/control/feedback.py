@@ -146,20 +146,6 @@ def make_delay(delay: Number, control_step: float) -> Delay:
     return Delay(samples, samples - steps)
 
 
-def spread(
-    offsets: tuple[int, ...], rows: Float[Numbers, "k o"], values: Float[Array, "o *n"]
-) -> Float[Array, "o *n"]:
-    """Return the product of a matrix, given by its diagonals, with one value per oscillator."""
-    count, margin = values.shape[0], max(map(abs, offsets), default=0)
-    zeros = jnp.zeros((margin, *values.shape[1:]), values.dtype)
-    padded = jnp.concatenate([zeros, values, zeros])
-    total = jnp.zeros_like(values)
-    for offset, row in zip(offsets, rows, strict=True):
-        shifted = padded[margin + offset : margin + offset + count]
-        total += expand_dims_like(row, values) * shifted
-    return total
-
-
 @dataclasses.dataclass(frozen=True)
 class StretchFeedback:
     """Stretch of joints, which enters their oscillators and those of neighbours.
@@ -219,15 +205,17 @@ class StretchSense(eqx.Module):
         joint_angle: Float[Array, "d *n"],
         joint_rate: Float[Array, "d *n"],
     ) -> Float[Array, "d *n"]:
-        """Return s_f of eq. 1 before the delay, in units of u_max.
-
-        Args:
-            genes: genes of the feedback, or None if no weight evolves.
-            joint_angle: joint angles, rad.
-            joint_rate: joint rates, rad/s.
-        """
+        """Return s_f of eq. 1 before the delay, in units of u_max."""
         angle = self.angle_weight.times(joint_angle, genes)
-        return spread(self.offsets, self.rows, angle + self.rate_weight.times(joint_rate, genes))
+        values = angle + self.rate_weight.times(joint_rate, genes)
+        count, margin = values.shape[0], max(map(abs, self.offsets), default=0)
+        zeros = jnp.zeros((margin, *values.shape[1:]), values.dtype)
+        padded = jnp.concatenate([zeros, values, zeros])
+        total = jnp.zeros_like(values)
+        for offset, row in zip(self.offsets, self.rows, strict=True):
+            shifted = padded[margin + offset : margin + offset + count]
+            total += expand_dims_like(row, values) * shifted
+        return total
 
 
 def _spread(
@@ -320,12 +308,7 @@ class Load(eqx.Module):
     def now(
         self, genes: Float[Array, "g *n"] | None, load: Float[Array, "b *n"]
     ) -> Float[Array, "o *n"]:
-        """Return s_e of eq. 2 before the delay, in units of u_max.
-
-        Args:
-            genes: genes of the feedback, or None if no weight evolves.
-            load: load of each body.
-        """
+        """Return s_e of eq. 2 before the delay, in units of u_max."""
         own = jnp.stack([load[np.array(bodies)].sum(0) for bodies in self.limbs.bodies])
         others = own.sum(0, keepdims=True) - own
         felt = self.weight.times(own, genes) + self.neighbour_weight.times(others, genes)
@@ -421,13 +404,7 @@ class Memory(NamedTuple):
 def build_feedback(
     tree: Tree, settings: FeedbackSettings, max_tonic_input: Number, control_step: float
 ) -> Feedback:
-    """Build the feedback into the oscillators of a creature's tree.
-
-    Args:
-        tree: the creature.
-        settings: settings.
-        max_tonic_input: u_max.
-        control_step: time between two samples, s.
+    """Build the feedback into the oscillators of a tree, sampled once a control step (s).
 
     Raises:
         CouplingError: the creature lacks a limb or joint that the settings name.
@@ -462,14 +439,7 @@ def build_feedback(
 def first_memory(
     feedback: Feedback, count: int, batch: tuple[int, ...], dtype: jnp.dtype | type
 ) -> Memory:
-    """Return the memory at the start of a trial: all senses were 0.
-
-    Args:
-        feedback: the senses.
-        count: number of oscillators.
-        batch: trailing axes, such as ``(population,)``.
-        dtype: floating-point type.
-    """
+    """Return the memory at the start of a trial: all senses were 0."""
     stretch, load = (
         tuple(
             jnp.zeros((samples, count, *batch), dtype) if samples else None
@@ -491,14 +461,6 @@ def feel(
     """Return the input to each neuron in one control step, and the next memory.
 
     The inputs of the extensors come first, in the unit of the tonic input.
-
-    Args:
-        feedback: the senses.
-        genes: genes of the feedback, or None if no weight evolves.
-        memory: former samples.
-        joint_angle: joint angles, rad.
-        joint_rate: joint rates, rad/s.
-        load: load of each body, or None if no sense is a load.
     """
     # Input of the extensors. Flexors receive the negative.
     total = jnp.zeros_like(joint_angle)

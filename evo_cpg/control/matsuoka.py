@@ -315,13 +315,7 @@ def initial_state(
     batch: tuple[int, ...] = (),
     dtype: jnp.dtype | type = jnp.float32,
 ) -> MatsuokaState:
-    """Return neurons at their initial potentials, with all adaptations z at 0.
-
-    Args:
-        network: network with the initial potentials.
-        batch: trailing axes, such as ``(population,)``.
-        dtype: floating-point type of the state.
-    """
+    """Return neurons at their initial potentials, with all adaptations z at 0."""
     rest = jnp.zeros((2, network.oscillator_count, *batch), dtype)
     return MatsuokaState(rest + expand_dims_like(network.initial_potential, rest), rest)
 

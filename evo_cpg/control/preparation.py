@@ -184,12 +184,7 @@ class Preparation(Controller):
         return dataclasses.replace(self.animal, network=network, feedback=feedback)
 
     def within(self, surgery: Surgery, side: Int[np.ndarray, " d"]) -> Surgery:
-        """Return the surgery without couplings and feedback between the sides of a cut.
-
-        Args:
-            surgery: surgery of one individual.
-            side: number of each oscillator's side.
-        """
+        """Return the surgery without couplings and feedback between the sides of a cut."""
         network = self.animal.network
         senses = [factors_within(sense.offsets, side) for sense in self._stretch]
         return surgery._replace(
@@ -217,12 +212,7 @@ def silenced(observation: Observation, heard: Float[Array, "s *n"]) -> Observati
 def factors_within(
     offsets: tuple[int, ...], side: Int[np.ndarray, " d"]
 ) -> Float[np.ndarray, "k d"]:
-    """Return factors of a matrix by its diagonals: 1 within a side, 0 between sides.
-
-    Args:
-        offsets: offsets of the diagonals.
-        side: number of each oscillator's side.
-    """
+    """Return factors of a matrix by its diagonals: 1 within a side, 0 between sides."""
     others = np.array(offsets, int).reshape(-1, 1) + np.arange(len(side))
     return (side[np.clip(others, 0, len(side) - 1)] == side).astype(float)
 

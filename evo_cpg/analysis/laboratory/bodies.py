@@ -234,14 +234,7 @@ def _scaled_axes(joint: dict[str, Any], size: float) -> dict[str, Any]:
 
 
 def _scaled(place: Any, size: float, power: int = 0, powers: Mapping[str, int] = _POWERS) -> Any:
-    """Return a section of a creature at another size.
-
-    Args:
-        place: the section, or a value in it.
-        size: factor of all lengths.
-        power: power with which a value grows.
-        powers: power with which the value of each key grows.
-    """
+    """Return a section of a creature at another size, whose values grow with powers of it."""
     if isinstance(place, dict):
         return {
             name: _scaled(x, size, powers.get(name, power), powers) for name, x in place.items()

@@ -229,13 +229,7 @@ def cut_numbers(tree: Tree, recording: Recording, cut: str, first: int) -> list[
 
 
 def sides(front: Float[np.ndarray, " t"], behind: Float[np.ndarray, " t"], step: float) -> Sides:
-    """Return the rhythms of two angles, and how the second follows the first.
-
-    Args:
-        front: angle in front of the cut, rad.
-        behind: angle behind the cut, rad.
-        step: time between samples, s.
-    """
+    """Return the rhythms of two joint angles, and how the second follows the first."""
     begins, follows = cycle_starts(front, step), cycle_starts(behind, step)
     own = frequency_of(begins), frequency_of(follows)
     if not np.isfinite(own).all():

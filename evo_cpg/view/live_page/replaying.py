@@ -119,13 +119,7 @@ class Replays:
 
 
 class _Rest(NamedTuple):
-    """Individuals that are not on the wall yet.
-
-    Attributes:
-        checkpoint: checkpoint with their genomes.
-        run: number of their run.
-        places: their places in the population.
-    """
+    """Individuals that are not on the wall yet."""
 
     checkpoint: Checkpoint
     run: int
@@ -151,12 +145,7 @@ class Replaying:
         self._forget()
 
     def work(self, checkpoint: Checkpoint, finished: bool) -> None:
-        """Do what is due: replay the champion, or the next individuals of the wall.
-
-        Args:
-            checkpoint: newest checkpoint.
-            finished: whether no generation follows.
-        """
+        """Do what is due: replay the champion, or the next individuals of the wall."""
         champion = checkpoint.champion
         if champion is None:
             return
