@@ -48,9 +48,11 @@ def test_numbers_of_a_wave_with_known_amplitude_and_speed(waves):
     assert swimming(points, STEP)["frequency"] == pytest.approx(2.0, rel=0.01)
     found = swimming(points, STEP, 2.0)
     speed = 2.0 / waves
-    expected = {"tail_amplitude": 0.1, "speed": 0.5, "strouhal": 0.4, "wave_speed": speed}
-    expected |= {"wave_count": waves, "slip": 0.5 / abs(speed)}
+    expected = {"speed": 0.5, "wave_speed": speed, "wave_count": waves, "slip": 0.5 / abs(speed)}
     assert {key: found[key] for key in expected} == pytest.approx(expected, rel=1e-3)
+    # Samples miss up to (pi f h)^2 / 2 of a peak, here 0.5 %.
+    assert found["tail_amplitude"] == pytest.approx(0.1, rel=5e-3)
+    assert found["strouhal"] == pytest.approx(0.4, rel=5e-3)
     assert math.isnan(slip(0.3, math.nan))
 
 
