@@ -313,8 +313,8 @@ MUTANTS = (
     ),
     Mutant(
         "control/matsuoka.py",
-        "(1 / 3) * (s1 + 2 * s2 + s3 - start)",
-        "(1 / 3) * (s1 + s2 + 2 * s3 - start)",
+        "(1 / 3) * (x1 + 2 * x2 + x3 - x)",
+        "(1 / 3) * (x1 + x2 + 2 * x3 - x)",
         "control/test_matsuoka.py",
     ),
     Mutant(
@@ -457,8 +457,8 @@ MUTANTS = (
     ),
     Mutant(
         "control/brain.py",
-        "*blocks, bias = jnp.split(table, [*_cuts(count), count], axis=1)",
-        "bias, *blocks = jnp.split(table, [1, *(1 + c for c in _cuts(count))], axis=1)",
+        "*blocks, bias = jnp.split(table, [*cuts, count], axis=1)",
+        "bias, *blocks = jnp.split(table, [1, *(1 + c for c in cuts)], axis=1)",
         "control/test_brain.py",
     ),
     Mutant(

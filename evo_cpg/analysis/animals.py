@@ -81,11 +81,7 @@ ANIMALS: tuple[Animals, ...] = (
 
 
 def animals_of(key: str) -> tuple[Animals, ...]:
-    """Return the ranges of a quantity, or () without one.
-
-    Args:
-        key: key of the quantity.
-    """
+    """Return the ranges of a quantity, or () without one."""
     return tuple(each for each in ANIMALS if each.key == key)
 
 
@@ -107,11 +103,7 @@ def running_cost(mass: Values, speed: Values | None = None) -> Values:
 
 
 def swimming_cost(mass: Values) -> tuple[Values, Values]:
-    """Return the metabolic cost of transport of fish, no unit: by two formulas, the lower first.
-
-    Args:
-        mass: mass, kg.
-    """
+    """Return fish's cost of transport for a mass (kg), no unit: two formulas, the lower first."""
     fish = 1.1 * np.power(np.multiply(1000.0, mass), -0.38)
     salmon = 2.15 * np.power(mass, -0.25) / _GRAVITY
     return np.minimum(fish, salmon), np.maximum(fish, salmon)

@@ -119,11 +119,6 @@ def travelling_index(signals: Float[np.ndarray, "t j"], step: float, frequency: 
     reflection of amplitude b, on whole wave lengths. A pure wave with the wave number k on a
     length L has sqrt((1 - s) / (1 + s)) with s = |sin(k L) / (k L)|, which is below 1.
 
-    Args:
-        signals: signals at places along the body.
-        step: time between samples, s.
-        frequency: frequency of the wave, Hz.
-
     Returns:
         Index from 0 to 1, or NaN without a cycle of samples or without motion.
     """

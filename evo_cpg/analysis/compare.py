@@ -72,7 +72,8 @@ def compare(settings: Mapping[str, Sequence[float]]) -> list[Comparison]:
     Args:
         settings: fitness of the runs, to be maximised, by name of the setting.
     """
-    known = {name: _finite(fitness) for name, fitness in settings.items()}
+    every = {name: np.asarray(fitness, float) for name, fitness in settings.items()}
+    known = {name: values[np.isfinite(values)] for name, values in every.items()}
     names = [name for name, fitness in known.items() if fitness.size > 1]
     pairs = list(itertools.combinations(names, 2))
     tested = [mannwhitneyu(known[a], known[b], alternative="two-sided") for a, b in pairs]
@@ -94,8 +95,3 @@ def holm(p_values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     adjusted = np.empty_like(p_values)
     adjusted[order] = np.minimum(np.maximum.accumulate(scaled), 1.0) if len(scaled) else scaled
     return adjusted
-
-
-def _finite(values: Sequence[float]) -> np.ndarray:
-    known = np.asarray(values, float)
-    return known[np.isfinite(known)]

@@ -1,7 +1,8 @@
 """Cycles of a periodic motion: their starts, frequency and phases, and samples of whole cycles.
 
 A Fourier component, a peak-to-peak range or a mean is exact only over whole cycles. So signals are
-interpolated by a cubic spline to a whole number of samples in a cycle.
+interpolated by a cubic spline to a whole number of samples in a cycle. Signals have any unit, times
+between samples (steps) are in s, and frequencies in Hz.
 
 A cycle begins where the signal crosses a level upwards. Phases are cyclic, so their mean and their
 scatter are circular (Fisher 1993). With the mean m of exp(2 pi i p_k) over the phases p_k:
@@ -69,23 +70,12 @@ def finer(
     return CubicSpline(np.arange(len(values)), values)(places), own * step
 
 
-def samples(step: float, frequency: float) -> int:
-    """Return the number of samples in a cycle."""
-    return max(1, round(1.0 / (frequency * step)))
-
-
 def whole_cycles(values: Float[np.ndarray, "t *n"], step: float, frequency: float) -> Cycles | None:
-    """Return the last whole cycles of signals, or None if there is none.
-
-    Args:
-        values: signals of any unit.
-        step: time between samples, s.
-        frequency: frequency of the cycles, Hz.
-    """
+    """Return the last whole cycles of signals, or None if there is none."""
     if not frequency > 0 or len(values) < 2:
         return None
     values, step = finer(values, step, frequency)
-    width = samples(step, frequency)
+    width = max(1, round(1.0 / (frequency * step)))
     count = len(values) // width * width
     return Cycles(values[len(values) - count :], step, width) if count else None
 
@@ -113,7 +103,7 @@ def moving_mean(
     values: Float[np.ndarray, "t *n"], step: float, frequency: float
 ) -> Float[np.ndarray, "m *n"]:
     """Return means over a cycle, or a straight line from start to end without cycles."""
-    width = samples(step, frequency) if frequency > 0 else len(values)
+    width = max(1, round(1.0 / (frequency * step))) if frequency > 0 else len(values)
     if width >= len(values):
         return np.linspace(values[0], values[-1], len(values))
     total = np.cumsum(values - values[0], axis=0)
@@ -136,10 +126,6 @@ def upward_crossings(signal: Float[np.ndarray, " t"]) -> Float[np.ndarray, " k"]
 def cycle_starts(signal: Float[np.ndarray, " t"], step: float) -> Float[np.ndarray, " k"]:
     """Return the times at which a signal crosses its mid-range upwards, s.
 
-    Args:
-        signal: samples of any unit.
-        step: time between samples, s.
-
     Returns:
         Times after the first sample. There are none if the signal stands still.
     """
@@ -158,9 +144,6 @@ def frequency_of(starts: Float[np.ndarray, " k"]) -> float:
 
 def mean_phase(phase: Float[np.ndarray, " k"]) -> tuple[float, float]:
     """Return the circular mean of phases and their circular standard deviation, cycles.
-
-    Args:
-        phase: phases, cycles.
 
     Returns:
         Mean from -0.5 to 0.5, and standard deviation.

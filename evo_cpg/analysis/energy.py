@@ -111,27 +111,17 @@ class Ledger(NamedTuple):
 
 
 def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
-    """Compute the ledger of a trial.
-
-    Args:
-        world: world of the trial.
-        steps: physics steps of the trial.
-        h: duration of a physics step, s.
-    """
+    """Compute the ledger of a trial with physics steps of h (s)."""
     # The final state of the step before. The first step gets its own initial state.
     previous = jax.tree.map(
         lambda after, before: np.concatenate([before[..., :1], after[..., :-1]], -1),
         steps.after,
         steps.before,
     )
-
-    def entries(steps: PhysicsSteps, previous: State) -> tuple[Array, ...]:
-        return _entries(world, steps, previous, h)
-
-    return Ledger(*along_time(entries, steps, previous))
+    return Ledger(*along_time(functools.partial(_entries, world, h), steps, previous))
 
 
-def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tuple[Array, ...]:
+def _entries(world: World, h: float, steps: PhysicsSteps, previous: State) -> tuple[Array, ...]:
     """Return the fields of `Ledger`."""
     tree, before, after = world.tree, steps.before, steps.after
     # Velocities are half a step behind the poses, so move the poses back by half a step.
@@ -275,13 +265,9 @@ def along_time(function: Callable, *steps: Any) -> Any:
         for start in range(0, count, _BLOCK):
             # The last block repeats the last step.
             block = np.minimum(np.arange(start, start + _BLOCK), count - 1)
-            own = jax.tree.map(functools.partial(_part, block), exact)
+            own = jax.tree.map(operator.itemgetter((..., block)), exact)
             parts.append(jax.device_get(program(*own)))
     return jax.tree.map(lambda *x: np.concatenate(x, -1)[..., :count], *parts)
-
-
-def _part(block: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return values[..., block]
 
 
 class WaterPower(NamedTuple):

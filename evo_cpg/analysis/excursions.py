@@ -79,14 +79,7 @@ def excursions(
     steps: PhysicsSteps,
     situation: int = 0,
 ) -> Excursions:
-    """Measure the extremes of a trial.
-
-    Args:
-        simulation: simulation of the trial.
-        creature: the animal.
-        steps: physics steps of the trial.
-        situation: index of the trial's situation.
-    """
+    """Measure the extremes of a trial in one of the simulation's situations."""
     world, light = simulation.world, simulation.lights[situation]
     every = make_pairs(creature, world.tree, world.watched)
 
@@ -336,10 +329,11 @@ def gaps(
     angle = np.full(count, _FIRST)
     around = 2 * np.pi * np.arange(_AROUND) / _AROUND
     for _ in range(_ROUNDS):
-        across = _across(best)
-        circle = (
-            np.cos(around)[:, None, None] * across[0] + np.sin(around)[:, None, None] * across[1]
-        )
+        # Two unit vectors perpendicular to each best normal and to each other.
+        first = np.cross(best, np.eye(3)[np.abs(best).argmin(1)])
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        second = np.cross(best, first)
+        circle = np.cos(around)[:, None, None] * first + np.sin(around)[:, None, None] * second
         tried = np.cos(angle)[:, None] * best + np.sin(angle)[:, None] * circle
         tried = np.moveaxis(tried, 0, 1)
         other, more = _best(tried, apart(tried))
@@ -357,11 +351,3 @@ def _best(
         np.take_along_axis(normals, place[..., None], 1)[:, 0],
         np.take_along_axis(values, place, 1)[:, 0],
     )
-
-
-def _across(normals: Float[np.ndarray, "t 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Return two unit vectors perpendicular to each normal and to each other."""
-    least = np.eye(3)[np.abs(normals).argmin(1)]
-    first = np.cross(normals, least)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(normals, first)

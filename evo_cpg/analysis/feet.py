@@ -137,7 +137,7 @@ def contacts(
         load=load[feet] / len(force),
         slip=slip[feet],
         whole_slip=whole,
-        airborne=airborne_fraction((force != 0).any(1)),
+        airborne=float((force == 0).all((1, 2)).mean()),
     )
 
 
@@ -146,11 +146,7 @@ def limb_contacts(
 ) -> LimbContacts | None:
     """Return the contacts of the limbs, or None if no limb ever touches the ground.
 
-    Args:
-        creature: the animal.
-        feet: contacts of its bodies.
-        step: time between samples, s.
-        frequency: stride frequency, Hz, or NaN.
+    The stride frequency (Hz) is NaN without a stride.
     """
     found, columns, own = [], [], []
     for limb in limbs(creature):
@@ -182,12 +178,7 @@ def _slip(frames: Mapping[str, Array | np.ndarray], points: Bool[np.ndarray, " p
 
 
 def mean_slip(slip: Float[np.ndarray, " f"], load: Float[np.ndarray, " f"]) -> float:
-    """Return the slip speed of several feet together, m/s, or NaN without load.
-
-    Args:
-        slip: slip speed of each foot, m/s, or NaN.
-        load: mean load of each foot, N.
-    """
+    """Return the slip speed of feet weighted by their load, m/s, or NaN without load."""
     loaded = load > 0
     return float(np.average(slip[loaded], weights=load[loaded])) if loaded.any() else np.nan
 
@@ -197,10 +188,7 @@ def touching(
 ) -> Bool[np.ndarray, "t f"]:
     """Return whether bodies touch the ground in each sample, as in the measure ``duty_factor``.
 
-    Args:
-        force: force of the ground on every contact point, N.
-        owners: index of the body with each point.
-        bodies: indices of the requested bodies.
+    Each contact point belongs to the body in ``owners``.
     """
     touched = (force != 0).any(1)
     return np.stack([touched[:, owners == body].any(1) for body in bodies], -1)
@@ -229,11 +217,7 @@ def settled(
 
 
 def chatter(frequency: float) -> float:
-    """Return the duration below which a contact or a break is chatter, s.
-
-    Args:
-        frequency: stride frequency, Hz, or NaN without a stride.
-    """
+    """Return the duration below which a contact or a break is chatter, s."""
     return min(_CHATTER, _CHATTER_FRACTION / frequency) if frequency > 0 else _CHATTER
 
 
@@ -241,10 +225,6 @@ def stances(touched: Bool[np.ndarray, " t"], step: float) -> Float[np.ndarray, "
     """Return the beginning and end of every stance of a foot, s from the first sample.
 
     A stance at an edge of the record begins or ends at this edge.
-
-    Args:
-        touched: whether the foot touches in each sample.
-        step: time between samples, s.
     """
     return step * np.array(_runs(touched), float).reshape(-1, 2)
 
@@ -258,11 +238,6 @@ def duty_factors(touched: Bool[np.ndarray, "t f"]) -> Float[np.ndarray, " f"]:
     """Return each foot's fraction of the time on the ground. NaN without contact."""
     fraction = touched.mean(0)
     return np.where(fraction > 0, fraction, np.nan)
-
-
-def airborne_fraction(touched: Bool[np.ndarray, "t f"]) -> float:
-    """Return the fraction of the time in which no foot touches the ground."""
-    return float((~touched.any(1)).mean())
 
 
 def phases(touched: Bool[np.ndarray, "t f"], step: float) -> Phases:

@@ -124,10 +124,6 @@ def dominant_frequency(signals: Float[np.ndarray, "t j"], step: float) -> Float[
     """Return the frequency of the highest peak of each signal's spectrum, Hz.
 
     A component with fewer than two periods in all samples is drift, not rhythm.
-
-    Args:
-        signals: signals of any unit.
-        step: time between samples, s.
     """
     count = len(signals)
     window = np.hanning(count)[:, None]
@@ -178,12 +174,7 @@ class PhaseLags(NamedTuple):
 
 
 def phase_lags(signals: Float[np.ndarray, "t j"], step: float, frequency: float) -> PhaseLags:
-    """Measure phase lags and coherence.
-
-    Args:
-        signals: signals of any unit.
-        step: time between samples, s.
-        frequency: stride frequency, Hz.
+    """Measure phase lags and coherence at the stride frequency (Hz).
 
     Returns:
         Lags and coherence, NaN if the record is shorter than a period.

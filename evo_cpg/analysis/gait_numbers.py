@@ -188,13 +188,7 @@ def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, 
 def chain_places(
     simulation: Simulation, creature: Creature, chain: tuple[int, ...]
 ) -> Float[np.ndarray, " j"]:
-    """Return the places of joints along the body, m behind the first joint.
-
-    Args:
-        simulation: the trial.
-        creature: the animal.
-        chain: degrees of freedom in a row.
-    """
+    """Return the places of a row of joints along the body, m behind the first joint."""
     if not chain:
         return np.zeros(0)
     tree = simulation.world.tree

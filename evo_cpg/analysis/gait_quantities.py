@@ -114,14 +114,23 @@ class Measurement(NamedTuple):
     def if_it_moves(self, path: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
         """Return the speed along a path, m/s, and again, or NaN if the animal stays."""
         speed = stride.path_speed(path, self.step, self.frequency)
-        time = self.step * (len(path) - 1)
-        return speed, stride.if_anywhere(speed, time, self.length)
+        moved = speed * self.step * (len(path) - 1) >= stride.STANDING_FRACTION * self.length
+        return speed, speed if moved else math.nan
 
 
 def quantities(motion: Measurement) -> tuple[Quantity, ...]:
     """Return all numbers of a motion, with the ranges of animals."""
     world = motion.simulation.world
-    middle = _middle(motion)
+    # Path of the centre of mass in the last part of the trial, m.
+    tree, recording = world.tree, motion.recording
+    order = [tree.names.index(body.name) for body in motion.creature.bodies]
+    masses = np.asarray(recording.position, float)
+    if tree.centre_of_volume is not None:
+        # The place of a body is the centre of its shape.
+        off = np.asarray(tree.com - tree.centre, float)[:, order]
+        masses = masses + np.einsum("tbij,jb->tbi", np.asarray(recording.rotation, float), off)
+    weights = np.asarray(tree.mass, float)[order]
+    middle = np.average(masses, axis=1, weights=weights)[motion.first :]
     _, moving = motion.if_it_moves(middle)
     found, distance, speed = _whole_trial(motion, middle)
     if motion.feet is not None:
@@ -142,19 +151,6 @@ def quantities(motion: Measurement) -> tuple[Quantity, ...]:
     found += _effort(motion, distance, speed, swims)
     present = [each._replace(missing="") if each.exists else each for each in found]
     return tuple(q if q.animals else q._replace(animals=animals_of(q.key)) for q in present)
-
-
-def _middle(motion: Measurement) -> Float[np.ndarray, "n 3"]:
-    """Return the path of the centre of mass in the last part of the trial, m."""
-    tree, recording = motion.simulation.world.tree, motion.recording
-    order = [tree.names.index(body.name) for body in motion.creature.bodies]
-    masses = np.asarray(recording.position, float)
-    if tree.centre_of_volume is not None:
-        # The place of a body is the centre of its shape.
-        off = np.asarray(tree.com - tree.centre, float)[:, order]
-        masses = masses + np.einsum("tbij,jb->tbi", np.asarray(recording.rotation, float), off)
-    weights = np.asarray(tree.mass, float)[order]
-    return np.average(masses, axis=1, weights=weights)[motion.first :]
 
 
 def _whole_trial(
@@ -375,13 +371,7 @@ def _water(
 
 
 def drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float[np.ndarray, "t 3"]:
-    """Return the displacement by the water's flow since the first sample, m.
-
-    Args:
-        water: water with its flow.
-        middle: centre of mass of the animal, m.
-        step: time between samples, s.
-    """
+    """Return the displacement by the water's flow since the first sample, m."""
     flow = water.velocity(jnp.asarray(middle.T))
     carried = np.broadcast_to(np.asarray(flow, float), middle.T.shape).T * step
     return np.concatenate([np.zeros((1, 3)), np.cumsum(carried, 0)[:-1]])

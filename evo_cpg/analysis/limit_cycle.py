@@ -26,7 +26,6 @@ it also integrates stiff networks. The orbit is that of the open loop, because f
 senses (`evo_cpg.control.feedback`) is left out.
 """
 
-import functools
 import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -139,9 +138,6 @@ class LimitCycle(NamedTuple):
     def lags(self, order: Sequence[int]) -> Float[np.ndarray, " n"]:
         """Return the lags in another order, the first behind the last, as around a ring.
 
-        Args:
-            order: some of `oscillators`.
-
         Returns:
             Lags, degrees. NaN if one of the two oscillators rests.
         """
@@ -216,7 +212,7 @@ class Flow:
         """Simulate, with an event whenever a neuron begins or ceases to fire."""
         from scipy.integrate import solve_ivp
 
-        events = [functools.partial(_potential, i) for i in range(self.neurons)]
+        events = [lambda time, state, i=i: state[i] for i in range(self.neurons)]
         return solve_ivp(
             self.derivative,
             (0.0, duration),
@@ -286,11 +282,6 @@ class Flow:
             if (sizes @ growth < near.margin).all():
                 time += float(length)
         return near.state + np.real(near.shapes @ np.exp(near.rates * time))
-
-
-def _potential(neuron: int, time: float, state: np.ndarray) -> float:
-    del time
-    return state[neuron]
 
 
 class Orbit(NamedTuple):

@@ -133,14 +133,9 @@ def midline_motion(
 
 
 def sway(points: Float[np.ndarray, "t p 3"], step: float, frequency: float) -> Sway | None:
-    """Return the sway of each point in whole cycles, or None with less than two cycles.
+    """Return the sway of points from head to tail in whole cycles, or None with less than two.
 
     A turn of the animal does not count, because the frame turns with it.
-
-    Args:
-        points: paths of points on the midline, from head to tail, m.
-        step: time between samples, s.
-        frequency: frequency of the cycles, Hz.
     """
     if not frequency > 0 or len(points) * step * frequency < 2.0 - 1e-9:
         return None
@@ -185,9 +180,6 @@ def bending_lag(swaying: Sway) -> BendingLag:
 
     The second derivative is the second divided difference of neighbours. Its error is of second
     order in their distance: 14 points with 1.7 waves give 9.6 % for 10 %.
-
-    Args:
-        swaying: sway of points on the body.
     """
     component, place = swaying.cycles.component, swaying.place
     each = np.full(len(place), np.nan)
@@ -197,7 +189,8 @@ def bending_lag(swaying: Sway) -> BendingLag:
     bent = -2.0 * np.diff(slope) / (place[2:] - place[:-2])
     moved = component[1:-1]
     ahead = bent * np.conj(moved)
-    seen = np.minimum(_of_largest(bent), _of_largest(moved)) > _FAINT
+    sizes = (np.abs(values) for values in (bent, moved))
+    seen = np.minimum(*(size / max(size.max(initial=0.0), 1e-300) for size in sizes)) > _FAINT
     each[1:-1] = np.where(seen, np.angle(ahead) / (2 * np.pi), np.nan)
     mean = float(np.angle(ahead[seen].sum()) / (2 * np.pi)) if seen.any() else np.nan
     return BendingLag(each, mean)
@@ -206,11 +199,6 @@ def bending_lag(swaying: Sway) -> BendingLag:
 def _unit(vectors: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(size > 0, size, 1.0)
-
-
-def _of_largest(values: np.ndarray) -> np.ndarray:
-    size = np.abs(values)
-    return size / max(size.max(initial=0.0), 1e-300)
 
 
 def midline_chain(creature: Creature) -> SlenderChain | None:

@@ -55,7 +55,7 @@ from evo_cpg.physics.tree import root
 from evo_cpg.physics.tree.hanging import Base
 from evo_cpg.physics.tree.joint_torque import Laws, MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
-from evo_cpg.physics.tree.muscle import Pull, pull_of
+from evo_cpg.physics.tree.muscle import pull_of
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.force_law import buoyancy_alone, in_body_axes
 from evo_cpg.simulation.control_step import act, begin_episode, motor_command, sense
@@ -181,14 +181,12 @@ def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
     each = slice(simulation.substeps - 1, None, simulation.substeps)
     start, place = steps.before.position[:, :1], steps.after.position[:, each]
     held = (np.abs(steps.contact_force).sum((0, 1)) > 0) | in_water(simulation.world, steps)
-    return Opinion(
-        "evo_cpg",
+    path, angle = (
         np.concatenate([start, place], 1).astype(float),
-        _upright_fraction(np.asarray(steps.after.orientation[:, each])),
-        _airborne(simulation.world, held[each]),
-        np.asarray(steps.after.q[:, each], float),
-        simulation.world.tree.slides,
+        np.asarray(steps.after.q)[:, each],
     )
+    turned = np.asarray(steps.after.orientation[:, each])
+    return _opinion("evo_cpg", simulation.world, path, turned, held[each], angle)
 
 
 def second_opinion(
@@ -215,8 +213,7 @@ def second_opinion(
     before = jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before)
     mujoco, model, finer = _compile(simulation, creature, before.base, hard)
     world, substeps = simulation.world, simulation.substeps
-    player = _Player(mujoco, model, world, simulation.step_length)
-    player.begin(before)
+    player = _Player(mujoco, model, world, simulation.step_length, before)
     # Random change of the velocities before each step, as for `State.rates`.
     rates = np.asarray(steps.before.rates, float)
     came = np.concatenate([rates[:, :1], np.asarray(steps.after.rates[:, :-1], float)], 1)
@@ -239,14 +236,26 @@ def second_opinion(
             states.append(player.state())
             held.append(player.is_held())
     poses = jax.tree.map(lambda *each: np.stack(each, -1), *states)
-    return Opinion(
-        program,
-        poses.position,
-        _upright_fraction(poses.orientation[:, 1:]),
-        _airborne(world, np.array(held)),
-        poses.q[:, 1:],
-        simulation.world.tree.slides,
-    )
+    turned, angle = poses.orientation[:, 1:], poses.q[:, 1:]
+    return _opinion(program, world, poses.position, turned, np.array(held), angle)
+
+
+def _opinion(
+    program: str,
+    world: World,
+    path: Float[np.ndarray, "3 t"],
+    orientation: Float[np.ndarray, "4 n"],
+    held: Bool[np.ndarray, " n"],
+    joint_angle: Float[np.ndarray, "d n"],
+) -> Opinion:
+    """Return the outcome of a trial in which ground or water holds the animal at some steps."""
+    _, x, y, _ = orientation
+    upright = float((1.0 - 2.0 * (x * x + y * y) > _UPRIGHT).mean())
+    airborne = None
+    if world.contact_model is not None and world.water_level != np.inf:
+        airborne = float(1.0 - held.mean())
+    angle = np.asarray(joint_angle, float)
+    return Opinion(program, path, upright, airborne, angle, world.tree.slides)
 
 
 def _compile(
@@ -261,7 +270,7 @@ def _compile(
         ) from None
     world, h = simulation.world, simulation.step_length
     longest = _HARD_STEP if hard else h
-    if _applied(world) or world.tree.muscles is not None:
+    if world.water is not None or world.forces or world.tree.muscles is not None:
         longest = min(longest, _LAW_STEP)
     finer = int(np.ceil(h / longest - 1e-9))
     place: dict[str, Any] = {}
@@ -284,16 +293,9 @@ def _compile(
 
 
 class _Player:
-    """MuJoCo's animal.
+    """MuJoCo's animal, which starts in the state of ours."""
 
-    Args:
-        mujoco: the module.
-        model: model of the animal and its world.
-        world: our world of the animal.
-        h: length of our physics step, s.
-    """
-
-    def __init__(self, mujoco: Any, model: Any, world: World, h: float):
+    def __init__(self, mujoco: Any, model: Any, world: World, h: float, start: State):
         self.mujoco, self.model, self.tree = mujoco, model, world.tree
         self.data = mujoco.MjData(model)
         self.dofs, self._motors = dof_order(model, world.tree), motor_order(model, world.tree)
@@ -304,19 +306,16 @@ class _Player:
         centres = world.tree.com
         if world.tree.centre_of_volume is not None:
             centres = np.asarray(model.body_ipos)[self._bodies].T
-        self._laws = _law_forces(world, h, centres) if _applied(world) else None
+        is_pushed = world.water is not None or bool(world.forces)
+        self._laws = _law_forces(world, h, centres) if is_pushed else None
         self._pull = None
         if world.tree.muscles is not None:
             self._pull = jax.jit(functools.partial(pull_of, world.tree.muscles))
         self._surface = world.water_level
-        self._start = resting_state(world.tree)
+        self._start = start
         self._placed = jax.jit(lambda state: state.placed(world.tree))
-
-    def begin(self, state: State) -> None:
-        """Set MuJoCo's animal to the initial state of ours."""
-        self._start = state
-        load_state(self.model, self.data, self.tree, state)
-        self.mujoco.mj_forward(self.model, self.data)
+        load_state(model, self.data, world.tree, start)
+        mujoco.mj_forward(model, self.data)
 
     def commands(
         self, command: MotorCommand
@@ -350,7 +349,15 @@ class _Player:
                 state = self.state()
                 with jax.enable_x64(True):
                     pull = jax.device_get(self._pull(activation, state.q, state.qd))
-                self._set_muscles(pull)
+                # Set strength, stiffness and damping of the muscles' hinges and motors.
+                tree, model, muscles = self.tree, self.model, self.tree.muscles
+                assert muscles is not None
+                hinges = root_dofs(tree) + self.dofs
+                model.jnt_stiffness[model.dof_jntid[hinges]] = tree.stiffness + pull.stiffness
+                model.dof_damping[hinges] = tree.damping + pull.damping
+                (own,) = np.nonzero(np.isin(self._motors, np.flatnonzero(muscles.driven)))
+                share = pull.drive / np.where(muscles.driven, muscles.strength, 1.0)
+                self.data.ctrl[own] = share[self._motors[own]]
             if self._laws is not None:
                 applied, carried = self._laws(self.state())
                 self.data.xfrc_applied[self._bodies] = applied.T
@@ -358,17 +365,6 @@ class _Player:
                 self.mujoco.mj_step(self.model, self.data)
             else:
                 step_with_inertia(self.mujoco, self.model, self.data, self._bodies, carried)
-
-    def _set_muscles(self, pull: Pull) -> None:
-        """Set strength, stiffness and damping of the muscles' hinges and motors."""
-        tree, model, muscles = self.tree, self.model, self.tree.muscles
-        assert muscles is not None
-        hinges = root_dofs(tree) + self.dofs
-        model.jnt_stiffness[model.dof_jntid[hinges]] = tree.stiffness + pull.stiffness
-        model.dof_damping[hinges] = tree.damping + pull.damping
-        (own,) = np.nonzero(np.isin(self._motors, np.flatnonzero(muscles.driven)))
-        share = pull.drive / np.where(muscles.driven, muscles.strength, 1.0)
-        self.data.ctrl[own] = share[self._motors[own]]
 
     def push(self, change: Float[np.ndarray, " v"]) -> None:
         """Change the velocities, given as for `State.rates`."""
@@ -414,11 +410,6 @@ class _Player:
         )
         # Double precision, as in states from `jax.device_get`.
         return jax.tree.unflatten(self._structure, parts)
-
-
-def _applied(world: World) -> bool:
-    """Return whether the world has forces that MJCF cannot hold."""
-    return world.water is not None or bool(world.forces)
 
 
 def _controls(laws: Laws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
@@ -478,15 +469,3 @@ def _law_forces(
             return jax.device_get(program(state))
 
     return compute
-
-
-def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:
-    """Return the fraction of the time in which nothing holds the animal, or None if meaningless."""
-    everywhere = world.water_level == np.inf
-    return None if world.contact_model is None or everywhere else float(1.0 - held.mean())
-
-
-def _upright_fraction(orientation: Float[np.ndarray, "4 t"]) -> float:
-    """Return the fraction of the time in which the root's z axis is within 60 degrees of up."""
-    _, x, y, _ = orientation
-    return float((1.0 - 2.0 * (x * x + y * y) > _UPRIGHT).mean())

@@ -148,14 +148,7 @@ def measured(
     scales: dict[str, float],
     keys: Array | None = None,
 ) -> Float[Array, "2 *n"]:
-    """Return speed and fitness, see `MEASURES`.
-
-    Args:
-        simulation: the trial, without `followed`.
-        genes: genes of the animal.
-        scales: scales of the task.
-        keys: random keys of the trial's noise, see `rollout`.
-    """
+    """Return speed and fitness (`MEASURES`) of a trial that is not `followed`."""
     outcome = rollout(followed(simulation), genes, keys)
     own_scales = {name: jnp.asarray(value, genes.dtype) for name, value in scales.items()}
     return jnp.stack([outcome.terms[_SPEED], score(simulation.task, outcome, own_scales)])

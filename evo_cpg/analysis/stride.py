@@ -63,10 +63,6 @@ def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
     the record (unbiased autocorrelation, Moe-Nilssen and Helbostad 2004). Peaks may lie between
     samples. A joint that swings twice in a stride shifts the peak of a spectrum, but not this peak.
 
-    Args:
-        signals: signals such as the joint angles, any unit.
-        step: time between samples, s.
-
     Returns:
         Frequency, Hz, up to a third of the sampling rate. NaN if nothing repeats, or if the record
         is shorter than two strides.
@@ -110,35 +106,13 @@ def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) ->
     return float(np.linalg.norm(np.diff(smooth, axis=0), axis=-1).sum() / (step * len(smooth[1:])))
 
 
-def if_anywhere(speed: float, time: float, length: float) -> float:
-    """Return a speed (m/s), or NaN if the path is shorter than 1 % of the body.
-
-    Args:
-        speed: speed along the path, m/s.
-        time: duration of the path, s.
-        length: body length, m.
-    """
-    return speed if speed * time >= STANDING_FRACTION * length else math.nan
-
-
 def stride_length(speed: float, frequency: float) -> float:
-    """Return the stride length, m: speed / frequency (Alexander 2003).
-
-    Args:
-        speed: speed, m/s.
-        frequency: stride frequency, Hz, or NaN without a stride.
-    """
+    """Return the stride length, m: speed / frequency (Alexander 2003). NaN without a stride."""
     return speed / frequency if frequency > 0 else math.nan
 
 
 def cost_of_transport(energy: float, mass: float, gravity: float, distance: float) -> float:
-    """Return the cost of transport E / (m g d), no unit (Tucker 1975).
-
-    Args:
-        energy: E, energy of the motors, J.
-        mass: m, kg.
-        gravity: g, m/s^2.
-        distance: d, m.
+    """Return E / (m g d), no unit (Tucker 1975), with the energy E of the motors.
 
     Returns:
         Cost of transport, or NaN without distance or weight.
@@ -258,13 +232,7 @@ def slip(speed: Values, wave_speed: Values) -> Values:
 
 
 def reynolds_number(speed: Values, length: Values, viscosity: Values) -> Values:
-    """Return Re = U L / nu, no unit. NaN without viscosity.
-
-    Args:
-        speed: U, m/s.
-        length: L, m.
-        viscosity: kinematic viscosity nu, m^2/s.
-    """
+    """Return Re = U L / nu with the kinematic viscosity nu, no unit. NaN without viscosity."""
     return ratio(np.multiply(speed, length), viscosity)
 
 
@@ -297,12 +265,7 @@ def froude_efficiency(thrust: Values, speed: Values, power: Values) -> Values:
 
 
 def ratio(above: Values, below: Values) -> Values:
-    """Return the ratio of two quantities, NaN unless the lower one is positive.
-
-    Args:
-        above: a number or an array.
-        below: a number or an array.
-    """
+    """Return the ratio of two quantities, NaN unless the lower one is positive."""
     below = np.asarray(below, float)
     exists = below > 0
     found = np.where(exists, above, np.nan) / np.where(exists, below, 1.0)

@@ -18,11 +18,7 @@ KEPT = "displacement kept: "
 
 
 def limits_from(settings: Sequence[str], limits: Limits | None = None) -> Limits:
-    """Return the limits with some of them changed.
-
-    Args:
-        settings: as on the command line, ``key=value``.
-        limits: limits to change.
+    """Return limits with some changed by settings such as ``key=value``.
 
     Raises:
         LimitError: a key does not exist, or a value is negative or not a finite number.

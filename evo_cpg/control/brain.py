@@ -89,11 +89,7 @@ def build_brain(input_count: int, output_count: int, settings: BrainSettings) ->
 
 
 def decode_weights(brain: Brain, genes: Float[Array, "g *n"]) -> Weights:
-    """Return the weights for `think`.
-
-    Args:
-        brain: structure.
-        genes: weights of each individual, layer by layer.
+    """Return the weights for `think` from genes, layer by layer.
 
     Raises:
         ValueError: the number of genes does not fit the brain.
@@ -107,18 +103,14 @@ def decode_weights(brain: Brain, genes: Float[Array, "g *n"]) -> Weights:
     weights = []
     for (count, units), layer in zip(sizes, layers, strict=True):
         table = layer.reshape(units, count + 1, *genes.shape[1:])
-        *blocks, bias = jnp.split(table, [*_cuts(count), count], axis=1)
+        cuts = range(SUM_BLOCK, count, SUM_BLOCK)
+        *blocks, bias = jnp.split(table, [*cuts, count], axis=1)
         weights.append((*blocks, bias[:, 0]))
     return tuple(weights)
 
 
 def think(brain: Brain, weights: Weights, inputs: Float[Array, "i *n"]) -> Float[Array, "o *n"]:
-    """Return the outputs of the brain, each between 0 and 1.
-
-    Args:
-        brain: structure.
-        weights: result of `decode_weights`.
-        inputs: inputs of each individual.
+    """Return the outputs of the brain, each between 0 and 1, with weights of `decode_weights`.
 
     Raises:
         ValueError: the number of inputs does not fit the brain.
@@ -130,15 +122,11 @@ def think(brain: Brain, weights: Weights, inputs: Float[Array, "i *n"]) -> Float
         )
     values = inputs
     for *blocks, activation in weights:
-        parts = jnp.split(values, _cuts(values.shape[0]))
+        parts = jnp.split(values, list(range(SUM_BLOCK, values.shape[0], SUM_BLOCK)))
         for block, part in zip(blocks, parts, strict=True):
             activation = activation + matvec(block, part)
         values = jax.nn.sigmoid(activation / brain.temperature)
     return values
-
-
-def _cuts(count: int) -> list[int]:
-    return list(range(SUM_BLOCK, count, SUM_BLOCK))
 
 
 def random_weights(

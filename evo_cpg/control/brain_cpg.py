@@ -256,7 +256,7 @@ class BrainCpg(Controller):
     @property
     @override
     def uses_load(self) -> bool:
-        return self.feedback is not None and self.feedback.uses_load
+        return self.feedback is not None and bool(self.feedback.load)
 
     @property
     def rhythm_generator(self) -> Oscillators:
@@ -332,29 +332,24 @@ class BrainCpg(Controller):
             observation: senses at the start of the step.
             genes: genes of the feedback, or None if no weight of the feedback evolves.
         """
-        if self.feedback is None:
-            return self._advance(state, tonic_input, adaptation_gain)
-        assert isinstance(state, FeelingState)
-        angle, rate = map(self._as_angle, (observation.joint_angle, observation.joint_rate))
-        senses = angle, rate, observation.load
-        felt, memory = feel(self.feedback, genes, state.memory, *senses)
-        neurons = self._advance(state, tonic_input + felt, adaptation_gain)
+        neurons, memory = MatsuokaState(state.potential, state.adaptation), None
+        if self.feedback is not None:
+            assert isinstance(state, FeelingState)
+            angle, rate = map(self._as_angle, (observation.joint_angle, observation.joint_rate))
+            senses = angle, rate, observation.load
+            felt, memory = feel(self.feedback, genes, state.memory, *senses)
+            tonic_input = tonic_input + felt
+        inputs, steps = (tonic_input, adaptation_gain), (self.control_step, self.substeps)
+        neurons = matsuoka.advance(self.network, neurons, *inputs, *steps)
+        if memory is None:
+            return neurons
         return FeelingState(neurons.potential, neurons.adaptation, memory)
-
-    def _advance(self, state: MatsuokaState, tonic_input: Array, gain: Array) -> MatsuokaState:
-        state = MatsuokaState(state.potential, state.adaptation)
-        steps = self.control_step, self.substeps
-        return matsuoka.advance(self.network, state, tonic_input, gain, *steps)
 
     def command(self, state: MatsuokaState, observation: Observation) -> Command:
         """Return the command of the neurons to motors and muscles.
 
         A muscle is activated by its own neuron, ``min(1, y / u_max)``. The extensor's muscle pulls
         to positive angles. A torque motor gets its gear times the difference of both activations.
-
-        Args:
-            state: state of the neurons after the control step.
-            observation: senses at the start of the control step.
         """
         signal = matsuoka.output(state)
         rate_gain, centring = (expand_dims_like(x, signal) for x in (self.rate_gain, self.centring))

@@ -89,12 +89,7 @@ class Coupling:
     lag_deg: float | None = None
 
     def __post_init__(self):
-        _check_lag(self.lag_deg)
-        if self.lag_deg is not None and not self.weight >= 0:
-            raise ValueError(
-                "weight is the strength with which a lag is held and must not be negative, got "
-                f"{self.weight}"
-            )
+        _check_lag(self)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,12 +113,7 @@ class Ring:
     weight: float = 0.5
 
     def __post_init__(self):
-        _check_lag(self.lag_deg)
-        if not self.weight >= 0:
-            raise ValueError(
-                "weight is the strength with which a lag is held and must not be negative, got "
-                f"{self.weight}"
-            )
+        _check_lag(self)
 
 
 def axis_names(tree: Tree) -> tuple[str, ...]:
@@ -184,11 +174,6 @@ def matching_bodies(
 def matching_oscillators(tree: Tree, pattern: str, where: Sequence[str | int]) -> list[int]:
     """Return the oscillators that match a pattern such as ``arm*_1.y``, in the order of bodies.
 
-    Args:
-        tree: the creature.
-        pattern: a degree of freedom, in which ``*`` matches anything.
-        where: path of the setting, for the message.
-
     Raises:
         CouplingError: no degree of freedom matches.
     """
@@ -203,11 +188,6 @@ def listed_oscillators(
     tree: Tree, patterns: Sequence[str], where: Sequence[str | int]
 ) -> list[int]:
     """Return the oscillators of several patterns, in the order of the patterns.
-
-    Args:
-        tree: the creature.
-        patterns: degrees of freedom or patterns.
-        where: path of the list, for the message.
 
     Raises:
         CouplingError: no degree of freedom matches a pattern.
@@ -326,11 +306,6 @@ def start_phases(
 def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
     """Return the oscillators of a ring, in its order.
 
-    Args:
-        tree: the creature.
-        ring: ring that names the oscillators.
-        number: index of the ring in the settings, for messages.
-
     Raises:
         CouplingError: fewer than two oscillators, one twice, or a ring that does not close.
     """
@@ -359,11 +334,7 @@ def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
 
 
 def uncoupled(matrix: Float[np.ndarray, "o o"]) -> list[int]:
-    """Return the oscillators that neither inhibit another one nor are inhibited by one.
-
-    Args:
-        matrix: result of `evo_cpg.control.matsuoka.inhibition_matrix`.
-    """
+    """Return the oscillators that neither inhibit another one nor are inhibited by one."""
     others = matrix - np.diag(np.diag(matrix))
     return [int(i) for i in np.flatnonzero(~others.any(0) & ~others.any(1))]
 
@@ -401,6 +372,13 @@ def _cosine_and_sine(lag_deg: Number) -> tuple[Number, Number]:
     return cosine if cosine_counts else 0.0, sine if sine_counts else 0.0
 
 
-def _check_lag(lag_deg: float | None) -> None:
-    if lag_deg is not None and not -180 <= lag_deg <= 180:
-        raise ValueError(f"lag_deg must be from -180 to 180, got {lag_deg}")
+def _check_lag(settings: Coupling | Ring) -> None:
+    if settings.lag_deg is None:
+        return
+    if not -180 <= settings.lag_deg <= 180:
+        raise ValueError(f"lag_deg must be from -180 to 180, got {settings.lag_deg}")
+    if not settings.weight >= 0:
+        raise ValueError(
+            "weight is the strength with which a lag is held and must not be negative, got "
+            f"{settings.weight}"
+        )

@@ -77,11 +77,11 @@ _LONGEST = 1.0
 Weight = float | tuple[float, float]
 
 
-def check_weights(settings: Any, *names: str) -> None:
-    """Check the weights among some settings.
+def _check(settings: Any, *names: str) -> None:
+    """Check the delay and the weights of some settings.
 
     Raises:
-        ValueError: the range of a weight that evolves is empty.
+        ValueError: the range of a weight that evolves is empty, or the delay is outside its range.
     """
     for name in names:
         weight = getattr(settings, name)
@@ -89,16 +89,8 @@ def check_weights(settings: Any, *names: str) -> None:
             raise ValueError(
                 f"{name} must be a number, or [low, high] with low < high, got {list(weight)}"
             )
-
-
-def check_delay(delay: float) -> None:
-    """Check a delay, s.
-
-    Raises:
-        ValueError: the delay is outside its range.
-    """
-    if not 0 <= delay <= _LONGEST:
-        raise ValueError(f"delay must be from 0 to {_LONGEST:g} s, got {delay}")
+    if not 0 <= settings.delay <= _LONGEST:
+        raise ValueError(f"delay must be from 0 to {_LONGEST:g} s, got {settings.delay}")
 
 
 class Gain(eqx.Module):
@@ -136,12 +128,6 @@ class Delay(eqx.Module):
     samples: int = eqx.field(static=True)
     newer: Number
 
-    def memory(
-        self, count: int, batch: tuple[int, ...], dtype: jnp.dtype | type
-    ) -> Float[Array, "k o *n"] | None:
-        """Return former samples of 0, the newest first, or None if the delay needs none."""
-        return jnp.zeros((self.samples, count, *batch), dtype) if self.samples else None
-
     def after(
         self, now: Float[Array, "o *n"], past: Float[Array, "k o *n"] | None
     ) -> tuple[Float[Array, "o *n"], Float[Array, "k o *n"] | None]:
@@ -158,20 +144,6 @@ def make_delay(delay: Number, control_step: float) -> Delay:
     # A delay that is a whole number of steps, but for rounding, takes no extra sample.
     samples = chosen(lambda: math.ceil(float(steps) - 1e-9))
     return Delay(samples, samples - steps)
-
-
-def spread(
-    offsets: tuple[int, ...], rows: Float[Numbers, "k o"], values: Float[Array, "o *n"]
-) -> Float[Array, "o *n"]:
-    """Return the product of a matrix, given by its diagonals, with one value per oscillator."""
-    count, margin = values.shape[0], max(map(abs, offsets), default=0)
-    zeros = jnp.zeros((margin, *values.shape[1:]), values.dtype)
-    padded = jnp.concatenate([zeros, values, zeros])
-    total = jnp.zeros_like(values)
-    for offset, row in zip(offsets, rows, strict=True):
-        shifted = padded[margin + offset : margin + offset + count]
-        total += expand_dims_like(row, values) * shifted
-    return total
 
 
 @dataclasses.dataclass(frozen=True)
@@ -203,8 +175,7 @@ class StretchFeedback:
     from_children: int = 0
 
     def __post_init__(self):
-        check_weights(self, "angle_weight", "rate_weight")
-        check_delay(self.delay)
+        _check(self, "angle_weight", "rate_weight")
         for name in ("from_parents", "from_children"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
@@ -234,15 +205,17 @@ class StretchSense(eqx.Module):
         joint_angle: Float[Array, "d *n"],
         joint_rate: Float[Array, "d *n"],
     ) -> Float[Array, "d *n"]:
-        """Return s_f of eq. 1 before the delay, in units of u_max.
-
-        Args:
-            genes: genes of the feedback, or None if no weight evolves.
-            joint_angle: joint angles, rad.
-            joint_rate: joint rates, rad/s.
-        """
+        """Return s_f of eq. 1 before the delay, in units of u_max."""
         angle = self.angle_weight.times(joint_angle, genes)
-        return spread(self.offsets, self.rows, angle + self.rate_weight.times(joint_rate, genes))
+        values = angle + self.rate_weight.times(joint_rate, genes)
+        count, margin = values.shape[0], max(map(abs, self.offsets), default=0)
+        zeros = jnp.zeros((margin, *values.shape[1:]), values.dtype)
+        padded = jnp.concatenate([zeros, values, zeros])
+        total = jnp.zeros_like(values)
+        for offset, row in zip(self.offsets, self.rows, strict=True):
+            shifted = padded[margin + offset : margin + offset + count]
+            total += expand_dims_like(row, values) * shifted
+        return total
 
 
 def _spread(
@@ -302,8 +275,7 @@ class LoadFeedback:
     delay: float = 0.0
 
     def __post_init__(self):
-        check_weights(self, "weight", "neighbour_weight")
-        check_delay(self.delay)
+        _check(self, "weight", "neighbour_weight")
 
 
 class Limbs(eqx.Module):
@@ -336,12 +308,7 @@ class Load(eqx.Module):
     def now(
         self, genes: Float[Array, "g *n"] | None, load: Float[Array, "b *n"]
     ) -> Float[Array, "o *n"]:
-        """Return s_e of eq. 2 before the delay, in units of u_max.
-
-        Args:
-            genes: genes of the feedback, or None if no weight evolves.
-            load: load of each body.
-        """
+        """Return s_e of eq. 2 before the delay, in units of u_max."""
         own = jnp.stack([load[np.array(bodies)].sum(0) for bodies in self.limbs.bodies])
         others = own.sum(0, keepdims=True) - own
         felt = self.weight.times(own, genes) + self.neighbour_weight.times(others, genes)
@@ -421,11 +388,6 @@ class Feedback(eqx.Module):
     limit: Number
     unit: Number
 
-    @property
-    def uses_load(self) -> bool:
-        """Return whether any sense is the load of a limb."""
-        return bool(self.load)
-
 
 class Memory(NamedTuple):
     """Former samples of the senses.
@@ -442,13 +404,7 @@ class Memory(NamedTuple):
 def build_feedback(
     tree: Tree, settings: FeedbackSettings, max_tonic_input: Number, control_step: float
 ) -> Feedback:
-    """Build the feedback into the oscillators of a creature's tree.
-
-    Args:
-        tree: the creature.
-        settings: settings.
-        max_tonic_input: u_max.
-        control_step: time between two samples, s.
+    """Build the feedback into the oscillators of a tree, sampled once a control step (s).
 
     Raises:
         CouplingError: the creature lacks a limb or joint that the settings name.
@@ -483,18 +439,15 @@ def build_feedback(
 def first_memory(
     feedback: Feedback, count: int, batch: tuple[int, ...], dtype: jnp.dtype | type
 ) -> Memory:
-    """Return the memory at the start of a trial: all senses were 0.
-
-    Args:
-        feedback: the senses.
-        count: number of oscillators.
-        batch: trailing axes, such as ``(population,)``.
-        dtype: floating-point type.
-    """
-    return Memory(
-        tuple(sense.delay.memory(count, batch, dtype) for sense in feedback.stretch),
-        tuple(sense.delay.memory(count, batch, dtype) for sense in feedback.load),
+    """Return the memory at the start of a trial: all senses were 0."""
+    stretch, load = (
+        tuple(
+            jnp.zeros((samples, count, *batch), dtype) if samples else None
+            for samples in (sense.delay.samples for sense in senses)
+        )
+        for senses in (feedback.stretch, feedback.load)
     )
+    return Memory(stretch, load)
 
 
 def feel(
@@ -508,14 +461,6 @@ def feel(
     """Return the input to each neuron in one control step, and the next memory.
 
     The inputs of the extensors come first, in the unit of the tonic input.
-
-    Args:
-        feedback: the senses.
-        genes: genes of the feedback, or None if no weight evolves.
-        memory: former samples.
-        joint_angle: joint angles, rad.
-        joint_rate: joint rates, rad/s.
-        load: load of each body, or None if no sense is a load.
     """
     # Input of the extensors. Flexors receive the negative.
     total = jnp.zeros_like(joint_angle)
@@ -524,14 +469,11 @@ def feel(
         delayed, past = sense.delay.after(sense.now(genes, joint_angle, joint_rate), past)
         total -= delayed
         stretched.append(past)
-    if not feedback.uses_load:
-        load = None
-    elif load is None:
-        raise ValueError("the spinal cord feels the load of limbs, but got no Observation.load")
-    if load is not None:
-        for sense, past in zip(feedback.load, memory.load, strict=True):
-            delayed, past = sense.delay.after(sense.now(genes, load), past)
-            total += delayed
-            loaded.append(past)
+    for sense, past in zip(feedback.load, memory.load, strict=True):
+        if load is None:
+            raise ValueError("the spinal cord feels the load of limbs, but got no Observation.load")
+        delayed, past = sense.delay.after(sense.now(genes, load), past)
+        total += delayed
+        loaded.append(past)
     bounded = jnp.clip(feedback.unit * total, -feedback.limit, feedback.limit)
     return jnp.stack([bounded, -bounded]), Memory(tuple(stretched), tuple(loaded))

@@ -50,7 +50,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from evo_cpg.control.couplings import (
     Coupling,
@@ -293,15 +293,16 @@ def sub_network(network: MatsuokaNetwork, oscillators: tuple[int, ...]) -> Matsu
 
 def _connections(matrix: Float[Numbers, "o o"]) -> dict[str, Any]:
     """Return the fields of a `MatsuokaNetwork` for an inhibition matrix."""
-    signs = chosen(lambda: np.sign(matrix))
-    offsets, weights = _diagonals(matrix, signs > 0)
-    own_offsets, own_weights = _diagonals(-matrix, signs < 0)
-    return {
-        "offsets": offsets,
-        "weights": weights,
-        "own_offsets": own_offsets,
-        "own_weights": own_weights,
-    }
+    signs, count = chosen(lambda: np.sign(matrix)), len(matrix)
+    fields: dict[str, Any] = {}
+    for prefix, sign in (("", 1), ("own_", -1)):
+        there = signs == sign
+        offsets = [k for k in range(1 - count, count) if np.diagonal(there, k).any()]
+        kept = xp.where(there, sign * matrix, 0.0)
+        diagonals = [diagonal(kept, k) for k in offsets]
+        fields[f"{prefix}offsets"] = tuple(offsets)
+        fields[f"{prefix}weights"] = xp.stack(diagonals) if diagonals else np.zeros((0, count))
+    return fields
 
 
 def diagonal(matrix: Float[Numbers, "o o"], offset: int) -> Float[Numbers, " o"]:
@@ -309,34 +310,12 @@ def diagonal(matrix: Float[Numbers, "o o"], offset: int) -> Float[Numbers, " o"]
     return xp.pad(xp.diagonal(matrix, offset), (max(0, -offset), max(0, offset)))
 
 
-def _diagonals(
-    matrix: Float[Numbers, "o o"], there: Bool[np.ndarray, "o o"]
-) -> tuple[tuple[int, ...], Float[Numbers, "k o"]]:
-    """Return the offsets of the non-empty diagonals, and the diagonals, each padded with zeros.
-
-    Args:
-        matrix: the elements.
-        there: True for elements to keep. All others become zero.
-    """
-    count = len(matrix)
-    offsets = [k for k in range(1 - count, count) if np.diagonal(there, k).any()]
-    kept = xp.where(there, matrix, 0.0)
-    diagonals = [diagonal(kept, k) for k in offsets]
-    return tuple(offsets), xp.stack(diagonals) if diagonals else np.zeros((0, count))
-
-
 def initial_state(
     network: MatsuokaNetwork,
     batch: tuple[int, ...] = (),
     dtype: jnp.dtype | type = jnp.float32,
 ) -> MatsuokaState:
-    """Return neurons at their initial potentials, with all adaptations z at 0.
-
-    Args:
-        network: network with the initial potentials.
-        batch: trailing axes, such as ``(population,)``.
-        dtype: floating-point type of the state.
-    """
+    """Return neurons at their initial potentials, with all adaptations z at 0."""
     rest = jnp.zeros((2, network.oscillator_count, *batch), dtype)
     return MatsuokaState(rest + expand_dims_like(network.initial_potential, rest), rest)
 
@@ -433,15 +412,13 @@ def runge_kutta_step(
         d_x, d_z = change(padded, adaptation)
         return pad(x + fraction * per_rise * d_x), z + fraction * per_adaptation * d_z
 
-    def combine(start: Array, s1: Array, s2: Array, s3: Array) -> Array:
-        return (1 / 3) * (s1 + 2 * s2 + s3 - start)
-
     x, z = state.potential, state.adaptation
     x1, z1 = stage(1 / 2, pad(x), z)
     x2, z2 = stage(1 / 2, x1, z1)
     x3, z3 = stage(1, x2, z2)
     d_x, d_z = change(x3, z3)
+    x1, x2, x3 = map(rows, (x1, x2, x3))
     return MatsuokaState(
-        combine(x, rows(x1), rows(x2), rows(x3)) + per_rise / 6 * d_x,
-        combine(z, z1, z2, z3) + per_adaptation / 6 * d_z,
+        (1 / 3) * (x1 + 2 * x2 + x3 - x) + per_rise / 6 * d_x,
+        (1 / 3) * (z1 + 2 * z2 + z3 - z) + per_adaptation / 6 * d_z,
     )

@@ -208,6 +208,10 @@ def build_posture_controller(
             f"period must be from 1 to {LONGEST_PERIOD} control steps of {control_step:g} s, "
             f"got {settings.period:g} s"
         )
+    # The fraction r for which ceil(k r) is ceil(k ratio), k up to `EXACT_PERIODS`, because r is the
+    # smallest of all ceil(k ratio) / k. So k r <= ceil(k ratio), and r >= ratio gives the other
+    # side.
+    slack, periods = TOLERANCE / EXACT_PERIODS, range(1, EXACT_PERIODS + 1)
     return PostureController(
         gene_count=settings.postures * tree.dof_count * settings.bits_per_joint,
         dof_count=tree.dof_count,
@@ -217,7 +221,9 @@ def build_posture_controller(
         graded=settings.graded,
         lowest_angle=settings.lowest_angle - settings.neutral_angle,
         angle_step=settings.angle_step,
-        steps_per_posture=chosen(lambda: _steps_per_posture(ratio)),
+        steps_per_posture=chosen(
+            lambda: min(Fraction(math.ceil(k * ratio - slack), k) for k in periods)
+        ),
     )
 
 
@@ -260,13 +266,3 @@ def _check_limits(tree: Tree, settings: PostureSettings) -> None:
             f"the postures turn joint {tree.dof_names[i]} from {lowest:g} to {highest:g} degrees "
             f"(neutral pose: 0), but its limits_deg allow {lower:g} to {upper:g}"
         )
-
-
-def _steps_per_posture(ratio: float) -> Fraction:
-    """Return the fraction r for which ceil(k r) is ceil(k ratio), k up to ``EXACT_PERIODS``.
-
-    r is the smallest of all ceil(k ratio) / k. So k r <= ceil(k ratio) for each of these k, and
-    r >= ratio gives the other side.
-    """
-    slack = TOLERANCE / EXACT_PERIODS
-    return min(Fraction(math.ceil(k * ratio - slack), k) for k in range(1, EXACT_PERIODS + 1))

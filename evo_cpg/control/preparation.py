@@ -13,6 +13,7 @@ a brain k is 0 everywhere.
 """
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -75,7 +76,7 @@ class Preparation(Controller):
     def gene_count(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Number of genes of the animal, plus the numbers of a `Surgery`."""
         animal = self.animal.gene_count if self.trained else 0
-        return animal + sum(map(_size, self._shapes))
+        return animal + sum(map(math.prod, self._shapes))
 
     @property
     def rhythm_generator(self) -> Oscillators:
@@ -130,9 +131,9 @@ class Preparation(Controller):
             first = self.animal.gene_count
             animal = self.animal.decode(genes[:first])
         for shape in self._shapes:
-            part = genes[first : first + _size(shape)]
-            parts.append(part.reshape(*shape, *genes.shape[1:]))
-            first += _size(shape)
+            last = first + math.prod(shape)
+            parts.append(genes[first:last].reshape(*shape, *genes.shape[1:]))
+            first = last
         return animal, Surgery(*parts)
 
     def act(
@@ -183,12 +184,7 @@ class Preparation(Controller):
         return dataclasses.replace(self.animal, network=network, feedback=feedback)
 
     def within(self, surgery: Surgery, side: Int[np.ndarray, " d"]) -> Surgery:
-        """Return the surgery without couplings and feedback between the sides of a cut.
-
-        Args:
-            surgery: surgery of one individual.
-            side: number of each oscillator's side.
-        """
+        """Return the surgery without couplings and feedback between the sides of a cut."""
         network = self.animal.network
         senses = [factors_within(sense.offsets, side) for sense in self._stretch]
         return surgery._replace(
@@ -216,19 +212,10 @@ def silenced(observation: Observation, heard: Float[Array, "s *n"]) -> Observati
 def factors_within(
     offsets: tuple[int, ...], side: Int[np.ndarray, " d"]
 ) -> Float[np.ndarray, "k d"]:
-    """Return factors of a matrix by its diagonals: 1 within a side, 0 between sides.
-
-    Args:
-        offsets: offsets of the diagonals.
-        side: number of each oscillator's side.
-    """
+    """Return factors of a matrix by its diagonals: 1 within a side, 0 between sides."""
     others = np.array(offsets, int).reshape(-1, 1) + np.arange(len(side))
     return (side[np.clip(others, 0, len(side) - 1)] == side).astype(float)
 
 
 def _heard(factor: Float[Array, "*n"], readings: Float[Array, "s *n"]) -> Float[Array, "s *n"]:
     return of_each(factor, readings) * readings
-
-
-def _size(shape: tuple[int, ...]) -> int:
-    return int(np.prod(shape))

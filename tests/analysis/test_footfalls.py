@@ -37,14 +37,6 @@ def test_touch_downs_and_stances_have_known_instants():
     )
 
 
-def test_airborne_fraction_of_a_hop():
-    """Both feet are up together for 0.4 of the time."""
-    touched = square_waves(1.0, 0.6, [0.0, 0.0])
-    assert footfalls.airborne_fraction(touched) == pytest.approx(0.4, abs=0.01)
-    # Half a stride apart, one foot is always down.
-    assert footfalls.airborne_fraction(square_waves(1.0, 0.6, [0.0, 0.5])) == 0.0
-
-
 def test_chatter_is_removed_except_at_the_edges():
     touched = np.zeros((40, 1), bool)
     touched[0] = touched[10:20] = touched[30] = True
@@ -88,8 +80,6 @@ def test_feet_without_touch_down_have_no_phase():
     assert np.isnan(duty[[0, 2]]).all() and duty[1] == 1.0
     found = footfalls.phases(touched, STEP)
     assert found.reference is None and np.isnan(found.phase).all()
-    assert footfalls.airborne_fraction(touched) == 0.0
-    assert footfalls.airborne_fraction(touched[:, [0, 2]]) == 1.0
 
 
 def test_the_reference_has_at_least_half_the_strides():

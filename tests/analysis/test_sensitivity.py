@@ -86,11 +86,10 @@ def test_speed_needs_no_term_of_task_or_measures(monkeypatch, names):
     start, end = jnp.zeros((3, 1)), jnp.array([[3.0], [4.0], [1.0]])
 
     def fake_rollout(simulation, genes, keys):
-        tally = (
-            jnp.array([7.0]),
-            {name: Displacement(start, end) for name in simulation.measures.names},
-        )
-        return Outcome(finish_tally(simulation, tally), jnp.array([True]))
+        moved = Displacement(start, end)
+        *own, _ = simulation.measures.each
+        tallies = *(dict.fromkeys(gait.MEASURES[one.name].tallies, moved) for one in own), moved
+        return Outcome(finish_tally(simulation, (jnp.array([7.0]), tallies)), jnp.array([True]))
 
     monkeypatch.setattr(sensitivity, "rollout", fake_rollout)
     # In 1.5 s the displacement is 5 m over ground, without height, and more in water.

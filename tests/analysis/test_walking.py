@@ -12,7 +12,7 @@ from evo_cpg.analysis.animals import (
     running_cost,
     swimming_cost,
 )
-from evo_cpg.analysis.stride import froude_number, recovery, relative_slip, tripod_strength
+from evo_cpg.analysis.stride import froude_number, recovery, tripod_strength
 
 BEAT = np.linspace(0.0, 10 * 2 * np.pi, 10 * 720 + 1)
 
@@ -57,13 +57,6 @@ def test_tripod_strength_of_swings_that_follow_each_other(late, expected):
 
 def test_legs_that_stand_have_no_tripod():
     assert np.isnan(tripod_strength(np.ones((100, 6, 1), bool)))
-
-
-def test_relative_slip_of_feet():
-    """Feet that slide along at the animal's speed have 1."""
-    assert relative_slip(0.3, 0.3) == pytest.approx(1.0)
-    assert relative_slip(0.03, 0.3) == pytest.approx(0.1)
-    assert math.isnan(relative_slip(0.1, 0.0))
 
 
 def test_running_costs_of_animals():

@@ -21,7 +21,6 @@ from evo_cpg.analysis.cycles import upward_crossings
 from evo_cpg.control.matsuoka import (
     TIME_CONSTANTS,
     CpgSettings,
-    MatsuokaNetwork,
     MatsuokaState,
     advance,
     build_network,
@@ -105,11 +104,7 @@ def test_chain_has_the_expected_frequency_amplitude_and_lag(chain_rhythms, gain)
     # Samples every 1/120 s miss up to (pi f h)^2 / 2 of a peak, here 0.1 %.
     assert found.amplitude[4] == pytest.approx(amplitude, abs=6e-4, rel=1e-3)
     assert found.lags.mean() == pytest.approx(lag, abs=0.06)
-
-
-def test_wave_runs_from_head_to_tail(chain_rhythms):
-    for found in chain_rhythms.values():
-        assert np.all(found.lags > 0)
+    assert np.all(found.lags > 0)
 
 
 def test_printed_constants_never_oscillate(chain):
@@ -260,8 +255,7 @@ def test_branches_couple_to_the_nearest_ancestor_with_the_same_axis(grow):
         i, j = tree.dof_names.index(child), tree.dof_names.index(parent)
         expected[i, j], expected[j, i] = 0.7 * A, 0.3 * A
     np.testing.assert_allclose(matrix, expected)
-    network = build_network(tree, settings)
-    assert np.array_equal(dense(network), matrix)
+    np.testing.assert_array_equal(build_network(tree, settings).matrix, matrix)
 
 
 def test_mirrored_axes_and_opposite_bodies_are_inhibited_by_the_same_side(grow):
@@ -303,7 +297,7 @@ def test_opposite_bodies_exchange_extensor_and_flexor(chain):
     sign = np.ones(5)
     sign[exchanged] = -1
     direction = np.outer(sign, sign)
-    np.testing.assert_array_equal(np.sign(dense(turned)), np.sign(dense(plain)) * direction)
+    np.testing.assert_array_equal(np.sign(turned.matrix), np.sign(plain.matrix) * direction)
     rng = np.random.default_rng(2)
     x, z, drive = rng.uniform(0, 1, (3, 2, 5))
     gain = jnp.full(5, 4.0)
@@ -328,24 +322,6 @@ def test_the_cross_weight_couples_axes_of_one_joint(chain):
     found = simulate(network, state, jnp.ones((2, 2)), jnp.full(2, 5.0), 1 / 60, 2400)[-600:]
     assert np.ptp(found[:, 0]) > 0.3
     np.testing.assert_allclose(found[:, 0], found[:, 1], rtol=0, atol=1e-6)
-
-
-def test_unknown_opposite_bodies_are_refused(chain):
-    with pytest.raises(ValueError, match=r"'arm\*' matches no body \(valid here: b0, b1"):
-        build_network(chain(2, "z"), CpgSettings(opposite=("arm*",)))
-
-
-def dense(network: MatsuokaNetwork) -> np.ndarray:
-    """Return the inhibition matrix from its diagonals."""
-    count = network.oscillator_count
-    matrix = np.zeros((count, count))
-    other = zip(network.offsets, network.weights, strict=True)
-    own = zip(network.own_offsets, -network.own_weights, strict=True)
-    for offset, weights in (*other, *own):
-        for i in range(count):
-            if 0 <= i + offset < count:
-                matrix[i, i + offset] += weights[i]
-    return matrix
 
 
 def test_one_step_of_a_branching_network_equals_plain_runge_kutta(grow):
@@ -458,14 +434,14 @@ def test_gradient_equals_the_central_difference(chain):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("key", "value"),
     [
-        ({"time_scale": 0.0}, "time_scale must be positive, got 0.0"),
-        ({"max_tonic_input": -1.0}, "max_tonic_input must be positive"),
-        ({"child_weight": -0.2}, "child_weight is the strength of an inhibition"),
-        ({"min_adaptation_gain": 11.0}, "must not be smaller than min_adaptation_gain"),
+        ("time_scale", 0.0),
+        ("max_tonic_input", -1.0),
+        ("child_weight", -0.2),
+        ("min_adaptation_gain", 11.0),
     ],
 )
-def test_settings_out_of_range_are_refused(changes, words):
-    with pytest.raises(ValueError, match=words):
-        CpgSettings(**changes)
+def test_settings_out_of_range_are_refused(key, value):
+    with pytest.raises(ValueError, match=key):
+        CpgSettings(**{key: value})

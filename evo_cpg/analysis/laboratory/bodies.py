@@ -111,7 +111,7 @@ def build_bodies(
         prepared: function that changes every simulation in the same way.
 
     Raises:
-        LabError: a setting does not fit the animal.
+        LabError: a setting does not fit the animal, or names no body with a joint.
         ConfigError: a number is wrong.
     """
     # This also makes a user's own classes importable.
@@ -120,7 +120,18 @@ def build_bodies(
 
     def edit(simulation: Simulation, individual: int) -> Simulation:
         if individual >= 0:
-            simulation = with_joints(simulation, settings[individual])
+            setting = settings[individual]
+            world = simulation.world
+            tree = world.tree
+            passive = setting.get("passive", NOTHING)
+            if passive != NOTHING:
+                idle = np.isin(tree.dof_bodies, list(joints_of(tree, "passive", passive)))
+                tree = tree.without_motors(idle)
+            added = setting.get("stiffness", 0.0)
+            tree = dataclasses.replace(tree, stiffness=tree.stiffness + float(added))
+            simulation = dataclasses.replace(
+                simulation, world=dataclasses.replace(world, tree=tree)
+            )
         return prepared(simulation)
 
     common = edit(first.simulation, -1)
@@ -223,14 +234,7 @@ def _scaled_axes(joint: dict[str, Any], size: float) -> dict[str, Any]:
 
 
 def _scaled(place: Any, size: float, power: int = 0, powers: Mapping[str, int] = _POWERS) -> Any:
-    """Return a section of a creature at another size.
-
-    Args:
-        place: the section, or a value in it.
-        size: factor of all lengths.
-        power: power with which a value grows.
-        powers: power with which the value of each key grows.
-    """
+    """Return a section of a creature at another size, whose values grow with powers of it."""
     if isinstance(place, dict):
         return {
             name: _scaled(x, size, powers.get(name, power), powers) for name, x in place.items()
@@ -238,23 +242,6 @@ def _scaled(place: Any, size: float, power: int = 0, powers: Mapping[str, int] =
     if isinstance(place, list):
         return [_scaled(each, size, power, powers) for each in place]
     return place * size**power if isinstance(place, float) else place
-
-
-def with_joints(simulation: Simulation, setting: Setting) -> Simulation:
-    """Return a simulation with the passive and stiffened joints of a setting.
-
-    Raises:
-        LabError: no body with a joint has such a name.
-    """
-    world = simulation.world
-    tree = world.tree
-    passive = setting.get("passive", NOTHING)
-    if passive != NOTHING:
-        idle = np.isin(tree.dof_bodies, list(joints_of(tree, "passive", passive)))
-        tree = tree.without_motors(idle)
-    added = setting.get("stiffness", 0.0)
-    tree = dataclasses.replace(tree, stiffness=tree.stiffness + float(added))
-    return dataclasses.replace(simulation, world=dataclasses.replace(world, tree=tree))
 
 
 def joints_of(tree: Tree, knob: str, names: str) -> set[int]:

@@ -126,14 +126,7 @@ def rest_frequency(outputs: Float[np.ndarray, " t"], h: float) -> float:
 def locking(
     outputs: Float[np.ndarray, "t d"], frequency: float, h: float, first: int = 0
 ) -> Locking:
-    """Return how a cord follows its bending.
-
-    Args:
-        outputs: outputs of the oscillators.
-        frequency: frequency of the bending, Hz.
-        h: time between samples, s.
-        first: index of the first bent oscillator.
-    """
+    """Return how a cord follows its bending (Hz), from outputs that are h (s) apart."""
     # The output after a step belongs to the end of the step.
     begin = REST + (CYCLES - MEASURED) / frequency
     window = slice(math.floor(begin / h), math.ceil((REST + CYCLES / frequency) / h) + 1)

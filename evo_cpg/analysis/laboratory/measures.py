@@ -90,7 +90,10 @@ def tow_numbers(
     last = last_cycles(numbers.first, count, numbers.step, numbers.frequency)
     ahead, aside = directions(simulation)
     holding = frames["holding"][:-1][last, :, 0]
-    force, side, yaw = holding[:, 3:] @ ahead, holding[:, 3:] @ aside, holding[:, 2]
+    force = holding[:, 3:] @ ahead
+    side, yaw = (
+        float(np.sqrt(np.square(each).mean())) for each in (holding[:, 3:] @ aside, holding[:, 2])
+    )
     rate = frames["joint_rate"][..., 0]
     power = (frames["torque"][:-1, :, 0] * 0.5 * (rate[1:] + rate[:-1])).sum(1)[last]
     thrust = drag - float(force.mean())
@@ -100,9 +103,9 @@ def tow_numbers(
     return [
         Quantity("holding_force", "holding force", float(force.mean()), "N",
                  "mean force on the held root along its heading, positive if it is pushed"),
-        Quantity("holding_sway", "sideways holding force", _rms(side), "N",
+        Quantity("holding_sway", "sideways holding force", side, "N",
                  "root mean square of the holding force across the heading"),
-        Quantity("holding_yaw", "holding moment", _rms(yaw), "N m",
+        Quantity("holding_yaw", "holding moment", yaw, "N m",
                  "root mean square of the holding moment about the vertical"),
         Quantity("straight_drag", "drag of the straight body", drag, "N",
                  "force of the water on the straight body at rest in the same current"),
@@ -134,10 +137,6 @@ def directions(simulation: Simulation) -> tuple[Float[np.ndarray, "3"], Float[np
     heading = simulation.situations[0].start_heading
     cosine, sine = math.cos(heading), math.sin(heading)
     return np.array([cosine, sine, 0.0]), np.array([-sine, cosine, 0.0])
-
-
-def _rms(values: Float[np.ndarray, " t"]) -> float:
-    return float(np.sqrt(np.square(values).mean()))
 
 
 def ground_speed(simulation: Simulation, recording: Recording, numbers: GaitNumbers) -> Quantity:
@@ -230,13 +229,7 @@ def cut_numbers(tree: Tree, recording: Recording, cut: str, first: int) -> list[
 
 
 def sides(front: Float[np.ndarray, " t"], behind: Float[np.ndarray, " t"], step: float) -> Sides:
-    """Return the rhythms of two angles, and how the second follows the first.
-
-    Args:
-        front: angle in front of the cut, rad.
-        behind: angle behind the cut, rad.
-        step: time between samples, s.
-    """
+    """Return the rhythms of two joint angles, and how the second follows the first."""
     begins, follows = cycle_starts(front, step), cycle_starts(behind, step)
     own = frequency_of(begins), frequency_of(follows)
     if not np.isfinite(own).all():

@@ -113,10 +113,6 @@ def combinations(values: Mapping[str, Sequence[Any]], most: int = 10_000) -> lis
 def require_values(values: Mapping[str, Sequence[Any]], seconds: float | None) -> None:
     """Check the names of knobs, and the range of their values. Keys of a configuration pass.
 
-    Args:
-        values: values of each knob.
-        seconds: duration of each trial, s, or None.
-
     Raises:
         LabError: a knob is unknown, or a value is not allowed.
     """

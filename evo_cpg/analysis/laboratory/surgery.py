@@ -78,7 +78,8 @@ def surgery_of(controller: Preparation, tree: Tree, setting: Setting) -> Surgery
         bodies = joints_of(tree, "undriven", setting["undriven"])
         driven = ~np.isin(tree.dof_bodies, list(bodies))
         surgery = surgery._replace(kept=surgery.kept * driven, tonic=surgery.tonic * driven)
-    heard = _heard(setting.get("silence", NOTHING))
+    silenced = silenced_by(setting.get("silence", NOTHING))
+    heard = np.array([0.0 if name in silenced else 1.0 for name in SENSES])
     heard[SENSES.index("feedback")] *= setting.get("feedback", 1.0)
     return surgery._replace(heard=heard)
 
@@ -111,17 +112,13 @@ def sides_of(tree: Tree, setting: Setting) -> Int[np.ndarray, " d"]:
     side, cut = np.zeros(tree.body_count, int), setting.get("cut", NOTHING)
     cuts = [] if cut == NOTHING else sorted(joints_of(tree, "cut", cut))
     for number, body in enumerate(cuts, 1):
-        side[_carried(tree, body)] = number
+        # A body and all bodies behind it.
+        found = [body]
+        for other, parent in enumerate(tree.parents):
+            if parent in found:
+                found.append(other)
+        side[found] = number
     return side[np.array(tree.dof_bodies)]
-
-
-def _carried(tree: Tree, body: int) -> list[int]:
-    """Return a body and all bodies behind it."""
-    found = [body]
-    for other, parent in enumerate(tree.parents):
-        if parent in found:
-            found.append(other)
-    return found
 
 
 def silenced_by(silence: str) -> set[str]:
@@ -135,12 +132,6 @@ def silenced_by(silence: str) -> set[str]:
         if name not in SENSES:
             raise LabError(f"silence={silence}: {nearest(name, [*SENSES, 'all', NOTHING])}")
     return silenced
-
-
-def _heard(silence: str) -> Float[np.ndarray, " s"]:
-    """Return a factor for each sense: 0 if it is silenced."""
-    silenced = silenced_by(silence)
-    return np.array([0.0 if name in silenced else 1.0 for name in SENSES])
 
 
 _ADVICE = "Set controller.cpg.feedback in the configuration"

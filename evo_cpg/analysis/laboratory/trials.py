@@ -23,10 +23,6 @@ def record_all(
 ) -> dict[str, np.ndarray]:
     """Return full frames of all individuals, by name (see `Recorder`).
 
-    Args:
-        simulation: the trial, or one trial for each individual.
-        genes: genomes of the individuals.
-
     Raises:
         LabError: the frames are too large for the memory of an ordinary computer.
     """

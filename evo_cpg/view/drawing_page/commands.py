@@ -131,12 +131,7 @@ COMMANDS: Mapping[str, Callable[..., Any]] = {
 
 
 def edit(command: str, source: Path, given: Mapping[str, Any]) -> Edit:
-    """Return an edit of a document.
-
-    Args:
-        command: name of the command, the function's name.
-        source: file of the document.
-        given: arguments of the command.
+    """Return an edit of a document, by the name of its command and its arguments.
 
     Raises:
         EditError: there is no such command, or an argument is missing, unknown or of a wrong
@@ -171,11 +166,6 @@ def checked_arguments(
     name: str, function: Callable[..., Any], given: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the arguments of a function, converted to its types, with defaults.
-
-    Args:
-        name: name of the function on the page, for messages.
-        function: the function.
-        given: arguments by name, from JSON.
 
     Raises:
         EditError: an argument is missing, unknown or of a wrong type.

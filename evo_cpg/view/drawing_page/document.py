@@ -363,9 +363,6 @@ class Autosave:
         Each file must have the text with which the edits began, or the text of the autosave if the
         program ended while it saved. The autosave of other texts is kept beside this one, as
         ``.fish.yaml.autosave.old``, because the next edit replaces this one.
-
-        Args:
-            saved: texts of the files, or None without files.
         """
         try:
             found = read_json(self.path, dict[str, Any])

@@ -73,12 +73,7 @@ def simulate(data: Data, source: Path, how: How) -> dict[str, Any]:
 
 
 def motion(recording: Recording, names: Sequence[str]) -> dict[str, Any]:
-    """Return a recording as JSON.
-
-    Args:
-        recording: motion of the bodies.
-        names: names of the bodies, in its order.
-    """
+    """Return a recording of named bodies as JSON."""
     clip = sample(recording, RATE)
     return {
         "rate": RATE,

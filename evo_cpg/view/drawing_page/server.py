@@ -9,12 +9,7 @@ from evo_cpg.view.run_page.server import PageServer
 
 
 def drawing_server(session: Session, port: int = 0) -> PageServer:
-    """Return the server of a session.
-
-    Args:
-        session: the session.
-        port: port, or 0 for a free one.
-    """
+    """Return the server of a session, on a free port if it is 0."""
     body, style, *own = (
         asset(name, "evo_cpg.view.drawing_page")
         for name in ("page.html", "page.css", "view.js", "forms.js", "page.js")

@@ -63,12 +63,6 @@ Advice = Callable[[Simulation], Sequence[str]]
 """Warnings about a simulation, one sentence or more each."""
 
 
-def no_advice(simulation: Simulation) -> Sequence[str]:
-    """Return no warnings."""
-    del simulation
-    return ()
-
-
 class Session:
     """A document, its newest drawing, a try and a run.
 
@@ -77,7 +71,7 @@ class Session:
         advice: further warnings about an animal, for its messages.
     """
 
-    def __init__(self, document: Document, advice: Advice = no_advice):
+    def __init__(self, document: Document, advice: Advice = lambda simulation: ()):
         self.document, self._advice = document, advice
         self._lock = threading.Lock()
         # Requests run in threads of their own, which do not inherit it.
@@ -89,7 +83,8 @@ class Session:
         self._try: Answer = {"state": "none"}
         self._run: TrainingRun | None = None
         self._requests: Mapping[str, Callable[..., Any]] = {
-            "open": self._open,
+            # A new page has received no shapes.
+            "open": lambda: self._sent.clear(),
             "edit": self._edit,
             "undo": document.undo,
             "redo": document.redo,
@@ -98,8 +93,8 @@ class Session:
             "try": self._start_try,
             "train": self._train,
             "stop": self._stop,
-            "champion": self._champion,
-            "watch": self._watch,
+            "champion": lambda: {"motion": self._present_run().champion()},
+            "watch": lambda: self._present_run().watch(),
         }
 
     def answer(self, request: str, given: Mapping[str, Any]) -> Answer:
@@ -179,10 +174,6 @@ class Session:
             self._run.close()
             self._run = None
 
-    def _open(self) -> None:
-        # A new page has received no shapes.
-        self._sent.clear()
-
     def _edit(self, command: str, given: dict[str, Any], accept: bool = False) -> Answer:
         change = self.document.propose(edit(command, self.document.path, given))
         if change.lost and not accept:
@@ -247,12 +238,6 @@ class Session:
         if self._run:
             self._run.stop()
 
-    def _champion(self) -> Answer:
-        return {"motion": self._present_run().champion()}
-
-    def _watch(self) -> None:
-        self._present_run().watch()
-
     def _present_run(self) -> TrainingRun:
         if self._run is None:
             raise EditError("there is no run")
@@ -292,7 +277,7 @@ class Session:
 
 
 def problems(
-    data: Data, source: Path, thorough: bool = True, advice: Advice = no_advice
+    data: Data, source: Path, thorough: bool = True, advice: Advice = lambda simulation: ()
 ) -> list[Finding]:
     """Return the messages of `validate` about a document.
 

@@ -108,7 +108,11 @@ def stretch(data: Data, name: str, factors: Vector) -> None:
         scale = np.broadcast_to(np.asarray(shape.get("scale", 1.0), float), 3)
         shape["scale"] = tidy(scale * ratios)
     elif kind == "loft":
-        _stretch_loft(shape, ratios)
+        axes = section_axes(LoftConfig.model_validate(shape).drawn)
+        for each, (across, up) in zip(shape["sections"], axes, strict=True):
+            each["at"] = tidy(np.array(each["at"], float) * ratios)
+            each["width"] = tidy(each["width"] * np.linalg.norm(across * ratios))
+            each["height"] = tidy(each["height"] * np.linalg.norm(up * ratios))
     elif kind in _LENGTHS:
         before = np.array(half_extents(shape))
         for key, axes in _LENGTHS[kind].items():
@@ -290,20 +294,9 @@ def _loft_half_extents(shape: Data) -> np.ndarray:
     return (np.max(places + reach, axis=0) - np.min(places - reach, axis=0)) / 2
 
 
-def _stretch_loft(shape: Data, factors: np.ndarray) -> None:
-    """Stretch a loft along the axes of its frame."""
-    sections = shape["sections"]
-    axes = section_axes(LoftConfig.model_validate(shape).drawn)
-    for each, (across, up) in zip(sections, axes, strict=True):
-        each["at"] = tidy(np.array(each["at"], float) * factors)
-        each["width"] = tidy(each["width"] * np.linalg.norm(across * factors))
-        each["height"] = tidy(each["height"] * np.linalg.norm(up * factors))
-
-
 def add_section(data: Data, name: str, after: int) -> None:
     """Add a section halfway from one section, by its number from 0, to the next or beyond it."""
-    sections = _sections(data, name)
-    here = _section(sections, name, after)
+    sections, here = _section(data, name, after)
     if after + 1 < len(sections):
         other, fraction = sections[after + 1], 0.5
     else:
@@ -327,8 +320,7 @@ def add_section(data: Data, name: str, after: int) -> None:
 
 def remove_section(data: Data, name: str, index: int) -> None:
     """Remove a section of a loft by its number, from 0. Two sections stay."""
-    sections = _sections(data, name)
-    _section(sections, name, index)
+    sections, _ = _section(data, name, index)
     if len(sections) == 2:
         raise EditError(f"{name}: a loft needs two sections")
     del sections[index]
@@ -342,26 +334,24 @@ def move_section(data: Data, source: Path, part: str, index: int, by: Vector) ->
     here = posed(data, source)
     body = here.index(part)
     own = here.rotations[body].T @ np.asarray(by, float)
-    section = _section(_sections(data, part), part, index)
+    _, section = _section(data, part, index)
     moved = reflected_if(own, here.copies[body].mirror)
     section["at"] = tidy(np.array(section["at"], float) + moved)
 
 
 def scale_section(data: Data, part: str, index: int, factors: tuple[Finite, Finite]) -> None:
     """Scale the width and the height of a section of a loft."""
-    section = _section(_sections(data, part), part, index)
+    _, section = _section(data, part, index)
     for key, factor in zip(("width", "height"), factors, strict=True):
         section[key] = tidy(section[key] * max(abs(factor), _LEAST))
 
 
-def _sections(data: Data, name: str) -> list[Data]:
+def _section(data: Data, name: str, index: int) -> tuple[list[Data], Data]:
+    """Return the sections of a loft, and one of them by its number."""
     shape = entry_of(data, name).get("shape")
     if not isinstance(shape, dict) or shape.get("type") != "loft":
         raise EditError(f"{name} is no loft")
-    return shape["sections"]
-
-
-def _section(sections: list[Data], name: str, index: int) -> Data:
+    sections = shape["sections"]
     if not 0 <= index < len(sections):
         raise EditError(f"{name} has no section {index}")
-    return sections[index]
+    return sections, sections[index]

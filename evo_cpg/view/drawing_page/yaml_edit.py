@@ -33,11 +33,10 @@ _QUOTED = {"'": SingleQuotedScalarString, '"': DoubleQuotedScalarString}
 class _Representer(RoundTripRepresenter):
     """Representer that writes null in words, because a value that is left out looks forgotten."""
 
-    def represent_none(self, data: None) -> Any:
-        return self.represent_scalar("tag:yaml.org,2002:null", "null")
 
-
-_Representer.add_representer(type(None), _Representer.represent_none)
+_Representer.add_representer(
+    type(None), lambda own, _: own.represent_scalar("tag:yaml.org,2002:null", "null")
+)
 
 
 def with_data(text: str, data: Any) -> str:
@@ -94,13 +93,7 @@ def comments(text: str) -> list[str]:
 
 def lost_comments(before: str, after: str) -> list[str]:
     """Return the comments of one text that another text lacks."""
-    left = Counter(comments(after))
-    lost = []
-    for comment in comments(before):
-        left[comment] -= 1
-        if left[comment] < 0:
-            lost.append(comment)
-    return lost
+    return list((Counter(comments(before)) - Counter(comments(after))).elements())
 
 
 def equal(one: Any, other: Any) -> bool:

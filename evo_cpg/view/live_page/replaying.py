@@ -102,37 +102,24 @@ class Replays:
 
     def prepare(self, program: Literal["champion", "population"]) -> bool:
         """Compile a program. Return whether it was not compiled before."""
-        name = f"_{program}"
-        new = name not in self.__dict__
-        getattr(self, name)
+        new = program not in self.__dict__
+        getattr(self, program)
         return new
 
-    def champion(self, champion: Champion) -> Recording:
-        """Return the motion of a champion in its first trial."""
-        return self._champion(champion).recording
-
-    def population(self, checkpoint: Checkpoint, run: int, places: Sequence[int]) -> list[Replay]:
-        """Run individuals of the next generation (see `compile_population_replay`)."""
-        return self._population(checkpoint, run, places)
-
     @functools.cached_property
-    def _champion(self) -> Callable[[Champion], Replay]:
+    def champion(self) -> Callable[[Champion], Replay]:
+        """Program that runs a champion in its first trial."""
         # The trainer compiles the same program, and keeps it on disk.
         return compile_replay(self.experiment, self._devices)
 
     @functools.cached_property
-    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], list[Replay]]:
+    def population(self) -> Callable[[Checkpoint, int, Sequence[int]], list[Replay]]:
+        """Program that runs individuals of the next generation."""
         return compile_population_replay(self.experiment)
 
 
 class _Rest(NamedTuple):
-    """Individuals that are not on the wall yet.
-
-    Attributes:
-        checkpoint: checkpoint with their genomes.
-        run: number of their run.
-        places: their places in the population.
-    """
+    """Individuals that are not on the wall yet."""
 
     checkpoint: Checkpoint
     run: int
@@ -158,12 +145,7 @@ class Replaying:
         self._forget()
 
     def work(self, checkpoint: Checkpoint, finished: bool) -> None:
-        """Do what is due: replay the champion, or the next individuals of the wall.
-
-        Args:
-            checkpoint: newest checkpoint.
-            finished: whether no generation follows.
-        """
+        """Do what is due: replay the champion, or the next individuals of the wall."""
         champion = checkpoint.champion
         if champion is None:
             return
@@ -184,7 +166,8 @@ class Replaying:
                     return
                 self._shown = which
                 with self._champions.working():
-                    self._show(replays.experiment, champion, kept or replays.champion(champion))
+                    recording = kept or replays.champion(champion).recording
+                    self._show(replays.experiment, champion, recording)
                 return
             if replays.prepare("population"):
                 return

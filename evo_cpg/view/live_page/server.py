@@ -10,13 +10,7 @@ from evo_cpg.view.run_page.server import PageServer
 
 
 def live_server(run: Following, name: str, port: int = 0) -> PageServer:
-    """Return the server of the page of one run.
-
-    Args:
-        run: the run.
-        name: name of the run.
-        port: port, or 0 for a free one.
-    """
+    """Return the server of the page of one run, on a free port if it is 0."""
     waiting = tag("p", "The newest champion appears here as soon as it is replayed.", id="before")
     body = join(
         tag("h1", name),

@@ -61,12 +61,7 @@ class Standing(NamedTuple):
 
 
 def standing(folder: RunFolder, before: Standing | None = None) -> Standing:
-    """Return the state of a run, or ``before`` if nothing is new.
-
-    Args:
-        folder: folder of the run.
-        before: state that was seen last, if any.
-    """
+    """Return the state of a run, or ``before`` if nothing is new."""
     done = folder.newest
     if before is not None and before.checkpoint:
         same = before.checkpoint.generation == done

@@ -1,4 +1,7 @@
-"""Charts of a page, as SVG in the page's colours and with real text."""
+"""Charts of a page, as SVG in the page's colours and with real text.
+
+Times and windows are in s, angles in rad, and places along the body in m.
+"""
 
 import io
 import re
@@ -72,13 +75,7 @@ def chart(figure: Figure, words: str, timed: bool = False) -> Html:
 
 @framed
 def footfall_figure(feet: Feet, step: float, window: tuple[float, float]) -> Figure:
-    """Draw a bar for every stance, a row for every foot (Hildebrand 1965).
-
-    Args:
-        feet: bodies that touch the ground.
-        step: time between samples, s.
-        window: first and last shown instant, s.
-    """
+    """Draw a bar for every stance, a row for every foot (Hildebrand 1965)."""
     figure = new_figure(_WIDTH, 0.9 + 0.27 * len(feet.names))
     axes = figure.subplots()
     for row, touched in enumerate(feet.touched.T):
@@ -96,14 +93,7 @@ def wave_figure(
     window: tuple[float, float],
     names: Sequence[str],
 ) -> Figure:
-    """Draw bending along the body over time. A running wave is a slanting stripe.
-
-    Args:
-        bending: bending of every joint along the body, rad.
-        step: time between samples, s.
-        window: first and last shown instant, s.
-        names: names of the joints.
-    """
+    """Draw bending along the body over time. A running wave is a slanting stripe."""
     first, last = (round(instant / step) for instant in window)
     shown = np.degrees(bending[first:last]).T
     shown = shown - shown.mean(1, keepdims=True)
@@ -128,17 +118,13 @@ def wave_figure(
 
 @framed
 def lag_figure(wave: BodyWave, place: Float[np.ndarray, " j"]) -> Figure:
-    """Draw phase and amplitude along the body.
-
-    Args:
-        wave: wave along the body.
-        place: positions of the joints, m behind the first joint.
-    """
+    """Draw phase and amplitude along the body."""
     figure = new_figure(_WIDTH, 2.7)
     left, right = figure.subplots(1, 2)
     left.plot(place, wave.phase, "o-", color=BLUE, lw=1.6)
     left.set_ylabel("phase lag (deg)")
-    right.bar(place, np.degrees(wave.amplitude), color=ORANGE, width=0.6 * _gap(place))
+    gap = float(np.diff(place).min()) if len(place) > 1 else 1.0
+    right.bar(place, np.degrees(wave.amplitude), color=ORANGE, width=0.6 * gap)
     right.set_ylabel("amplitude (deg)")
     for axes in (left, right):
         axes.set_xlabel("position along the body (m)")
@@ -147,11 +133,7 @@ def lag_figure(wave: BodyWave, place: Float[np.ndarray, " j"]) -> Figure:
 
 @framed
 def midline_figure(motion: MidlineMotion) -> Figure:
-    """Draw midlines in the body's frame, the amplitude envelope, and the lag on bending.
-
-    Args:
-        motion: sway of the midline.
-    """
+    """Draw midlines in the body's frame, the amplitude envelope, and the lag on bending."""
     figure = new_figure(_WIDTH, 2.7)
     lines, middle, right = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
     cycles, place = motion.sway
@@ -178,14 +160,7 @@ def effort_figure(
     instant: Float[np.ndarray, " f"],
     speed: Float[np.ndarray, " f"],
 ) -> Figure:
-    """Draw power and speed over the whole trial.
-
-    Args:
-        time: time of the control steps, s.
-        power: power in each control step, W.
-        instant: instants of the speeds, s.
-        speed: smoothed speed, m/s.
-    """
+    """Draw power and speed over the whole trial."""
     figure = new_figure(_WIDTH, 2.6)
     axes = figure.subplots()
     width = max(1, round(0.1 / (time[1] - time[0]))) if len(time) > 1 else 1
@@ -206,7 +181,3 @@ def _over_time(axes: Axes, window: tuple[float, float]) -> None:
     axes.set_xlim(*window)
     axes.set_xlabel("time (s)")
     axes.xaxis.set_major_locator(MaxNLocator(8))
-
-
-def _gap(place: Float[np.ndarray, " j"]) -> float:
-    return float(np.diff(place).min()) if len(place) > 1 else 1.0

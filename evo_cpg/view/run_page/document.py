@@ -89,10 +89,7 @@ def _choice(crowd: Crowd | None) -> Html | None:
 def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
     """Return a page that has nothing but the animal, and fills its window or frame.
 
-    Args:
-        title: title of the page.
-        scene: data of the viewer.
-        picture: what browsers without WebGL show, JPEG.
+    Browsers without WebGL show the picture (JPEG) instead.
     """
     style = asset("page.css") + _ALONE
     return _whole(title, _scenes(scene, None), style, player(_still(picture)))

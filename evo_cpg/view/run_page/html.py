@@ -60,10 +60,7 @@ def join(*parts: Any) -> Html:
 def table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = ()) -> Html:
     """Return a table.
 
-    Args:
-        head: headings of the columns.
-        rows: cells of each row.
-        numbers: columns that are set flush right.
+    The columns in ``numbers`` are set flush right.
     """
 
     def row(cells: list[Any], name: str) -> Html:
@@ -139,12 +136,7 @@ def whole_page(
 
 
 def asset(name: str, package: str = "evo_cpg.view.run_page") -> str:
-    """Return the text of a file of a page.
-
-    Args:
-        name: name of the file.
-        package: package that holds it.
-    """
+    """Return the text of a file of a page."""
     return resources.files(package).joinpath(name).read_text(encoding="utf-8")
 
 

@@ -77,11 +77,13 @@ def gait(motion: RecordedMotion) -> Html:
                 "and none on land (Gillis 1998, secondary source).",
             )
         )
-    places = max(1, len(recording.time) // _PLACES)
+    every = max(1, len(recording.time) // _PLACES)
+    whole = ("goal", "dof_names")
+    thinned = {k: v[::every] for k, v in recording._asdict().items() if k not in whole}
     parts += [
         tag("h3", "Its path"),
         charts.chart(
-            path_figure(_every(recording, places), motion.root_index),
+            path_figure(recording._replace(**thinned), motion.root_index),
             "Path of the root from above, and distance over time.",
         ),
     ]
@@ -207,10 +209,3 @@ def _window(recording: Recording, frequency: float) -> tuple[float, float]:
     middle = start + 0.75 * (end - start)
     first = max(start, min(middle - length / 2, end - length))
     return first, first + length
-
-
-def _every(recording: Recording, step: int) -> Recording:
-    kept = ("goal", "dof_names")
-    return Recording(
-        *(value if name in kept else value[::step] for name, value in recording._asdict().items())
-    )

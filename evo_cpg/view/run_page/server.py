@@ -158,8 +158,7 @@ class _PageHandler(http.server.BaseHTTPRequestHandler):
     def is_allowed(self, token: str | None = None) -> bool:
         """Return whether a request comes from the page, and refuse it if not.
 
-        Args:
-            token: token of the address, or None for the header's.
+        Without a token of the address, the token of the header counts.
         """
         origin, host = self.server.origin, self.headers.get("Host", "")
         given = token if token is not None else self.headers.get("X-Token", "")
@@ -176,11 +175,7 @@ class _PageHandler(http.server.BaseHTTPRequestHandler):
         return False
 
     def body(self, most: int) -> bytes | None:
-        """Return the body of a request, or refuse it.
-
-        Args:
-            most: largest size, bytes.
-        """
+        """Return the body of a request of at most ``most`` bytes, or refuse it."""
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit()):
             self.refuse(HTTPStatus.LENGTH_REQUIRED, "the request has no length")

@@ -127,13 +127,7 @@ def animal_data(creature: Creature, arrays: Arrays) -> dict[str, Any]:
 
 
 def motion_data(recording: Recording, rate: float, seconds: float) -> dict[str, Any]:
-    """Return the motion of an animal without its scene.
-
-    Args:
-        recording: the motion.
-        rate: frames per second.
-        seconds: length from the start, s.
-    """
+    """Return the motion of an animal without its scene."""
     arrays = Arrays()
     made = _motion(sample(recording, rate, seconds=seconds), arrays)
     return made | {"arrays": arrays.written}
@@ -208,14 +202,7 @@ def surface_data(
 
 
 def crowd_data(creature: Creature, crowd: CrowdMotion, look: Look, add: Add) -> dict[str, Any]:
-    """Return a crowd.
-
-    Args:
-        creature: the animal.
-        crowd: motion of the others.
-        look: look of the world.
-        add: function that stores an array.
-    """
+    """Return a crowd."""
     crowd = thinned(crowd)
     low, high = (end(crowd.position, axis=(0, 1, 2)) for end in (np.min, np.max))
     size = np.maximum(high - low, 1e-9)

@@ -47,6 +47,10 @@ def ask(server: PageServer, path: str, body: Any = None, **headers: str) -> tupl
     return answer.status, json.loads(content) if is_json else content.decode()
 
 
+def edit(server: PageServer, command: str, given: dict, **more: Any) -> Any:
+    return ask(server, "/edit", {"command": command, "given": given} | more)[1]
+
+
 def test_the_page_needs_the_token_of_its_address(server):
     assert server.address.startswith("http://127.0.0.1:")
     status, page = ask(server, f"/?token={server.token}", X_Token="")
@@ -118,21 +122,19 @@ def test_an_edit_is_answered_with_the_new_drawing(server):
     assert [body["name"] for body in first["scene"]["bodies"]] == ["body"]
     assert first["scene"]["arrays"] and first["changed"]
     place = {"parent": "body", "place": [-0.1, 0, 0], "normal": [-1, 0, 0], "name": "tail"}
-    answer = ask(server, "/edit", {"command": "add_part", "given": place})[1]
+    answer = edit(server, "add_part", place)
     assert answer["new"] == "tail" and answer["undo"] and answer["changed"]
     body = answer["scene"]["bodies"][1]
     assert (body["parent"], body["entry"], body["copies"]) == ("body", "tail", 1)
     assert [axis["lower"] for axis in body["joint"]["axes"]] == [-45, -45]
     # The mesh of the first body is not sent again.
     assert not set(first["scene"]["arrays"]) & set(answer["scene"]["arrays"])
-    wrong = ask(server, "/edit", {"command": "remove_part", "given": {"name": "body"}})[1]
+    wrong = edit(server, "remove_part", {"name": "body"})
     assert "is the root" in wrong["error"] and len(wrong["scene"]["bodies"]) == 2
     assert len(ask(server, "/undo", {})[1]["scene"]["bodies"]) == 1
     assert len(ask(server, "/redo", {})[1]["scene"]["bodies"]) == 2
     key = ["creature", "bodies", 1, "joint", "axes"]
-    broken = ask(server, "/edit", {"command": "set_value", "given": {"key": key, "value": ["q"]}})[
-        1
-    ]
+    broken = edit(server, "set_value", {"key": key, "value": ["q"]})
     assert broken["scene"] is None and "axes" in broken["undrawn"]
     assert [each["part"] for each in broken["problems"]] == ["tail"]
     ask(server, "/undo", {})
@@ -148,11 +150,9 @@ def test_the_experiment_is_checked_after_the_edits(server):
     assert [each["kind"] for each in found["problems"]] == ["error"]
     assert "at least one joint" in found["problems"][0]["words"]
     place = {"parent": "body", "place": [-0.1, 0, 0], "normal": [-1, 0, 0], "name": "tail"}
-    ask(server, "/edit", {"command": "add_part", "given": place})
-    ask(server, "/edit", {"command": "add_eye", "given": {"part": "body"} | {
-        "place": [0.1, 0, 0], "axis": [1, 0, 0]}})  # fmt: skip
-    alone = {"name": "tail", "key": "axes", "value": ["z"]}
-    ask(server, "/edit", {"command": "set_joint", "given": alone})
+    edit(server, "add_part", place)
+    edit(server, "add_eye", {"part": "body", "place": [0.1, 0, 0], "axis": [1, 0, 0]})
+    edit(server, "set_joint", {"name": "tail", "key": "axes", "value": ["z"]})
     (found,) = ask(server, "/check", {})[1]["problems"]
     assert found["key"] == ["controller"] and "at rest under a constant drive" in found["words"]
 
@@ -164,9 +164,8 @@ def test_comments_are_lost_only_with_consent(server):
     text = text.replace("  water: {density: 1000}", "  water:\n    density: 1025 # salt")
     document.path.write_text(text)
     server.session.__init__(Document.open(document.path))
-    edit = {"command": "set_water", "given": {"on": False}}
-    assert ask(server, "/edit", edit)[1]["lost"] == ["# salt"]
-    answer = ask(server, "/edit", edit | {"accept": True})[1]
+    assert edit(server, "set_water", {"on": False})["lost"] == ["# salt"]
+    answer = edit(server, "set_water", {"on": False}, accept=True)
     assert "lost" not in answer and answer["data"]["world"]["water"] is None
 
 
@@ -189,35 +188,25 @@ def test_meshes_are_checked_before_they_are_kept(server, tmp_path):
     answer = upload("ring.glb", ring)
     assert answer["file"] == "ring.glb" and "it is not convex" in answer["problem"]
     assert "no binary glTF" in upload("e.glb", ring[4:])["error"]
-    given = {
-        "key": ["creature", "bodies", 0, "shape"],
-        "value": {"type": "mesh", "file": "my_part.stl"},
-    }
-    answer = ask(server, "/edit", {"command": "set_value", "given": given})[1]
+    shape = {"type": "mesh", "file": "my_part.stl"}
+    answer = edit(server, "set_value", {"key": ["creature", "bodies", 0, "shape"], "value": shape})
     assert "error" not in answer and len(answer["scene"]["bodies"]) == 1
 
 
-def test_a_request_that_is_cut_off_writes_nothing(server, tmp_path):
-    mesh = str(trimesh.creation.box((0.2, 0.1, 0.1)).export(file_type="obj")).encode()
+def test_a_malformed_or_unfinished_request_is_refused_and_writes_nothing(server, tmp_path):
+    mesh = str(trimesh.creation.box((0.2, 0.1, 0.1)).export(file_type="obj"))
     head = (
         f"POST /upload?name=a.obj HTTP/1.1\r\nHost: 127.0.0.1:{server.server_address[1]}\r\n"
         f"X-Token: {server.token}\r\nContent-Length: {len(mesh) + 1}\r\n\r\n"
     )
-    with socket.create_connection(server.server_address[:2], timeout=20) as link:
-        link.sendall(head.encode() + mesh)
-        link.shutdown(socket.SHUT_WR)
-        answer = http.client.HTTPResponse(link)
-        answer.begin()
-        assert answer.status == 400 and b"cut off" in answer.read()
+    for sent, word in ((head + mesh, b"cut off"), ("GET http://[ HTTP/1.1\r\n\r\n", b"malformed")):
+        with socket.create_connection(server.server_address[:2], timeout=20) as link:
+            link.sendall(sent.encode())
+            link.shutdown(socket.SHUT_WR)
+            answer = http.client.HTTPResponse(link)
+            answer.begin()
+            assert answer.status == 400 and word in answer.read()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_malformed_address_is_refused(server):
-    with socket.create_connection(server.server_address[:2], timeout=20) as link:
-        link.sendall(b"GET http://[ HTTP/1.1\r\n\r\n")
-        answer = http.client.HTTPResponse(link)
-        answer.begin()
-        assert answer.status == 400
 
 
 def test_a_fault_of_the_program_is_printed(server, monkeypatch, capsys):
@@ -289,7 +278,7 @@ def test_a_session_refuses_in_words(server):
     assert "there is no run" in error("/live_page")
     ask(server, "/save", {})
     assert "at least one joint" in error("/train")
-    ask(server, "/edit", {"command": "set_value", "given": {"key": ["seed"], "value": -1}})
+    edit(server, "set_value", {"key": ["seed"], "value": -1})
     ask(server, "/save", {})
     assert "-1" in error("/train")
     assert ask(server, "/poll")[1] == {"try": {"state": "none"}, "run": None}

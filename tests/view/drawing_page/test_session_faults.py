@@ -130,15 +130,6 @@ def test_a_link_stays_a_link_and_permissions_stay(tmp_path):
     assert (tmp_path / "new.txt").stat().st_mode & 0o777 == 0o644
 
 
-def test_a_long_name_of_a_mesh_is_shortened(session, tmp_path):
-    good = bytes(trimesh.creation.box((0.2, 0.1, 0.1)).export(file_type="stl"))
-    answer = session.upload(f"{'a' * 400}.stl", good)
-    assert len(answer["file"]) < 200 and (tmp_path / answer["file"]).read_bytes() == good
-    assert "a mesh is a file" in session.upload(f"a.{'b' * 400}", good)["error"]
-    (tmp_path / "b.stl").mkdir()
-    assert "exists with other content" in session.upload("b.stl", good)["error"]
-
-
 @pytest.mark.parametrize(
     ("name", "kept"),
     [
@@ -146,6 +137,7 @@ def test_a_long_name_of_a_mesh_is_shortened(session, tmp_path):
         ("körper.STL", "körper.STL"),
         ("ko\u0308rper.stl", "körper.stl"),
         ("形" * 200 + ".stl", "形" * 33 + ".stl"),
+        ("a" * 400 + ".stl", "a" * 100 + ".stl"),
         ("!!!.stl", "mesh.stl"),
         (".stl", "mesh.stl"),
     ],
