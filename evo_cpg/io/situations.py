@@ -1,7 +1,6 @@
 """Initial situations of the trials, from the configuration's start and light."""
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -224,26 +223,24 @@ def _start_height(
         if not is_traced(world, x, y, heading, height):
             return found
 
-        def stopped(numbers: Any) -> Any:
-            return jax.tree.map(
-                lambda leaf: jax.lax.stop_gradient(leaf) if is_traced(leaf) else leaf, numbers
-            )
-
-        def stopped_gap(here: Array) -> tuple[Array, Array]:
-            return _gap(stopped(world), stopped(x), stopped(y), stopped(heading), here)
+        stopped = jax.tree.map(
+            lambda leaf: jax.lax.stop_gradient(leaf) if is_traced(leaf) else leaf,
+            (world, x, y, heading),
+        )
 
         def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             count, here, missing = carry
-            here = here + missing / stopped_gap(here)[1]
-            return count + 1, here, clearance - stopped_gap(here)[0]
-
-        def is_apart(carry: tuple[Array, Array, Array]) -> Array:
-            return (abs(carry[2]) >= accuracy(found)) & (carry[0] < _START_STEPS)
+            here = here + missing / _gap(*stopped, here)[1]
+            return count + 1, here, clearance - _gap(*stopped, here)[0]
 
         begin = jnp.asarray(found, float)
         clearance = jax.lax.stop_gradient(jnp.asarray(start_clearance, float))
-        missing = clearance - stopped_gap(begin)[0]
-        _, here, _ = jax.lax.while_loop(is_apart, step, (jnp.asarray(0), begin, missing))
+        missing = clearance - _gap(*stopped, begin)[0]
+        _, here, _ = jax.lax.while_loop(
+            lambda carry: (abs(carry[2]) >= accuracy(found)) & (carry[0] < _START_STEPS),
+            step,
+            (jnp.asarray(0), begin, missing),
+        )
         # This Newton step makes the height depend on the traced numbers.
         reached, rise = _gap(world, x, y, heading, here)
         return here + (start_clearance - reached) / jax.lax.stop_gradient(rise)

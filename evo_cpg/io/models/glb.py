@@ -63,7 +63,7 @@ class Glb:
             glow: whether the material emits light.
             texture: texture that is multiplied by the colour.
         """
-        linear = linear_color(color)
+        linear = _linear(color).tolist()
         surface: dict[str, Any] = {
             "baseColorFactor": [*linear, alpha],
             "metallicFactor": 0.0,
@@ -237,7 +237,7 @@ class Glb:
         shone = {
             "name": name,
             "type": kind,
-            "color": linear_color(color),
+            "color": _linear(color).tolist(),
             "intensity": intensity,
         }
         lights["lights"].append(shone)
@@ -283,10 +283,7 @@ class Glb:
         return self._add("bufferViews", view)
 
 
-def linear_color(color: Float[np.ndarray, "3"]) -> list[float]:
+def _linear(color: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Convert red, green and blue of a screen (sRGB) to linear light, 0 to 1 (IEC 61966-2-1)."""
-    return _linear(np.asarray(color, float)).tolist()
-
-
-def _linear(color: np.ndarray) -> np.ndarray:
+    color = np.asarray(color, float)
     return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)

@@ -312,7 +312,10 @@ def read_tendons(
                         "a joint without a motor",
                     )
             if law:
-                tendons.append(ReadTendon(_name(compiled, number), coefficients, law))
+                code = compiled.mujoco.mjtObj.mjOBJ_TENDON
+                given = compiled.mujoco.mj_id2name(compiled.model, code, number)
+                name = printed(given or f"tendon{number + 1}")
+                tendons.append(ReadTendon(name, coefficients, law))
     return tendons
 
 
@@ -357,9 +360,3 @@ def _law(compiled: Compiled, number: int) -> dict[str, Any]:
     if model.tendon_limited[number] and not compiled.disabled("limit", "constraint"):
         law["limits"] = [tidy(float(x)) for x in model.tendon_range[number] - neutral]
     return law
-
-
-def _name(compiled: Compiled, number: int) -> str:
-    mujoco, model = compiled.mujoco, compiled.model
-    given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TENDON, number)
-    return printed(given or f"tendon{number + 1}")

@@ -108,13 +108,6 @@ class Placed(NamedTuple):
         """Return components in our axes of a vector in the world's."""
         return tidy_vector(self.turn.T @ vector)
 
-    @property
-    def shape_names(self) -> list[str]:
-        """Names that the shapes have as bodies of the tree."""
-        first = 1 if self.own_shape else 2
-        numbers = range(first, first + len(self.solids))
-        return [self.name if i == 1 else f"{self.name}/{i}" for i in numbers]
-
 
 def add_meshes(root: Element, creature: Creature) -> None:
     """Add the assets of bodies that are meshes."""

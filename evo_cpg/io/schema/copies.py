@@ -186,8 +186,8 @@ def moved(place: Triple, origin: np.ndarray) -> Triple:
     return as_vector(xp.array(place) - origin) if origin.any() else place
 
 
-def reflected(place: Triple, axis: MirrorAxis) -> Triple:
-    """Return the mirror image of a position in the plane with this normal."""
+def reflected(place: Triple, axis: MirrorAxis | None) -> Triple:
+    """Return the mirror image of a position in the plane with this normal, if there is one."""
     x, y, z = (-value if name == axis else value for name, value in zip("xyz", place, strict=True))
     return x, y, z
 

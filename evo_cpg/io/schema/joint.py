@@ -97,11 +97,6 @@ class TurnConfig(Section):
     turn: AxisName | Vector
     at: Vector | None = None
 
-    @property
-    def axis(self) -> "JointAxis":
-        """The axis."""
-        return JointAxis(Turn(), _direction(self.turn), self.at)
-
 
 class SlideConfig(Section):
     """An axis along which the body slides.
@@ -121,11 +116,6 @@ class SlideConfig(Section):
         if self.limits_m is not None and not self.limits_m[0] < self.limits_m[1]:
             raise ValueError(f"limits_m: {self.limits_m[0]:g} is not below {self.limits_m[1]:g}")
         return self
-
-    @property
-    def axis(self) -> "JointAxis":
-        """The axis."""
-        return JointAxis(Slide(), _direction(self.slide), None, self.limits_m, self.rest_m)
 
 
 def _key_of_entry(entry: Any) -> str:
@@ -163,11 +153,17 @@ class JointAxis(NamedTuple):
     @classmethod
     def of(cls, entry: Any) -> "JointAxis":
         """Return the axis of an entry of ``axes``."""
+
+        def direction(given: Any) -> Triple:
+            return _AXES[given] if isinstance(given, str) else given
+
         if isinstance(entry, JointAxis):
             return entry
-        if isinstance(entry, TurnConfig | SlideConfig):
-            return entry.axis
-        return cls(Turn(), _direction(entry))
+        if isinstance(entry, TurnConfig):
+            return cls(Turn(), direction(entry.turn), entry.at)
+        if isinstance(entry, SlideConfig):
+            return cls(Slide(), direction(entry.slide), None, entry.limits_m, entry.rest_m)
+        return cls(Turn(), direction(entry))
 
     def mirrored(self, axis: MirrorAxis) -> "JointAxis":
         """Return the mirror image of the axis."""
@@ -175,10 +171,6 @@ class JointAxis(NamedTuple):
         place = None if self.place is None else reflected(self.place, axis)
         direction = image(self.direction, axis)
         return self._replace(kind=self.kind.mirrored(), direction=direction, place=place)
-
-
-def _direction(given: Any) -> Triple:
-    return _AXES[given] if isinstance(given, str) else given
 
 
 def _are_independent(axes: list[JointAxis], joint: Triple) -> bool:
