@@ -60,7 +60,7 @@ _NAMES = {
     "api.progress": ("show_progress",),
     "simulation.task": ("Task", "Transition"),
     "simulation.snapshot": ("Snapshot", "Forces"),
-    "simulation.sensor": ("Sensor",),
+    "simulation.sensors": ("Sensor",),
     "physics.water.force_law": ("ForceLaw", "Bodies"),
     "control.controller": ("Controller", "Observation", "Command"),
     "io.errors": ("ConfigError",),
