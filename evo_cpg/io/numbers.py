@@ -219,10 +219,7 @@ class Building:
     """
 
     def __init__(
-        self,
-        config: ExperimentConfig,
-        plan: CommonPlan = OWN_PLAN,
-        task: Task | None = None,
+        self, config: ExperimentConfig, plan: CommonPlan = OWN_PLAN, task: Task | None = None
     ):
         self.plan, self.task = plan, task
         self.own = self.known(config)

@@ -1,6 +1,7 @@
 """Initial situations of the trials, from the configuration's start and light."""
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -223,19 +224,19 @@ def _start_height(
         if not is_traced(world, x, y, heading, height):
             return found
 
-        stopped = jax.tree.map(
+        stopped: list[Any] = jax.tree.map(
             lambda leaf: jax.lax.stop_gradient(leaf) if is_traced(leaf) else leaf,
-            (world, x, y, heading),
+            [world, x, y, heading],
         )
 
         def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             count, here, missing = carry
-            here = here + missing / _gap(*stopped, here)[1]
-            return count + 1, here, clearance - _gap(*stopped, here)[0]
+            here = here + missing / _gap(*stopped, height=here)[1]
+            return count + 1, here, clearance - _gap(*stopped, height=here)[0]
 
         begin = jnp.asarray(found, float)
         clearance = jax.lax.stop_gradient(jnp.asarray(start_clearance, float))
-        missing = clearance - _gap(*stopped, begin)[0]
+        missing = clearance - _gap(*stopped, height=begin)[0]
         _, here, _ = jax.lax.while_loop(
             lambda carry: (abs(carry[2]) >= accuracy(found)) & (carry[0] < _START_STEPS),
             step,

@@ -205,10 +205,7 @@ def test_every_rule_has_a_mistake():
         (CONFIG, ["world={ground: {}, water: null}"]),
         (CONFIG, ["world={ground: {}}", "world.water.surface=1"]),
         # A sensor of the user's own in place of eyes, and a task without a light.
-        (
-            CONFIG,
-            ["creature.light_sensors=[]", "creature.sensors=[{type: 'mine:Eye'}]"],
-        ),
+        (CONFIG, ["creature.light_sensors=[]", "creature.sensors=[{type: 'mine:Eye'}]"]),
         (CONFIG, ["creature.light_sensors=[]", "task={type: distance}"]),
         # Trials that differ.
         (CONFIG, ["simulation.trials=[{}, {start_heading_deg: 90}]"]),

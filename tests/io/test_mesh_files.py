@@ -131,10 +131,7 @@ def test_vertices_and_faces_can_be_in_the_configuration(folder):
         ("shape.file=nowhere.stl", "shape.file: nowhere.stl: no such file"),
         ("shape.file=head.step", "file: head.step: '.step' is not known. Allowed: .glb, .obj"),
         ("shape.file=3", "shape.file: 3: must be text"),
-        (
-            "shape.scale=big",
-            "shape.scale: 'big': must be a number or a list of 3 numbers",
-        ),
+        ("shape.scale=big", "shape.scale: 'big': must be a number or a list of 3 numbers"),
         ("shape.scale=100000000000000000000", "scale: 1(0*): must be less than 1000000000"),
         ("shape.scale=.nan", "scale: nan: must be less than 1000000000"),
         ("shape.scale=[1, 2]", r"scale: \[1, 2\]: must be a number or a list of 3 numbers"),

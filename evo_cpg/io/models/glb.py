@@ -199,11 +199,7 @@ class Glb:
             times: instants from `times`.
             values: one value at each instant.
         """
-        sampler = {
-            "input": times,
-            "output": self._floats(values, None),
-            "interpolation": "LINEAR",
-        }
+        sampler = {"input": times, "output": self._floats(values, None), "interpolation": "LINEAR"}
         self._samplers.append(sampler)
         target = {"node": node, "path": path}
         self._channels.append({"sampler": len(self._samplers) - 1, "target": target})

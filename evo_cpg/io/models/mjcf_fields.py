@@ -154,11 +154,7 @@ LEFT_OUT = {
 }
 
 # Counts of elements that no creature has, and their names. All of them change the motion.
-REFUSED_COUNTS = {
-    "neq": "equality",
-    "nflex": "flex",
-    "nplugin": "plugin",
-}
+REFUSED_COUNTS = {"neq": "equality", "nflex": "flex", "nplugin": "plugin"}
 
 # Counts of elements without a part in the motion.
 COUNTS = {

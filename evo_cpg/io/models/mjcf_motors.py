@@ -226,9 +226,7 @@ def _torque_limit(
 
 
 def _refuse_shared_limits(
-    compiled: Compiled,
-    of_joints: dict[int, dict[str, Any]],
-    of_tendons: dict[int, dict[str, Any]],
+    compiled: Compiled, of_joints: dict[int, dict[str, Any]], of_tendons: dict[int, dict[str, Any]]
 ) -> None:
     """Refuse joints whose limit would cut the force of the motors of tendons."""
     model = compiled.model

@@ -48,10 +48,7 @@ _RIGHT = {"l": "r", "L": "R", "left": "right", "Left": "Right", "LEFT": "RIGHT"}
 
 
 def read_world(
-    compiled: Compiled,
-    placed: Sequence[Placed],
-    volumes: Sequence[float],
-    ground: Any,
+    compiled: Compiled, placed: Sequence[Placed], volumes: Sequence[float], ground: Any
 ) -> dict[str, Any]:
     """Return the keys of the world.
 

@@ -66,6 +66,7 @@ class _PosturesSection(_ControllerSection):
 BrainCpgConfig = section_of(
     BrainCpgSettings,
     "BrainCpgConfig",
+    __name__,
     "brain_cpg",
     default=True,
     base=_BrainCpgSection,
@@ -74,7 +75,7 @@ BrainCpgConfig = section_of(
     rate_gain=Annotated[float, RATE],
 )
 PosturesConfig = section_of(
-    PostureSettings, "PosturesConfig", "postures", default=True, base=_PosturesSection
+    PostureSettings, "PosturesConfig", __name__, "postures", default=True, base=_PosturesSection
 )
 
 # Pyright cannot follow the two classes that are created at import.

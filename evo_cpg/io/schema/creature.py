@@ -62,6 +62,7 @@ Color = Annotated[
 MaterialConfig = section_of(
     Material,
     "MaterialConfig",
+    __name__,
     density=Positive,
     restitution=Fraction,
     static_friction=NotNegative,

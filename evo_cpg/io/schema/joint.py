@@ -48,6 +48,7 @@ def _require_some(gear: float) -> float:
 ActuatorConfig = section_of(
     Actuator,
     "ActuatorConfig",
+    __name__,
     "servo",
     default=True,
     gain=NotNegative,
@@ -57,6 +58,7 @@ ActuatorConfig = section_of(
 TorqueMotorConfig = section_of(
     TorqueMotor,
     "TorqueMotorConfig",
+    __name__,
     "torque",
     gear=Annotated[Finite, AfterValidator(_require_some)],
     torque_limit=Positive | None,
@@ -64,6 +66,7 @@ TorqueMotorConfig = section_of(
 MuscleConfig = section_of(
     Muscle,
     "MuscleConfig",
+    __name__,
     "muscle",
     hill=bool,
     damping_time=NotNegative,

@@ -93,6 +93,7 @@ class DescribedSection(Section):
 def section_of(
     described: type,
     name: str,
+    module: str,
     kind: str | None = None,
     default: bool = False,
     base: type[Section] = DescribedSection,
@@ -103,6 +104,7 @@ def section_of(
     Args:
         described: the dataclass.
         name: name of the section.
+        module: module that holds the section under this name, so that it can be pickled.
         kind: value of the section's key ``type``, or None for a section without this key.
         default: whether the key ``type`` may be left out.
         base: base class, whose attribute ``described`` becomes the dataclass.
@@ -118,7 +120,8 @@ def section_of(
             usual = field.default_factory()
         fields[field.name] = (hints[field.name], None if usual == math.inf else usual)
     fields["described"] = (ClassVar[type], described)
-    return create_model(name, __base__=base, __doc__=described.__doc__, **fields)
+    about = {"__doc__": described.__doc__, "__module__": module}
+    return create_model(name, __base__=base, **about, **fields)
 
 
 class _Count(int):

@@ -1,7 +1,7 @@
 """Section of a fixed tendon."""
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field, Tag, model_validator
 
@@ -78,6 +78,7 @@ class TendonConfig(Section):
             bodies: all bodies of the creature.
         """
         lower, upper = self.limits or (-NO_LIMIT, NO_LIMIT)
+        motor: Any = self.actuator
         return [
             self.into(
                 Tendon,
@@ -86,7 +87,7 @@ class TendonConfig(Section):
                 rest=self.resting,
                 lower=lower,
                 upper=upper,
-                actuator=self.actuator and self.actuator.build(),
+                actuator=motor and motor.build(),
             )
             for marks in self._values(bodies)
         ]

@@ -178,10 +178,7 @@ REFUSED = {
         model().replace("</worldbody>", '<body name="k" mocap="true"/></worldbody>'),
         "body 'k': it is a mocap body, moved from outside. Allowed: no mocap",
     ),
-    "muscle": (
-        model(drive="muscle", actuator='kv="-"'),
-        MOTOR + "its law is not linear",
-    ),
+    "muscle": (model(drive="muscle", actuator='kv="-"'), MOTOR + "its law is not linear"),
     "actuator bias that pushes": (
         model(drive="general", actuator='kv="-" biastype="affine" biasprm="0 1 0"'),
         MOTOR + "it pushes away from its target",

@@ -183,8 +183,7 @@ def test_an_exported_ground_keeps_its_friction_rule(read, rule):
 
 
 @pytest.mark.parametrize(
-    "text",
-    [pytest.param(OTHERS, id="cat"), pytest.param(HUNG, id="crane", marks=pytest.mark.slow)],
+    "text", [pytest.param(OTHERS, id="cat"), pytest.param(HUNG, id="crane", marks=pytest.mark.slow)]
 )
 def test_foreign_models_accelerate_as_in_mujoco(write, text):
     """Random states and controls. The largest error is 1e-13."""
