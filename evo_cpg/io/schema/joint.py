@@ -311,7 +311,7 @@ class JointConfig(Section):
         return [None if axis.kind.unit == "m" else pair for axis, pair in every]
 
     @property
-    def motors(self) -> list[_MotorConfig | None]:
+    def motors(self) -> list[Any]:
         """Motor or muscles of each axis."""
         return self._each("actuator")
 
