@@ -339,14 +339,14 @@ class CreatureConfig(Section):
         """Return all bodies that the entries stand for."""
         return copies([entry.entry for entry in self.bodies])
 
-    def entry_of(self, body: int) -> int:
-        """Return the index in ``bodies`` of the entry of a body, given the body's index."""
-        return [copy.entry for copy in self.copies() for _ in self._names_of(copy)][body]
-
-    def entry_of_tendon(self, tendon: int) -> int:
-        """Return the index in ``tendons`` of the entry of a tendon, given the tendon's index."""
+    def entry_of(self, kind: Literal["bodies", "tendons"], number: int) -> int:
+        """Return the index of the entry of a body or tendon, given its index in the creature."""
         everything = self.copies()
-        return [i for i, given in enumerate(self.tendons) for _ in given.build(everything)][tendon]
+        if kind == "bodies":
+            owners = [copy.entry for copy in everything for _ in self._names_of(copy)]
+        else:
+            owners = [i for i, given in enumerate(self.tendons) for _ in given.build(everything)]
+        return owners[number]
 
     def require_names(self) -> None:
         """Check that the names of bodies are unique, and that every name used exists.
