@@ -26,8 +26,8 @@ PARTS = (
 
 THICK = "; ".join(VISCOUS)
 
-# File, settings with the mistake, key of the warning or a part of it, and a word of its message. The
-# key is that of the last setting unless given.
+# File, settings with the mistake, key of the warning or a part of it, and a word of its message.
+# The key is that of the last setting unless given.
 MISTAKES = [
     (CONFIG, "creature.materials.body.density=1", "", "1000"),
     (CONFIG, "creature.materials.body.density=7.8", "", "7800"),

@@ -13,7 +13,7 @@ from benchmarks.imported_models import accelerations
 from evo_cpg.creature.creature import NO_LIMIT
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.models import mjcf_fields
-from evo_cpg.io.models.mjcf_import import Imported, read_model
+from evo_cpg.io.models.mjcf_import import Imported
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.joint_torque import MotorCommand
@@ -59,18 +59,6 @@ def attributes(usual: str, given: str) -> str:
     pairs = [part.split("=", 1) for part in (usual + " " + given).replace('" ', '"\n').split("\n")]
     chosen = {key.strip(): value for key, value in (pair for pair in pairs if len(pair) == 2)}
     return " ".join(f"{key}={value}" for key, value in chosen.items() if value != '"-"')
-
-
-@pytest.fixture
-def read(tmp_path):
-    """Import a model from text."""
-
-    def call(text: str) -> Imported:
-        path = tmp_path / "model.xml"
-        path.write_text(text)
-        return read_model(path)
-
-    return call
 
 
 def moves_as_in_mujoco(text: str, found: Imported) -> None:

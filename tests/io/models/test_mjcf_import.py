@@ -106,24 +106,6 @@ HUNG = """
 """
 
 
-@pytest.fixture
-def write(tmp_path):
-    """Write a model."""
-
-    def call(text: str):
-        path = tmp_path / "model.xml"
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    return call
-
-
-@pytest.fixture
-def read(write):
-    """Import a model from text."""
-    return lambda text, **options: read_model(write(text), **options)
-
-
 def assert_same_tree(found: Tree, expected: Tree) -> None:
     """Compare the numbers of two trees to 1e-9 of the largest one in each array."""
     assert jax.tree.structure(found) == jax.tree.structure(expected)
