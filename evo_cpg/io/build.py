@@ -375,14 +375,7 @@ def _build_world(
 
 
 def _build_part(given: Any, kind: type, key: Key, **about: Any) -> Any:
-    """Build a part, possibly of a user's own class.
-
-    Args:
-        given: section of the part.
-        kind: base class of such parts.
-        key: key of the section.
-        about: keyword arguments that the part may use.
-    """
+    """Build the part of a section, possibly of a user's own class, with ``about`` as arguments."""
     with under(*key):
         if isinstance(given, CustomConfig):
             return given.instance(kind, **about)

@@ -106,11 +106,7 @@ def build_situations(
 def _require_resolved(creature: Creature, place: Triple, h: Number, start: Key) -> None:
     """Check that float32 resolves the motion at the start.
 
-    Args:
-        creature: the creature.
-        place: position of the start, m. Known numbers are checked, and traced ones are not.
-        h: physics step, s.
-        start: key of x and y.
+    The position is in m, and the physics step ``h`` in s. Traced numbers are not checked.
 
     Raises:
         KeyProblem: the start is too far from the origin.

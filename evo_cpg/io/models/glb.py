@@ -155,11 +155,7 @@ class Glb:
     def node(self, name: str, parent: Node | None = None, **properties: Any) -> Node:
         """Add a node. Without a parent it is a root of the scene.
 
-        Args:
-            name: name of the node.
-            parent: parent node, which moves this one.
-            properties: properties of the specification: `mesh`, `skin`, `camera`, `translation`,
-                `rotation`, `extensions`.
+        ``properties`` are those of the specification, such as `mesh`, `skin` and `translation`.
         """
         node = self._add("nodes", {"name": name, **properties})
         nodes = self.document["nodes"]
@@ -193,11 +189,8 @@ class Glb:
     def animate(self, node: Node, path: str, times: int, values: np.ndarray) -> None:
         """Move a node, linearly from instant to instant (quaternions along great circles).
 
-        Args:
-            node: node to move.
-            path: ``translation`` (m) or ``rotation`` (quaternion x, y, z, w).
-            times: instants from `times`.
-            values: one value at each instant.
+        ``path`` is ``translation`` (m) or ``rotation`` (quaternion x, y, z, w), with one value at
+        each instant from `times`.
         """
         sampler = {"input": times, "output": self._floats(values, None), "interpolation": "LINEAR"}
         self._samplers.append(sampler)
@@ -205,25 +198,15 @@ class Glb:
         self._channels.append({"sampler": len(self._samplers) - 1, "target": target})
 
     def camera(self, name: str, angle: float, aspect: float, near: float) -> int:
-        """Add a camera, and return the value of its node's `camera`.
-
-        Args:
-            name: name of the camera.
-            angle: full vertical angle of view, rad.
-            aspect: width of the picture over its height.
-            near: least visible distance, m.
-        """
+        """Add a camera. The vertical angle of view is in rad, and the least visible distance in m."""
         lens = {"yfov": angle, "aspectRatio": aspect, "znear": near}
         return self._add("cameras", {"name": name, "type": "perspective", "perspective": lens})
 
     def light(self, name: str, kind: str, color: np.ndarray, intensity: float) -> dict[str, Any]:
         """Add a lamp (KHR_lights_punctual), and return the extensions of its node.
 
-        Args:
-            name: name of the lamp.
-            kind: ``directional`` (along the node's -z; lux) or ``point`` (candela).
-            color: red, green and blue as on a screen (sRGB), 0 to 1.
-            intensity: intensity in the unit of the kind.
+        The kind is ``directional`` (along the node's -z, in lux) or ``point`` (in candela). The
+        colour is red, green and blue as on a screen (sRGB), 0 to 1.
         """
         extension = "KHR_lights_punctual"
         used = self.document.setdefault("extensionsUsed", [])

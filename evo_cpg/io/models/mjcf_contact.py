@@ -39,10 +39,7 @@ def read_ground(
 ) -> tuple[dict[str, Any] | None, list[int], dict[int, float]]:
     """Return the ground's keys, or None, fixed geoms beside it, and materials' frictions, by geom.
 
-    Args:
-        compiled: the model.
-        placed: bodies of the animal.
-        fixed: MuJoCo's numbers of the geoms around the animal.
+    ``fixed`` are MuJoCo's numbers of the geoms around the animal.
     """
     model = compiled.model
     own = [solid.geom for body in placed for solid in body.solids]
@@ -122,10 +119,7 @@ def _friction_keys(
 ) -> tuple[Combination, float, dict[int, float]]:
     """Return the rule, the ground's friction, and the materials' frictions, by geom.
 
-    Args:
-        own: friction of each geom.
-        floor: friction of the ground's geom.
-        required: friction of each geom on the ground.
+    ``own`` is the friction of each geom, and ``required`` the friction that it has on the ground.
     """
     for rule in _RULES:
         found = [float(combine(rule, own[g], floor)) for g in required]

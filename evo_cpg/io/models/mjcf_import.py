@@ -178,11 +178,7 @@ def _creature_keys(
 ) -> tuple[dict[str, Any], list[float]]:
     """Return the keys of the creature's bodies and materials, and the volume of each body, m^3.
 
-    Args:
-        compiled: the model.
-        placed: the bodies.
-        motors: keys of the motors, by MuJoCo's number of the joint.
-        frictions: friction of the material of each geom.
+    Motors are by MuJoCo's number of the joint, and frictions of materials by number of the geom.
     """
     carrier = {body.rigid.lead: body for body in placed}
     materials: dict[Material, str] = {}
@@ -270,12 +266,7 @@ def _substance(
 ) -> dict[str, Any]:
     """Return the keys of a body's shapes, materials, mass and inertia.
 
-    Args:
-        compiled: the model.
-        own: the body.
-        shapes: its shapes.
-        materials: names of the materials so far, which grow.
-        frictions: friction of the material of each geom.
+    ``materials`` are the names of the materials so far, which grow.
     """
     mass, centre, inertia = mass_properties(compiled.model, compiled.data, own.rigid.members)
     centre, inertia = own.turn.T @ (centre - own.centre), own.turn.T @ inertia @ own.turn

@@ -178,10 +178,7 @@ def body_keys(
 ) -> dict[str, Any]:
     """Return the keys of a body that describe its shapes.
 
-    Args:
-        placed: the body.
-        materials: name of the material of each shape, or of the body alone without shapes.
-        colors: colour of each shape, or None.
+    Materials and colours are those of the shapes. A body without shapes has one material.
     """
     keys: dict[str, Any] = {"shape": None, "material": materials[0]}
     color = colors[0] if colors else None
@@ -209,11 +206,8 @@ def body_keys(
 def read_solid(compiled: Compiled, geom: int, outer: np.ndarray, keeps_axes: bool) -> Solid:
     """Return the shape of a geom. Its frame is turned as little as possible from its body's.
 
-    Args:
-        compiled: the model.
-        geom: MuJoCo's number of the geom.
-        outer: axes of its body in the world ``(3, 3)``.
-        keeps_axes: whether the corners of a mesh are turned instead of its frame.
+    ``outer`` are the axes of its body in the world ``(3, 3)``. If it ``keeps_axes``, the corners of
+    a mesh are turned instead of its frame.
 
     Raises:
         RefusedError: no shape of ours is like it.

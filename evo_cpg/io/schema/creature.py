@@ -408,10 +408,7 @@ class CreatureConfig(Section):
     def _bodies_of(self, copy: Copy, joint: Joint | None, centre: np.ndarray) -> list[Body]:
         """Return a body, then its further parts, each welded to it.
 
-        Args:
-            copy: the body.
-            joint: its joint to the parent.
-            centre: centre of its shape in the frame of the configuration, m.
+        ``centre`` is the centre of its shape in the frame of the configuration, m.
         """
         entry = self.bodies[copy.entry]
         solids = [_mirrored(shape, copy).build() for shape in entry.shapes]
@@ -471,10 +468,7 @@ def _mirrored(shape: ShapeConfig, copy: Copy) -> ShapeConfig:
 def _inertial(entry: BodyConfig, copy: Copy, centre: np.ndarray) -> Inertial:
     """Return the mass and inertia in numbers of a copy, in the frame of its shape.
 
-    Args:
-        entry: entry of the body, with a mass.
-        copy: the copy.
-        centre: centre of its shape in the frame of the configuration, m.
+    ``centre`` is the centre of its shape in the frame of the configuration, m.
     """
     if entry.inertia is None:
         return Inertial(entry.mass, np.zeros(3), np.zeros((3, 3)))

@@ -110,10 +110,6 @@ class MapSection(Section):
     def build(self, genome: Genome, population: int) -> Strategy:
         """Build the search on one island.
 
-        Args:
-            genome: layout of the genome.
-            population: number of individuals of one island.
-
         Raises:
             KeyProblem: the search is not installed, or does not fit the genome.
         """

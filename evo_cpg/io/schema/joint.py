@@ -177,12 +177,7 @@ class JointAxis(NamedTuple):
 
 
 def _are_independent(axes: list[JointAxis], joint: Triple) -> bool:
-    """Return whether the axes move a body in independent ways.
-
-    Args:
-        axes: the axes.
-        joint: position of the joint in the body's frame, m.
-    """
+    """Return whether the axes move a body in independent ways. The joint's position is in m."""
     arms = [np.subtract(axis.place, joint) if axis.place else np.zeros(3) for axis in axes]
     # Positions in units of the farthest one, so that they count like directions.
     size = max(np.linalg.norm(arms, axis=1).max(), np.finfo(float).tiny)
@@ -341,10 +336,7 @@ class JointConfig(Section):
     def build(self, parent: str, parent_centre: np.ndarray, centre: np.ndarray) -> Joint:
         """Build the joint on the given parent, in frames at the bodies' centres of mass.
 
-        Args:
-            parent: name of the parent.
-            parent_centre: centre of mass of the parent in the frame of ``at``, m.
-            centre: centre of mass of the body in the frame of ``child_at``, m.
+        The centres of mass are in the frames of ``at`` and ``child_at``, m.
         """
         rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
         axes, limits, rest = self.every_axis, [], []

@@ -72,11 +72,7 @@ class TendonConfig(Section):
         return self.rest if isinstance(self.rest, tuple) else (self.rest, self.rest)
 
     def build(self, bodies: Sequence[Copy]) -> list[Tendon]:
-        """Build the tendon, or one for each value of the placeholders in its name.
-
-        Args:
-            bodies: all bodies of the creature.
-        """
+        """Build the tendon, or one for each value of the placeholders in its name."""
         lower, upper = self.limits or (-NO_LIMIT, NO_LIMIT)
         motor: Any = self.actuator
         return [
