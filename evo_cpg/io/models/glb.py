@@ -198,7 +198,7 @@ class Glb:
         self._channels.append({"sampler": len(self._samplers) - 1, "target": target})
 
     def camera(self, name: str, angle: float, aspect: float, near: float) -> int:
-        """Add a camera. The vertical angle of view is in rad, and the least visible distance in m."""
+        """Add a camera with a vertical angle of view (rad) and the near plane's distance (m)."""
         lens = {"yfov": angle, "aspectRatio": aspect, "znear": near}
         return self._add("cameras", {"name": name, "type": "perspective", "perspective": lens})
 
