@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.decisions import Condition, Undecidable, all_hold
-from evo_cpg.creature.self_collision import PairNames, PlanPairs
+from evo_cpg.creature.self_collision import PlanPairs
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.io.build import CommonPlan, build_experiment
 from evo_cpg.io.errors import ConfigError
@@ -28,7 +28,6 @@ from evo_cpg.io.numbers import (
     with_numbers,
 )
 from evo_cpg.io.schema.experiment import ExperimentConfig
-from evo_cpg.physics.contact.pairs import Pairs
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
@@ -137,11 +136,14 @@ def _build(
         with_numbers(config, dict(zip(numbers, row, strict=True)), source)
         for row in zip(*columns, strict=True)
     ]
-
-    def with_task(simulation: Simulation, _: int) -> Simulation:
-        return dataclasses.replace(simulation, task=task) if task else simulation
-
-    return _combine(config, configs, source, ", ".join(numbers), with_task, like)
+    return _combine(
+        config,
+        configs,
+        source,
+        ", ".join(numbers),
+        lambda simulation, _: dataclasses.replace(simulation, task=task) if task else simulation,
+        like,
+    )
 
 
 def batch_of_configs(
@@ -231,9 +233,8 @@ def _with_whole_floor(batched: BatchedSimulation) -> BatchedSimulation:
 def _pairs(simulation: Simulation) -> PlanPairs:
     """Return the pairs of bodies that a simulation checks."""
     rules, names = simulation.rules, simulation.world.tree.names
-
-    def named(pairs: Pairs | None) -> PairNames:
+    found = []
+    for pairs in (simulation.world.pairs, rules.pairs if rules else None):
         both = zip(pairs.first, pairs.second, strict=True) if pairs else ()
-        return tuple(sorted((names[min(pair)], names[max(pair)]) for pair in both))
-
-    return PlanPairs(named(simulation.world.pairs), named(rules.pairs if rules else None))
+        found.append(tuple(sorted((names[min(pair)], names[max(pair)]) for pair in both)))
+    return PlanPairs(*found)

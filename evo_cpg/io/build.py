@@ -22,6 +22,7 @@ from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.io.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.io.load import located
 from evo_cpg.io.own_checks import check_own_forces, check_own_returns, check_own_strategy
+from evo_cpg.io.schema.evolution import RealEvolutionConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
 from evo_cpg.io.situations import build_situations, require_light
@@ -39,7 +40,10 @@ from evo_cpg.simulation.sensors import Sensor, place_sensors
 from evo_cpg.simulation.simulation import Rules, Simulation
 from evo_cpg.simulation.task import Task, term_names
 from evo_cpg.system import resolved, with_working_folder
-from evo_cpg.training.experiment import ExperimentParts
+from evo_cpg.training.experiment import ExperimentParts, Learning
+
+# Default number of elites that learn: a full vector on one core.
+_LEARNERS = 16
 
 
 class CommonPlan(NamedTuple):
@@ -87,6 +91,10 @@ def build_experiment(
         check_own_returns(config, simulation)
         with under("evolution"):
             strategy = _build_strategy(config, simulation)
+        learning, given = None, config.evolution
+        if isinstance(given, RealEvolutionConfig) and given.learning:
+            learners = given.learning.elites or min(_LEARNERS, given.elites)
+            learning = given.learning.into(Learning, elites=learners)
         return ExperimentParts(
             name=config.name,
             creature=creature,
@@ -96,7 +104,7 @@ def build_experiment(
             seed=config.seed,
             runs=config.runs,
             trials=config.trial_count,
-            learning=config.evolution.build_learning(),
+            learning=learning,
         )
 
 
@@ -336,12 +344,8 @@ def _refused(config: ExperimentConfig) -> Iterator[None]:
         yield
     except CreatureError as error:
         where: list[str | int] = list(error.where)
-        if len(where) > 1 and isinstance(where[1], int):
-            entry_of = {
-                "bodies": config.creature.entry_of,
-                "tendons": config.creature.entry_of_tendon,
-            }
-            where[1] = entry_of[str(where[0])](where[1])
+        if len(where) > 1 and where[0] in ("bodies", "tendons") and isinstance(where[1], int):
+            where[1] = config.creature.entry_of(where[0], where[1])
         raise KeyProblem(("creature", *where), str(error)) from None
 
 
@@ -371,14 +375,7 @@ def _build_world(
 
 
 def _build_part(given: Any, kind: type, key: Key, **about: Any) -> Any:
-    """Build a part, possibly of a user's own class.
-
-    Args:
-        given: section of the part.
-        kind: base class of such parts.
-        key: key of the section.
-        about: keyword arguments that the part may use.
-    """
+    """Build the part of a section, possibly of a user's own class, with ``about`` as arguments."""
     with under(*key):
         if isinstance(given, CustomConfig):
             return given.instance(kind, **about)

@@ -24,10 +24,8 @@ from evo_cpg.io.yaml_text import compose_yaml, lost_colour, parse_yaml, syntax_p
 def located(source: Path | str, data: Any = None) -> Iterator[None]:
     """Convert a `KeyProblem` into a `ConfigError`, with the file and line of its key.
 
-    Args:
-        source: file of the configuration.
-        data: contents of the configuration with overrides, whose values get no line. If None, no
-            error gets a line.
+    Values of ``data``, the configuration with overrides, get a line if they are those of the file.
+    If ``data`` is None, no error gets a line.
     """
 
     def is_of(written: Any, value: Any) -> bool:

@@ -127,13 +127,11 @@ def _require_sensible(path: Path) -> None:
     entries = sum(int(each["count"]) for each in arrays)
     if entries > _MOST_ENTRIES:
         raise ValueError(f"its arrays have {entries} entries. Allowed: at most {_MOST_ENTRIES}")
-
-    def triangles(mesh: dict[str, Any]) -> int:
+    own = []
+    for mesh in header.get("meshes", []):
         lists = [each for each in mesh["primitives"] if each.get("mode", 4) in _TRIANGLES]
         corners = [each.get("indices", each["attributes"]["POSITION"]) for each in lists]
-        return sum(int(arrays[i]["count"]) for i in corners) // 3
-
-    own = [triangles(mesh) for mesh in header.get("meshes", [])]
+        own.append(sum(int(arrays[i]["count"]) for i in corners) // 3)
     count = sum(own[node["mesh"]] for node in nodes if "mesh" in node)
     if count > _MOST_TRIANGLES:
         raise ValueError(f"its nodes have {count} triangles. Allowed: at most {_MOST_TRIANGLES}")

@@ -219,10 +219,7 @@ class Building:
     """
 
     def __init__(
-        self,
-        config: ExperimentConfig,
-        plan: CommonPlan = OWN_PLAN,
-        task: Task | None = None,
+        self, config: ExperimentConfig, plan: CommonPlan = OWN_PLAN, task: Task | None = None
     ):
         self.plan, self.task = plan, task
         self.own = self.known(config)
@@ -247,10 +244,7 @@ class Building:
     ) -> list[Any]:
         """Return the leaves as functions of some numbers, which may be traced.
 
-        Args:
-            config: the configuration.
-            numbers: values by key.
-            conditions: list that gets conditions under which `known` would build the same.
+        ``conditions`` is a list that gets conditions under which `known` would build the same.
 
         Raises:
             Undecidable: a condition cannot be computed from the traced numbers.

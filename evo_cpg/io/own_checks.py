@@ -350,9 +350,7 @@ def _numbers(*shape: int) -> jax.ShapeDtypeStruct:
 def _is_like(model: Any, exact: bool = False) -> Test:
     """Return a test for a pytree of arrays with the structure and shapes of a model.
 
-    Args:
-        model: the model.
-        exact: whether types must also be equal. Otherwise any real type passes.
+    If ``exact``, types must also be equal. Otherwise any real type passes.
     """
 
     def test(value: Any) -> str | None:

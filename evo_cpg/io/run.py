@@ -110,22 +110,15 @@ class Run:
         )
 
     def replay(self, champions: Sequence[Champion], trial: int, full: bool = False) -> list[Replay]:
-        """Replay individuals of the run in turn, with one program.
+        """Replay individuals of the run in turn, with one program. Trials count from 0.
 
-        Args:
-            champions: the individuals.
-            trial: number of the recorded trial, from 0.
-            full: whether to record all quantities, see `evo_cpg.simulation.recording.Recorder`.
+        ``full`` records all quantities (see `evo_cpg.simulation.recording.Recorder`).
         """
         return list(map(compile_replay(self.experiment, self.devices, trial, full), champions))
 
 
 def open_run(run: Path | str, build: Callable[..., ExperimentParts] = build_experiment) -> Run:
-    """Read a run folder and build its experiment.
-
-    Args:
-        run: the folder.
-        build: `build_experiment`, or a variant that shows its progress.
+    """Read a run folder and build its experiment, by `build_experiment` or a variant of it.
 
     Raises:
         RunFolderError: the folder holds no run.
@@ -245,9 +238,7 @@ def changes_of_fitness(before: Any, config: ExperimentConfig) -> list[str]:
 def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
     """Return the differences between two fingerprints: configuration keys, then modules.
 
-    Args:
-        before: earlier fingerprint, in which missing kinds are ignored.
-        now: current fingerprint.
+    Kinds that are missing in the earlier fingerprint are ignored.
     """
     found = []
     for kind, prefix in (("config", ""), ("code", _SOURCE)):

@@ -53,9 +53,7 @@ def read_settings(path: Path) -> dict[str, Values]:
 def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> list[Setting]:
     """Return all combinations of the grid with each of the named settings.
 
-    Args:
-        grid: values of each key.
-        named: settings by name (if empty, the grid is used alone).
+    If there are no named settings, the grid is used alone.
 
     Raises:
         ValueError: there are too many settings, two have the same name, or a key of the grid

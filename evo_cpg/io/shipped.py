@@ -79,9 +79,7 @@ def shipped(name: str) -> Shipped:
 def find_config(given: Path | str, folders: bool = False) -> Path:
     """Return the file of a configuration: an existing file, or else the shipped one by name.
 
-    Args:
-        given: path, or name without a folder and a suffix.
-        folders: whether the path may also be a folder, of a run or a sweep.
+    If ``folders``, the path may also be a folder, of a run or a sweep.
 
     Raises:
         ConfigError: a name exists neither in the working folder nor among the shipped names.

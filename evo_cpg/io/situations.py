@@ -106,11 +106,7 @@ def build_situations(
 def _require_resolved(creature: Creature, place: Triple, h: Number, start: Key) -> None:
     """Check that float32 resolves the motion at the start.
 
-    Args:
-        creature: the creature.
-        place: position of the start, m. Known numbers are checked, and traced ones are not.
-        h: physics step, s.
-        start: key of x and y.
+    The position is in m, and the physics step ``h`` in s. Traced numbers are not checked.
 
     Raises:
         KeyProblem: the start is too far from the origin.
@@ -224,26 +220,24 @@ def _start_height(
         if not is_traced(world, x, y, heading, height):
             return found
 
-        def stopped(numbers: Any) -> Any:
-            return jax.tree.map(
-                lambda leaf: jax.lax.stop_gradient(leaf) if is_traced(leaf) else leaf, numbers
-            )
-
-        def stopped_gap(here: Array) -> tuple[Array, Array]:
-            return _gap(stopped(world), stopped(x), stopped(y), stopped(heading), here)
+        stopped: list[Any] = jax.tree.map(
+            lambda leaf: jax.lax.stop_gradient(leaf) if is_traced(leaf) else leaf,
+            [world, x, y, heading],
+        )
 
         def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             count, here, missing = carry
-            here = here + missing / stopped_gap(here)[1]
-            return count + 1, here, clearance - stopped_gap(here)[0]
-
-        def is_apart(carry: tuple[Array, Array, Array]) -> Array:
-            return (abs(carry[2]) >= accuracy(found)) & (carry[0] < _START_STEPS)
+            here = here + missing / _gap(*stopped, height=here)[1]
+            return count + 1, here, clearance - _gap(*stopped, height=here)[0]
 
         begin = jnp.asarray(found, float)
         clearance = jax.lax.stop_gradient(jnp.asarray(start_clearance, float))
-        missing = clearance - stopped_gap(begin)[0]
-        _, here, _ = jax.lax.while_loop(is_apart, step, (jnp.asarray(0), begin, missing))
+        missing = clearance - _gap(*stopped, height=begin)[0]
+        _, here, _ = jax.lax.while_loop(
+            lambda carry: (abs(carry[2]) >= accuracy(found)) & (carry[0] < _START_STEPS),
+            step,
+            (jnp.asarray(0), begin, missing),
+        )
         # This Newton step makes the height depend on the traced numbers.
         reached, rise = _gap(world, x, y, heading, here)
         return here + (start_clearance - reached) / jax.lax.stop_gradient(rise)

@@ -154,9 +154,7 @@ def own_parts(config: ExperimentConfig) -> dict[Key, CustomConfig]:
 def require_code(config: ExperimentConfig, folders: Iterable[Path]) -> None:
     """Check that the modules of a user's own classes can be found, without importing them.
 
-    Args:
-        config: configuration that names the classes.
-        folders: folders that may contain the modules, searched only if they are trusted.
+    The folders are searched only if they are trusted.
 
     Raises:
         KeyProblem: a module cannot be found, or another module of its name would be imported.

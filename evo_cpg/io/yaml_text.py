@@ -115,13 +115,13 @@ for _tag, _pattern in _NUMBERS.items():
     _Dumper.add_implicit_resolver(_tag, _pattern, _DIGITS)
 
 
-def _write_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    """Write text, in double quotation marks if YAML would read a character as a line end."""
-    style = '"' if any(end in text for end in _LINE_ENDS) else None
-    return dumper.represent_scalar(_TEXT, text, style=style)
-
-
-_Dumper.add_representer(str, _write_text)
+# Text is in double quotation marks if YAML would read one of its characters as a line end.
+_Dumper.add_representer(
+    str,
+    lambda dumper, text: dumper.represent_scalar(
+        _TEXT, text, style='"' if any(end in text for end in _LINE_ENDS) else None
+    ),
+)
 
 
 def parse_yaml(text: str) -> Any:

@@ -36,18 +36,12 @@ def creature(**body) -> CreatureConfig:
         ({"shape": None}, "mass: is missing, and a body without a shape"),
         ({"shape": None, "mass": 1}, "inertia: is missing, and a body without a shape"),
         ({"mass": 0}, "mass: must be positive, except for a body without a shape"),
-        (
-            {"mass": 1, "inertia": [1, 1, 1, 2, 0, 0]},
-            "its principal moments must be positive, got -1, 1, 3 kg m^2",
-        ),
-        (
-            {"mass": 1, "inertia": [1, 1, 3, 0, 0, 0]},
-            "the largest principal moment must not exceed the sum of the others, got 1, 1, 3",
-        ),
+        ({"mass": 1, "inertia": [1, 1, 1, 2, 0, 0]}, "inertia: .*positive, got -1, 1, 3"),
+        ({"mass": 1, "inertia": [1, 1, 3, 0, 0, 0]}, "inertia: .*sum .*got 1, 1, 3"),
     ],
 )
 def test_masses_and_inertias_of_no_body_are_refused(body, words):
-    with pytest.raises(ValidationError, match=words.replace("^", r"\^")):
+    with pytest.raises(ValidationError, match=words):
         creature(**body)
 
 
@@ -78,11 +72,8 @@ def test_a_creature_needs_a_shape():
 
 def test_a_mass_alone_sets_one_density():
     """All shapes get the mass over the sum of their volumes."""
-    part = {
-        "shape": {"type": "box", "size": [0.1, 0.1, 0.1]},
-        "at": [0, 0, 0.2],
-        "material": "bone",
-    }
+    box = {"type": "box", "size": [0.1, 0.1, 0.1]}
+    part = {"shape": box, "at": [0, 0, 0.2], "material": "bone"}
     head, box, _ = creature(mass=3.0, parts=[part]).build().bodies
     assert float(head.mass + box.mass) == pytest.approx(3.0)
     assert float(head.material.density) == pytest.approx(float(box.material.density))

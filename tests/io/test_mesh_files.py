@@ -131,10 +131,7 @@ def test_vertices_and_faces_can_be_in_the_configuration(folder):
         ("shape.file=nowhere.stl", "shape.file: nowhere.stl: no such file"),
         ("shape.file=head.step", "file: head.step: '.step' is not known. Allowed: .glb, .obj"),
         ("shape.file=3", "shape.file: 3: must be text"),
-        (
-            "shape.scale=big",
-            "shape.scale: 'big': must be a number or a list of 3 numbers",
-        ),
+        ("shape.scale=big", "shape.scale: 'big': must be a number or a list of 3 numbers"),
         ("shape.scale=100000000000000000000", "scale: 1(0*): must be less than 1000000000"),
         ("shape.scale=.nan", "scale: nan: must be less than 1000000000"),
         ("shape.scale=[1, 2]", r"scale: \[1, 2\]: must be a number or a list of 3 numbers"),
@@ -271,7 +268,7 @@ def test_other_formats_give_the_same_body(folder, suffix):
         content if isinstance(content, bytes) else content.encode()
     )
     config = load(folder, f"creature.bodies.1.shape={{type: mesh, file: box.{suffix}}}")
-    shape = config.creature.bodies[1].shape.build()
+    shape = config.creature.bodies[1].shape.build()[0][0]
     np.testing.assert_allclose(2 * shape.half_extents, SIZE, rtol=1e-6)
 
 
@@ -286,7 +283,7 @@ def test_all_nodes_of_a_glb_are_one_mesh(folder):
     given = "creature.bodies.1.shape={type: mesh, file: two.glb%s}"
     with pytest.raises(ConfigError, match="it consists of 2 separate pieces"):
         load(folder, given % "")
-    shape = load(folder, given % ", hull: true").creature.bodies[1].shape.build()
+    shape = load(folder, given % ", hull: true").creature.bodies[1].shape.build()[0][0]
     np.testing.assert_allclose(2 * shape.half_extents, [0.1, 1.3, 0.2], rtol=1e-6)
 
 
@@ -295,7 +292,7 @@ def test_the_hull_of_a_fine_mesh_has_few_triangles(folder):
     ball = trimesh.creation.icosphere(4, radius=0.1)
     ball.export(folder / "ball.stl")
     given = "creature.bodies.1.shape={type: mesh, file: ball.stl, hull: true}"
-    shape = load(folder, given).creature.bodies[1].shape.build()
+    shape = load(folder, given).creature.bodies[1].shape.build()[0][0]
     assert len(shape.faces) <= 2000
     assert shape.volume == pytest.approx(ball.volume, rel=0.01)
 

@@ -162,54 +162,38 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
         (["simulation.trials={}"], "", "list"),
         (["simulation.trials=[3]"], "simulation.trials.0", "section"),
         (["simulation.trials=[{}, {strat: [1, 2]}]"], "simulation.trials.1.strat", "'start'"),
-        (
-            ["simulation.trials=[{light: {bearing: 3}}]"],
-            "simulation.trials.0.light.bearing",
-            "_deg",
-        ),
-        (
-            ["simulation.trials=[{light: {distance: -1}}]"],
-            "simulation.trials.0.light.distance",
-            "-1",
-        ),
-        (["simulation.trials=[{light: {distance: '5'}}]"], "simulation.trials.0.light", "a number"),
+        (["simulation.trials=[{light: {bearing: 3}}]"], "0.light.bearing", "_deg"),
+        (["simulation.trials=[{light: {distance: -1}}]"], "0.light.distance", "-1"),
+        (["simulation.trials=[{light: {distance: '5'}}]"], "0.light", "a number"),
         (
             ["simulation.trials=[{light: {at: [0, 0, 1], bearing_deg: 0}}]"],
-            "simulation.trials.0.light",
+            "0.light",
             "bearing_deg",
         ),
         (["task.light.at=[0, 0, 1]"], "task.light", "distance, bearing_deg"),
         (
             ["task={type: distance}", "simulation.trials=[{}, {light: {distance: 3}}]"],
-            "simulation.trials.1.light",
+            "1.light",
             "no light",
         ),
-        (
-            ["simulation.trials=[{light: {distance: 10000}}]"],
-            "simulation.trials.0.light",
-            "1000 times",
-        ),
+        (["simulation.trials=[{light: {distance: 10000}}]"], "0.light", "1000 times"),
         (["task.light={at: [9e9, 0, 0]}"], "task.light", "9e+09"),
         (["task.light={at: [0, 0, 0]}"], "task.light", "starts"),
         (
             ["world.ground={}", "simulation.trials=[{}, {light: {elevation_deg: -60}}]"],
-            "simulation.trials.1.light",
+            "1.light",
             "deep",
         ),
         (["world.ground={}", "task.light={at: [1, 0, -0.5]}"], "task.light", "0.5 m deep"),
         (["world.ground={}", STONE, "task.light={at: [4, 0, 2]}"], "task.light", "1 m deep"),
-        (
-            ["world.ground={}", STONE, "simulation.trials=[{}, {start: [4, 0]}]"],
-            "simulation.trials.1.start",
-            "stand",
-        ),
+        (["world.ground={}", STONE, "simulation.trials=[{}, {start: [4, 0]}]"], "1.start", "stand"),
         (
             ["world.ground={}", STONE, "simulation.trials=[{}]", "simulation.start=[4, 0]"],
             "simulation.start",
             "stand",
         ),
         (["simulation.start=[0, -1e5]"], "simulation.start", "float32"),
-        (["simulation.trials=[{}, {start: [5e5, 5e6]}]"], "simulation.trials.1.start", "float32"),
+        (["simulation.trials=[{}, {start: [5e5, 5e6]}]"], "1.start", "float32"),
         (["world.ground={floor: {height: 3e4}}"], "world.ground.floor", "float32"),
     ],
 )
@@ -217,7 +201,7 @@ def test_invalid_situations_and_lights_are_rejected(overrides, key, word):
     key = key or overrides[-1].partition("=")[0]
     with pytest.raises(ConfigError) as refused:
         built(*overrides)
-    assert f": {key}" in str(refused.value) and word in str(refused.value)
+    assert key in str(refused.value) and word in str(refused.value)
 
 
 @pytest.mark.parametrize("height", [300, pytest.param(3000, marks=pytest.mark.slow)])

@@ -10,6 +10,8 @@ from evo_cpg.io.numbers import number_at, number_keys, with_numbers
 from tiny_run import CONFIG, TINY
 
 NONE = "creature.bodies.1.joint.actuator=null"
+# The beginning of a tendon, with its joints.
+SPAN, FIRST, GAIN = "{name: a, joints: {%s}", "segment1.x: 1", "actuator: {gain: 1}"
 
 
 def loaded(*tendons: str):
@@ -58,25 +60,18 @@ def test_motors_of_tendons_command_their_own_kind():
 @pytest.mark.parametrize(
     ("tendon", "words"),
     [
-        ("{name: a, joints: {segment1.w: 1}}", "tendons.0.joints.*did you mean 'segment1.[xyz]'"),
-        ("{name: a, joints: {segment1: 1}}", "'segment1' must be a body and an axis"),
-        ("{name: a, joints: {segment1.x: 0}}", "coefficient of 'segment1.x' must not be 0"),
-        ("{name: a, joints: {}}", "tendons.0.joints"),
-        ("{name: a, joints: {segment1.x: 1}, rest: [2, 1]}", "rest: 2 is above 1"),
-        ("{name: a, joints: {segment1.x: 1}, limits: [1, 1]}", "limits: 1 is not below 1"),
-        ("{name: 'a{j}', joints: {segment1.x: 1}}", "no joint of 'a{j}' gives values"),
+        (f"{SPAN % 'segment1.w: 1'}}}", "0.joints.*did you mean 'segment1.[xyz]'"),
+        (f"{SPAN % 'segment1: 1'}}}", "'segment1' .* axis"),
+        (f"{SPAN % 'segment1.x: 0'}}}", "'segment1.x' .* 0"),
+        (f"{SPAN % ''}}}", "tendons.0.joints"),
+        (f"{SPAN % FIRST}, rest: [2, 1]}}", "rest: 2"),
+        (f"{SPAN % FIRST}, limits: [1, 1]}}", "limits: 1"),
+        ("{name: 'a{j}', joints: {segment1.x: 1}}", "'a{j}'"),
+        (f"{SPAN % FIRST}, actuator: {{type: muscle, area: 1}}}}", "tendons.0.actuator"),
+        (f"{SPAN % FIRST}}}, {SPAN % 'segment2.x: 1'}}}", "tendons.1.name.*'a'"),
         (
-            "{name: a, joints: {segment1.x: 1}, actuator: {type: muscle, area: 1}}",
-            "tendons.0.actuator",
-        ),
-        (
-            "{name: a, joints: {segment1.x: 1}}, {name: a, joints: {segment2.x: 1}}",
-            "tendons.1.name.*two tendons are called 'a'",
-        ),
-        (
-            "{name: a, joints: {segment1.x: 1}, actuator: {gain: 1}}, "
-            "{name: b, joints: {segment1.x: 2}, actuator: {gain: 1}}",
-            "tendons.1.actuator.*each of its joints",
+            f"{SPAN % FIRST}, {GAIN}}}, {{name: b, joints: {{segment1.x: 2}}, {GAIN}}}",
+            "tendons.1.actuator",
         ),
     ],
 )

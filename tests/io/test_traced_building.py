@@ -76,91 +76,67 @@ def check_elements(config, keys, accuracy=1e-14):
     return parameters
 
 
-@pytest.mark.usefixtures("x64")
-@pytest.mark.slow
-def test_elements_of_a_swimmer():
-    settings = (
-        "world.water.added_mass=true",
-        "simulation.substeps=1",
-        "creature.bodies.1.joint.rotation_deg=[3, 5, 4]",
-    )
-    config = load_config(CONFIG, [*TINY, *settings])
-    keys = [
-        "world.water.density",
-        "creature.materials.body.density",
-        "creature.bodies.0.shape.size.0",
-        "creature.bodies.1.shape.size.0",
-        "creature.bodies.1.joint.at.0",
-        "creature.bodies.1.joint.rotation_deg.2",
-        "creature.bodies.1.joint.actuator.gain",
-        "creature.light_sensors.0.field_of_view_deg",
-        "simulation.start_heading_deg",
-        "task.light.bearing_deg",
-        "controller.cpg.child_weight",
+JOINT = "creature.bodies.1.joint"
+MOTOR = f"{JOINT}.actuator"
+TENDONS = (
+    "creature.tendons=[{name: a, joints: {segment1.x: 1, segment2.z: -0.5}, stiffness: 1, "
+    "rest: [-0.1, 0.2], friction_loss: 0.1, limits: [-1, 0.5], armature: 0.01, "
+    "actuator: {gain: 3, stiffness: 2, torque_limit: 4}}, "
+    "{name: b, joints: {segment2.y: 2}, actuator: {type: torque, gear: 2}}]"
+)
+# Settings of a swimmer, and the traced numbers: names below the first key, and whole keys.
+SWIMMERS = {
+    "swimmer": (
+        ["world.water.added_mass=true", f"{JOINT}.rotation_deg=[3, 5, 4]"],
+        (JOINT, "at.0 rotation_deg.2 actuator.gain"),
+        "world.water.density creature.materials.body.density creature.bodies.0.shape.size.0 "
+        "creature.bodies.1.shape.size.0 creature.light_sensors.0.field_of_view_deg "
+        "simulation.start_heading_deg task.light.bearing_deg controller.cpg.child_weight "
         "controller.steering_range",
-    ]
-    check_elements(config, keys)
+    ),
+    "torque motors": (
+        [f"{MOTOR}={{type: torque, gear: 2, torque_limit: 3}}"],
+        (MOTOR, "gear torque_limit"),
+        "",
+    ),
+    "tendons": (
+        [f"{MOTOR}=null", TENDONS],
+        (
+            "creature.tendons.0",
+            "joints.segment2.z stiffness rest.1 friction_loss limits.0 armature actuator.gain "
+            "actuator.torque_limit",
+        ),
+        "creature.tendons.1.actuator.gear creature.bodies.0.shape.size.0",
+    ),
+    "single axes": (
+        [
+            *(f"{JOINT}.axes=[y, z]", f"{JOINT}.limits_deg=[null, [-50, 40]]"),
+            *(f"{JOINT}.stiffness=[1, 2]", f"{JOINT}.rest_deg=[20, -10]"),
+            *(f"{JOINT}.armature=[0, 0.01]", f"{MOTOR}=[{{type: torque, gear: 2}}, {{gain: 3}}]"),
+        ],
+        (JOINT, "limits_deg.1.0 stiffness.1 rest_deg.0 armature.1 actuator.1.gain actuator.0.gear"),
+        "",
+    ),
+    "muscles": (
+        [f"{MOTOR}={{type: muscle, area: 2e-4, arm: 0.02, fibre_length: 0.05}}"],
+        (MOTOR, "area arm fibre_length stress bend_deg tone curvature max_speed damping_time"),
+        "",
+    ),
+    "reactive thrust": (
+        ["world.water.reactive_thrust=true"],
+        (JOINT, "at.0"),
+        "world.water.density creature.bodies.0.shape.size.0",
+    ),
+}
 
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.slow
-def test_numbers_of_torque_motors():
-    motor = "creature.bodies.1.joint.actuator"
-    config = load_config(CONFIG, [*TINY, f"{motor}={{type: torque, gear: 2, torque_limit: 3}}"])
-    check_elements(config, [f"{motor}.gear", f"{motor}.torque_limit"])
-
-
-@pytest.mark.usefixtures("x64")
-@pytest.mark.slow
-def test_numbers_of_tendons():
-    settings = (
-        "creature.bodies.1.joint.actuator=null",
-        "creature.tendons=[{name: a, joints: {segment1.x: 1, segment2.z: -0.5}, stiffness: 1, "
-        "rest: [-0.1, 0.2], friction_loss: 0.1, limits: [-1, 0.5], armature: 0.01, "
-        "actuator: {gain: 3, stiffness: 2, torque_limit: 4}}, "
-        "{name: b, joints: {segment2.y: 2}, actuator: {type: torque, gear: 2}}]",
-        "simulation.substeps=1",
-    )
-    first = "creature.tendons.0"
-    names = "joints.segment2.z", "stiffness", "rest.1", "friction_loss", "limits.0", "armature"
-    keys = [f"{first}.{name}" for name in (*names, "actuator.gain", "actuator.torque_limit")]
-    keys += ["creature.tendons.1.actuator.gear", "creature.bodies.0.shape.size.0"]
-    check_elements(load_config(CONFIG, [*TINY, *settings]), keys)
-
-
-@pytest.mark.usefixtures("x64")
-@pytest.mark.slow
-def test_numbers_of_single_axes():
-    joint = "creature.bodies.1.joint"
-    given = {
-        "axes": "[y, z]",
-        "limits_deg": "[null, [-50, 40]]",
-        "stiffness": "[1, 2]",
-        "rest_deg": "[20, -10]",
-        "armature": "[0, 0.01]",
-        "actuator": "[{type: torque, gear: 2}, {gain: 3}]",
-    }
-    config = load_config(CONFIG, [*TINY, *(f"{joint}.{name}={x}" for name, x in given.items())])
-    keys = "limits_deg.1.0", "stiffness.1", "rest_deg.0", "armature.1", "actuator.1.gain"
-    check_elements(config, [f"{joint}.{key}" for key in (*keys, "actuator.0.gear")])
-
-
-@pytest.mark.usefixtures("x64")
-@pytest.mark.slow
-def test_numbers_of_muscles():
-    motor = "creature.bodies.1.joint.actuator"
-    muscle = f"{motor}={{type: muscle, area: 2e-4, arm: 0.02, fibre_length: 0.05}}"
-    names = "area", "arm", "fibre_length", "stress", "bend_deg", "tone", "curvature", "max_speed"
-    keys = [f"{motor}.{name}" for name in (*names, "damping_time")]
-    check_elements(load_config(CONFIG, [*TINY, muscle, "simulation.substeps=1"]), keys)
-
-
-@pytest.mark.usefixtures("x64")
-@pytest.mark.slow
-def test_numbers_of_a_swimmer_with_reactive_thrust():
-    settings = ("world.water.reactive_thrust=true", "simulation.substeps=1")
-    keys = ["world.water.density", "creature.bodies.0.shape.size.0", "creature.bodies.1.joint.at.0"]
-    check_elements(load_config(CONFIG, [*TINY, *settings]), keys)
+@pytest.mark.parametrize("name", SWIMMERS)
+def test_elements_of_a_swimmer(name):
+    settings, (first, names), others = SWIMMERS[name]
+    config = load_config(CONFIG, [*TINY, "simulation.substeps=1", *settings])
+    check_elements(config, [*(f"{first}.{each}" for each in names.split()), *others.split()])
 
 
 SHAPES = """

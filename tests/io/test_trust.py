@@ -163,11 +163,7 @@ def test_too_large_file_is_not_read(tmp_path):
 
 
 def test_array_with_a_too_large_header_is_rejected(tmp_path):
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        header, {"descr": "<f8", "fortran_order": False, "shape": (10**6, 10**6)}
-    )
-    (tmp_path / "a.npy").write_bytes(header.getvalue() + bytes(64))
+    (tmp_path / "a.npy").write_bytes(npy(np.zeros(8), shape=(10**6, 10**6)))
     path = written(
         tmp_path, "name: x\nworld: {ground: {floor: {type: relief, file: a.npy, spacing: 1}}}\n"
     )

@@ -58,11 +58,7 @@ VALUES = [
     ("controller.cpg", {"couplings": [{"source": "tail.z", "wieght": 1}]}, ".wieght"),
     ("controller.cpg", {"rings": [{"oscillators": ["tail.z"], "lag_deg": 0}]}, "two"),
     ("controller.cpg", {"rings": [{"oscillators": ["tail.z"]}]}, "lag_deg: is missing"),
-    (
-        "controller.cpg",
-        {"rings": [{"oscillators": ["tail.z"], "lag_deg": 0, "weight": -1}]},
-        "weight",
-    ),
+    ("controller.cpg.rings", [{"oscillators": ["tail.z"], "lag_deg": 0, "weight": -1}], "weight"),
     ("controller.brain.hiden", [4], "'hidden'"),
     ("controller.brain.hidden", 3, "a list of whole numbers"),
     ("controller.brain.hidden", [0], "one unit"),

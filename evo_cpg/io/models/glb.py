@@ -63,7 +63,7 @@ class Glb:
             glow: whether the material emits light.
             texture: texture that is multiplied by the colour.
         """
-        linear = linear_color(color)
+        linear = _linear(color).tolist()
         surface: dict[str, Any] = {
             "baseColorFactor": [*linear, alpha],
             "metallicFactor": 0.0,
@@ -155,11 +155,7 @@ class Glb:
     def node(self, name: str, parent: Node | None = None, **properties: Any) -> Node:
         """Add a node. Without a parent it is a root of the scene.
 
-        Args:
-            name: name of the node.
-            parent: parent node, which moves this one.
-            properties: properties of the specification: `mesh`, `skin`, `camera`, `translation`,
-                `rotation`, `extensions`.
+        ``properties`` are those of the specification, such as `mesh`, `skin` and `translation`.
         """
         node = self._add("nodes", {"name": name, **properties})
         nodes = self.document["nodes"]
@@ -193,41 +189,24 @@ class Glb:
     def animate(self, node: Node, path: str, times: int, values: np.ndarray) -> None:
         """Move a node, linearly from instant to instant (quaternions along great circles).
 
-        Args:
-            node: node to move.
-            path: ``translation`` (m) or ``rotation`` (quaternion x, y, z, w).
-            times: instants from `times`.
-            values: one value at each instant.
+        ``path`` is ``translation`` (m) or ``rotation`` (quaternion x, y, z, w), with one value at
+        each instant from `times`.
         """
-        sampler = {
-            "input": times,
-            "output": self._floats(values, None),
-            "interpolation": "LINEAR",
-        }
+        sampler = {"input": times, "output": self._floats(values, None), "interpolation": "LINEAR"}
         self._samplers.append(sampler)
         target = {"node": node, "path": path}
         self._channels.append({"sampler": len(self._samplers) - 1, "target": target})
 
     def camera(self, name: str, angle: float, aspect: float, near: float) -> int:
-        """Add a camera, and return the value of its node's `camera`.
-
-        Args:
-            name: name of the camera.
-            angle: full vertical angle of view, rad.
-            aspect: width of the picture over its height.
-            near: least visible distance, m.
-        """
+        """Add a camera with a vertical angle of view (rad) and the near plane's distance (m)."""
         lens = {"yfov": angle, "aspectRatio": aspect, "znear": near}
         return self._add("cameras", {"name": name, "type": "perspective", "perspective": lens})
 
     def light(self, name: str, kind: str, color: np.ndarray, intensity: float) -> dict[str, Any]:
         """Add a lamp (KHR_lights_punctual), and return the extensions of its node.
 
-        Args:
-            name: name of the lamp.
-            kind: ``directional`` (along the node's -z; lux) or ``point`` (candela).
-            color: red, green and blue as on a screen (sRGB), 0 to 1.
-            intensity: intensity in the unit of the kind.
+        The kind is ``directional`` (along the node's -z, in lux) or ``point`` (in candela). The
+        colour is red, green and blue as on a screen (sRGB), 0 to 1.
         """
         extension = "KHR_lights_punctual"
         used = self.document.setdefault("extensionsUsed", [])
@@ -237,7 +216,7 @@ class Glb:
         shone = {
             "name": name,
             "type": kind,
-            "color": linear_color(color),
+            "color": _linear(color).tolist(),
             "intensity": intensity,
         }
         lights["lights"].append(shone)
@@ -283,10 +262,7 @@ class Glb:
         return self._add("bufferViews", view)
 
 
-def linear_color(color: Float[np.ndarray, "3"]) -> list[float]:
+def _linear(color: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Convert red, green and blue of a screen (sRGB) to linear light, 0 to 1 (IEC 61966-2-1)."""
-    return _linear(np.asarray(color, float)).tolist()
-
-
-def _linear(color: np.ndarray) -> np.ndarray:
+    color = np.asarray(color, float)
     return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)

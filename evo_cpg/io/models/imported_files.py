@@ -17,14 +17,7 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("count"
 
 
 def write_imported(imported: Imported, source: Path, output: Path, alone: bool) -> list[Path]:
-    """Write an experiment, or its creature alone, and return the files.
-
-    Args:
-        imported: result of the import.
-        source: file that was read, for the head.
-        output: YAML file to write.
-        alone: whether to write the creature alone.
-    """
+    """Write an experiment, or its creature ``alone``, and return the files."""
     data = imported.experiment["creature"] if alone else imported.experiment
     folder = output.with_name(f"{output.stem}_meshes")
     written: dict[str, bytes] = {}

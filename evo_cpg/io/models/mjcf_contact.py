@@ -13,7 +13,7 @@ have laws of their own.
 """
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,20 +34,12 @@ _STEEPEST = 0.5
 _RULES: tuple[Combination, ...] = ("max", "geometric", "multiply", "average", "min")
 
 
-def touches_nothing(compiled: Compiled) -> bool:
-    """Return whether flags switch all contacts off."""
-    return compiled.disabled("contact", "constraint")
-
-
 def read_ground(
     compiled: Compiled, placed: Sequence[Placed], fixed: Sequence[int]
 ) -> tuple[dict[str, Any] | None, list[int], dict[int, float]]:
     """Return the ground's keys, or None, fixed geoms beside it, and materials' frictions, by geom.
 
-    Args:
-        compiled: the model.
-        placed: bodies of the animal.
-        fixed: MuJoCo's numbers of the geoms around the animal.
+    ``fixed`` are MuJoCo's numbers of the geoms around the animal.
     """
     model = compiled.model
     own = [solid.geom for body in placed for solid in body.solids]
@@ -55,14 +47,20 @@ def read_ground(
     planes = [g for g in fixed if int(model.geom_type[g]) == compiled.mujoco.mjtGeom.mjGEOM_PLANE]
     touched = [g for g in planes if any(_friction(compiled, g, other) is not None for other in own)]
     geom = _floor(compiled, touched, placed[0].centre)
-    if geom is None or touches_nothing(compiled):
+    if geom is None or compiled.disabled("contact", "constraint"):
         return None, list(fixed), frictions
     required = {g: _friction(compiled, geom, g) for g in own}
     above = [str(compiled.item("geom", g)) for g, value in required.items() if value is None]
     if above:
         compiled.refusals.leave_out("passage through the ground", *above)
     given = {g: value for g, value in required.items() if value is not None}
-    _name_directions(compiled, geom, given)
+    # A pair may have another friction in each of two directions, of which the first one counts.
+    pairs = [_pair(compiled, geom, g) for g in given]
+    for pair in (pair for pair in pairs if pair is not None):
+        first, second = model.pair_friction[pair, :2]
+        if first != second and model.pair_dim[pair] > 1:
+            words = f"its friction, {first:g} and {second:g} in two directions, becomes {first:g}"
+            compiled.refusals.change(str(compiled.item("pair", pair)), words)
     rule, friction, materials = _friction_keys(
         frictions, tidy(float(model.geom_friction[geom, 0])), given
     )
@@ -82,16 +80,6 @@ def read_ground(
             item = compiled.item("geom", other)
             compiled.refusals.leave_out(f"{item} (a second plane, tilted by {lean:.3g} degrees)")
     return keys, [g for g in fixed if g not in touched], materials
-
-
-def _name_directions(compiled: Compiled, floor: int, geoms: Iterable[int]) -> None:
-    """Report the pairs of the floor whose friction differs between two directions."""
-    pairs = [pair for geom in geoms if (pair := _pair(compiled, floor, geom)) is not None]
-    for pair in pairs:
-        first, second = compiled.model.pair_friction[pair, :2]
-        if first != second and compiled.model.pair_dim[pair] > 1:
-            words = f"its friction, {first:g} and {second:g} in two directions, becomes {first:g}"
-            compiled.refusals.change(str(compiled.item("pair", pair)), words)
 
 
 def _floor(compiled: Compiled, planes: Sequence[int], root: np.ndarray) -> int | None:
@@ -131,10 +119,7 @@ def _friction_keys(
 ) -> tuple[Combination, float, dict[int, float]]:
     """Return the rule, the ground's friction, and the materials' frictions, by geom.
 
-    Args:
-        own: friction of each geom.
-        floor: friction of the ground's geom.
-        required: friction of each geom on the ground.
+    ``own`` is the friction of each geom, and ``required`` the friction that it has on the ground.
     """
     for rule in _RULES:
         found = [float(combine(rule, own[g], floor)) for g in required]
@@ -151,7 +136,7 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
 
     Bodies touch with all their shapes if any of the shapes touch.
     """
-    if touches_nothing(compiled):
+    if compiled.disabled("contact", "constraint"):
         return False
     meeting, rubs, apart, added = False, False, [], []
     partners: dict[str, int] = {body.name: 0 for body in placed if body.solids}

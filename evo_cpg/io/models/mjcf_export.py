@@ -136,9 +136,7 @@ def mjcf_model(
 def _positions(creature: Creature, q: Sequence[float]) -> dict[str, list[float]]:
     """Return MuJoCo's position of each joint, by its name.
 
-    Args:
-        creature: the creature.
-        q: coordinates of its joints, in the order of its `Tree`.
+    ``q`` are the coordinates of its joints, in the order of its `Tree`.
     """
     found: dict[str, list[float]] = {}
     values = iter(q)

@@ -154,11 +154,7 @@ LEFT_OUT = {
 }
 
 # Counts of elements that no creature has, and their names. All of them change the motion.
-REFUSED_COUNTS = {
-    "neq": "equality",
-    "nflex": "flex",
-    "nplugin": "plugin",
-}
+REFUSED_COUNTS = {"neq": "equality", "nflex": "flex", "nplugin": "plugin"}
 
 # Counts of elements without a part in the motion.
 COUNTS = {
@@ -214,20 +210,8 @@ def require_numbers(compiled: Compiled) -> None:
         compiled.refusals.check()
 
 
-def refuse_fields(compiled: Compiled) -> None:
-    """Refuse elements of the animal with a field that has another value than in `REFUSED`."""
-    for word, item in _unusual(compiled, REFUSED):
-        item.refuse(f"it has {word}", f"no {word}")
-
-
-def leave_out_fields(compiled: Compiled) -> None:
-    """Name fields of contacts and limits with other values than in `LEFT_OUT`."""
-    for word, item in _unusual(compiled, LEFT_OUT):
-        compiled.refusals.leave_out(word, str(item))
-
-
-def _unusual(compiled: Compiled, table: dict[str, Neutral]) -> Iterator[tuple[str, Item]]:
-    """Yield the attribute and the element of each value with an effect."""
+def unusual_fields(compiled: Compiled, table: dict[str, Neutral]) -> Iterator[tuple[str, Item]]:
+    """Yield the attribute and the element of each value that differs from the table's."""
     for field, (kind, word, values) in table.items():
         found = getattr(compiled.model, field, None)
         if found is None or not len(found):

@@ -39,11 +39,12 @@ from evo_cpg.io.models.mjcf_contact import (
     read_self_collision,
 )
 from evo_cpg.io.models.mjcf_fields import (
+    LEFT_OUT,
+    REFUSED,
     leave_out_elements,
-    leave_out_fields,
     refuse_elements,
-    refuse_fields,
     require_numbers,
+    unusual_fields,
 )
 from evo_cpg.io.models.mjcf_joints import read_joint, read_tendons, refuse_effects_on_free_root
 from evo_cpg.io.models.mjcf_motors import read_motors
@@ -112,7 +113,8 @@ def read_model(
     refusals = compiled.refusals
     require_numbers(compiled)
     refuse_elements(compiled)
-    refuse_fields(compiled)
+    for word, item in unusual_fields(compiled, REFUSED):
+        item.refuse(f"it has {word}", f"no {word}")
     motors, tendon_motors = read_motors(compiled, motor_gain)
     rigids: list[Rigid] = []
     with refusals.collecting():
@@ -135,7 +137,8 @@ def read_model(
             refusals.leave_out("scenery", str(compiled.item("geom", geom)))
         elif owner in members and geom not in shown:
             refusals.leave_out("drawing", str(compiled.item("geom", geom)))
-    leave_out_fields(compiled)
+    for word, item in unusual_fields(compiled, LEFT_OUT):
+        refusals.leave_out(word, str(item))
     leave_out_elements(compiled)
     joints = {body.name: body.rigid.joints for body in placed if body.rigid.joints}
     own = [joint for numbers in joints.values() for joint in numbers]
@@ -148,7 +151,8 @@ def read_model(
     pulling = [tendon.law["actuator"] for tendon in tendons if "actuator" in tendon.law]
     root, every_motor = placed[0], [*motors.values(), *pulling]
     data = experiment(
-        _run_name(creature["name"]),
+        # The name of the run has to be one that a folder can have.
+        re.sub(r"[/\\]", "_", creature["name"]).lstrip(".") or "imported",
         creature,
         world,
         _clearance(built, root, world),
@@ -174,11 +178,7 @@ def _creature_keys(
 ) -> tuple[dict[str, Any], list[float]]:
     """Return the keys of the creature's bodies and materials, and the volume of each body, m^3.
 
-    Args:
-        compiled: the model.
-        placed: the bodies.
-        motors: keys of the motors, by MuJoCo's number of the joint.
-        frictions: friction of the material of each geom.
+    Motors are by MuJoCo's number of the joint, and frictions of materials by number of the geom.
     """
     carrier = {body.rigid.lead: body for body in placed}
     materials: dict[Material, str] = {}
@@ -201,7 +201,9 @@ def _creature_keys(
                 problem = str(error).removeprefix(": ")
                 compiled.refusals.add(Refusal(str(item), problem, item.line, vital=True))
     named = {name: dict(keys) for keys, name in materials.items()}
-    return {"name": _model_name(compiled), "materials": named, "bodies": bodies}, volumes
+    name = bytes(compiled.model.names).split(b"\0", 1)[0].decode()
+    name = printed(compiled.source.stem if name in ("", "MuJoCo Model") else name)
+    return {"name": name, "materials": named, "bodies": bodies}, volumes
 
 
 def _warnings(compiled: Compiled, root: Placed, driven: bool, creature: Creature) -> Iterator[str]:
@@ -244,7 +246,7 @@ def _shapes(compiled: Compiled, body: Placed) -> list[Shape]:
     shapes = []
     for solid in body.solids:
         try:
-            shapes.append(_SHAPE.validate_python(solid.shape).build())
+            shapes.append(_SHAPE.validate_python(solid.shape).build()[0][0])
         except ValidationError as error:
             problem = error.errors()[0]
             key = ".".join(map(str, problem["loc"][1:]))
@@ -264,12 +266,7 @@ def _substance(
 ) -> dict[str, Any]:
     """Return the keys of a body's shapes, materials, mass and inertia.
 
-    Args:
-        compiled: the model.
-        own: the body.
-        shapes: its shapes.
-        materials: names of the materials so far, which grow.
-        frictions: friction of the material of each geom.
+    ``materials`` are the names of the materials so far, which grow.
     """
     mass, centre, inertia = mass_properties(compiled.model, compiled.data, own.rigid.members)
     centre, inertia = own.turn.T @ (centre - own.centre), own.turn.T @ inertia @ own.turn
@@ -308,7 +305,7 @@ def _is_uniform(shape: Shape, solid: Solid, found: tuple[float, np.ndarray, np.n
     if solid.shape["type"] == "mesh" or not mass or not shape.volume:
         return False
     expected = np.asarray(shape.inertia_tensor(mass), float)
-    middle = _SHAPE.validate_python(solid.shape).centre
+    middle = _SHAPE.validate_python(solid.shape).build()[0][1]
     reach = float(np.linalg.norm(shape.half_extents))
     if np.abs(centre - middle).max() > _UNIFORM * reach:
         return False
@@ -368,14 +365,4 @@ def _centre_of(root: Placed) -> np.ndarray:
     """Return the centre of the root in the world, m. A mesh has another one than its frame."""
     if not root.own_shape:
         return root.centre
-    return root.centre + root.turn @ _SHAPE.validate_python(root.solids[0].shape).centre
-
-
-def _model_name(compiled: Compiled) -> str:
-    name = bytes(compiled.model.names).split(b"\0", 1)[0].decode()
-    return printed(compiled.source.stem if name in ("", "MuJoCo Model") else name)
-
-
-def _run_name(name: str) -> str:
-    """Return a name that a folder can have."""
-    return re.sub(r"[/\\]", "_", name).lstrip(".") or "imported"
+    return root.centre + root.turn @ _SHAPE.validate_python(root.solids[0].shape).build()[0][1]

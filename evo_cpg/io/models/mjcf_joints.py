@@ -93,11 +93,7 @@ def read_joint(
 ) -> dict[str, Any]:
     """Return the keys of the joint of a body.
 
-    Args:
-        compiled: the model.
-        own: the body.
-        parent: the body that carries it, or None for the world.
-        motors: keys of the motors, by MuJoCo's number of the joint.
+    ``parent`` is None for the world. Motors are by MuJoCo's number of the joint.
     """
     model, data, kinds = compiled.model, compiled.data, compiled.mujoco.mjtJoint
     joints = own.rigid.joints
@@ -148,12 +144,7 @@ def read_joint(
 
 
 def refuse_effects_on_free_root(compiled: Compiled, body: int) -> None:
-    """Refuse springs, dampers, rotors and dry friction of a free joint, which a root cannot have.
-
-    Args:
-        compiled: the model.
-        body: MuJoCo's number of the root.
-    """
+    """Refuse springs, dampers, rotors and dry friction of a free joint: no root has them."""
     joint = int(compiled.model.body_jntadr[body])
     if effects := _passive(compiled, [joint], [0.0]):
         words = ", ".join(f"{name.replace('_', '')} {x:g}" for name, x in effects.items())
@@ -268,11 +259,7 @@ class ReadTendon(NamedTuple):
     law: dict[str, Any]
 
     def keys(self, names: Mapping[int, str]) -> dict[str, Any]:
-        """Return its keys in the configuration.
-
-        Args:
-            names: name of the degree of freedom of each of MuJoCo's joints.
-        """
+        """Return its keys in the configuration, given the names of degrees of freedom by joint."""
         joints = {names[joint]: value for joint, value in self.coefficients.items()}
         return {"name": self.name, "joints": joints, **self.law}
 
@@ -285,11 +272,8 @@ def read_tendons(
 ) -> list[ReadTendon]:
     """Return the tendons with an effect. Refused tendons are recorded.
 
-    Args:
-        compiled: the model.
-        joints: MuJoCo's numbers of the joints that the animal has.
-        driven: MuJoCo's numbers of the joints with a motor.
-        motors: keys of the motors, by MuJoCo's number of the tendon.
+    ``joints`` are those of the animal, ``driven`` those with a motor, and ``motors`` the motors of
+    tendons, all by MuJoCo's numbers.
     """
     tendons, taken = [], set(driven)
     for number in range(compiled.model.ntendon):
@@ -312,7 +296,10 @@ def read_tendons(
                         "a joint without a motor",
                     )
             if law:
-                tendons.append(ReadTendon(_name(compiled, number), coefficients, law))
+                code = compiled.mujoco.mjtObj.mjOBJ_TENDON
+                given = compiled.mujoco.mj_id2name(compiled.model, code, number)
+                name = printed(given or f"tendon{number + 1}")
+                tendons.append(ReadTendon(name, coefficients, law))
     return tendons
 
 
@@ -357,9 +344,3 @@ def _law(compiled: Compiled, number: int) -> dict[str, Any]:
     if model.tendon_limited[number] and not compiled.disabled("limit", "constraint"):
         law["limits"] = [tidy(float(x)) for x in model.tendon_range[number] - neutral]
     return law
-
-
-def _name(compiled: Compiled, number: int) -> str:
-    mujoco, model = compiled.mujoco, compiled.model
-    given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TENDON, number)
-    return printed(given or f"tendon{number + 1}")

@@ -189,12 +189,8 @@ def _torque_limit(
     MuJoCo limits the force of an actuator and of a tendon before the gear multiplies it, but the
     force on a joint after that.
 
-    Args:
-        compiled: the model.
-        number: MuJoCo's number of the actuator.
-        kind: kind of the driven part, ``joint`` or ``tendon``.
-        target: its number.
-        commanded: whether the command is the force, so that limits of the command count.
+    The part ``target`` of a kind (``joint`` or ``tendon``) is driven. If ``commanded``, the command
+    is the force, so that its limits count.
     """
     model, item = compiled.model, compiled.item("actuator", number)
     gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
@@ -226,9 +222,7 @@ def _torque_limit(
 
 
 def _refuse_shared_limits(
-    compiled: Compiled,
-    of_joints: dict[int, dict[str, Any]],
-    of_tendons: dict[int, dict[str, Any]],
+    compiled: Compiled, of_joints: dict[int, dict[str, Any]], of_tendons: dict[int, dict[str, Any]]
 ) -> None:
     """Refuse joints whose limit would cut the force of the motors of tendons."""
     model = compiled.model

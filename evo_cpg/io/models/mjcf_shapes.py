@@ -108,13 +108,6 @@ class Placed(NamedTuple):
         """Return components in our axes of a vector in the world's."""
         return tidy_vector(self.turn.T @ vector)
 
-    @property
-    def shape_names(self) -> list[str]:
-        """Names that the shapes have as bodies of the tree."""
-        first = 1 if self.own_shape else 2
-        numbers = range(first, first + len(self.solids))
-        return [self.name if i == 1 else f"{self.name}/{i}" for i in numbers]
-
 
 def add_meshes(root: Element, creature: Creature) -> None:
     """Add the assets of bodies that are meshes."""
@@ -185,10 +178,7 @@ def body_keys(
 ) -> dict[str, Any]:
     """Return the keys of a body that describe its shapes.
 
-    Args:
-        placed: the body.
-        materials: name of the material of each shape, or of the body alone without shapes.
-        colors: colour of each shape, or None.
+    Materials and colours are those of the shapes. A body without shapes has one material.
     """
     keys: dict[str, Any] = {"shape": None, "material": materials[0]}
     color = colors[0] if colors else None
@@ -216,11 +206,8 @@ def body_keys(
 def read_solid(compiled: Compiled, geom: int, outer: np.ndarray, keeps_axes: bool) -> Solid:
     """Return the shape of a geom. Its frame is turned as little as possible from its body's.
 
-    Args:
-        compiled: the model.
-        geom: MuJoCo's number of the geom.
-        outer: axes of its body in the world ``(3, 3)``.
-        keeps_axes: whether the corners of a mesh are turned instead of its frame.
+    ``outer`` are the axes of its body in the world ``(3, 3)``. If it ``keeps_axes``, the corners of
+    a mesh are turned instead of its frame.
 
     Raises:
         RefusedError: no shape of ours is like it.

@@ -48,18 +48,11 @@ _RIGHT = {"l": "r", "L": "R", "left": "right", "Left": "Right", "LEFT": "RIGHT"}
 
 
 def read_world(
-    compiled: Compiled,
-    placed: Sequence[Placed],
-    volumes: Sequence[float],
-    ground: Any,
+    compiled: Compiled, placed: Sequence[Placed], volumes: Sequence[float], ground: Any
 ) -> dict[str, Any]:
     """Return the keys of the world.
 
-    Args:
-        compiled: the model.
-        placed: bodies of the animal.
-        volumes: volume of all shapes of each body, m^3.
-        ground: keys of the ground, or None.
+    ``volumes`` are those of all shapes of each body, m^3.
     """
     model = compiled.model
     downward = -float(model.opt.gravity[2])
@@ -107,13 +100,8 @@ def experiment(
 ) -> dict[str, Any]:
     """Return the keys of an experiment with a default controller, task and search.
 
-    Args:
-        name: name of the run.
-        creature: keys of the creature.
-        world: keys of the world.
-        clearance: height of the animal above the ground at the start, m.
-        displaced: whether the root can move.
-        springs: whether a motor follows angles.
+    The animal starts at a ``clearance`` above the ground (m). It is ``displaced`` if its root can
+    move, and has ``springs`` if a motor follows angles.
     """
     simulation: dict[str, Any] = {"control_rate_hz": 60, "substeps": 4, "seconds": 10}
     if clearance > _ALIKE:
@@ -150,12 +138,7 @@ def _compensated(
 ) -> tuple[float, float]:
     """Return gravity (m/s^2) and the density of a fluid that carries all bodies (kg/m^3).
 
-    Args:
-        compiled: the model.
-        placed: bodies of the animal.
-        volumes: volume of all shapes of each body, m^3.
-        gravity: gravity of the file, m/s^2.
-        floats: whether the medium is a liquid, so that equal lifts are buoyancy, not less gravity.
+    If the medium is a liquid (``floats``), equal lifts are buoyancy, and not less gravity.
     """
     model = compiled.model
     moving = [i for i, body in enumerate(placed) if body.rigid.joints or body.rigid.free]

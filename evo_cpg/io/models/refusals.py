@@ -128,12 +128,7 @@ class Refusals:
 
 
 def _sentences(refusals: Sequence[Refusal], most: int = _NAMED) -> list[str]:
-    """Return a sentence for each fault, about all elements of a kind that share it.
-
-    Args:
-        refusals: the faults.
-        most: largest number of elements that a sentence names.
-    """
+    """Return a sentence for each fault of elements of a kind, of which ``most`` are named."""
     groups: dict[tuple[str, str], list[Refusal]] = {}
     for refusal in refusals:
         groups.setdefault((_kind(refusal.element), refusal.problem), []).append(refusal)

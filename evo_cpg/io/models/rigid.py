@@ -158,12 +158,7 @@ def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[i
 
 
 def _top(above: np.ndarray, lead: int) -> int:
-    """Return the lead of the tree of a moving body.
-
-    Args:
-        above: lead of the body that carries each body.
-        lead: lead of the moving body.
-    """
+    """Return the lead of the tree of a moving body, given the lead ``above`` each body."""
     while above[lead] != WORLD:
         lead = int(above[lead])
     return lead

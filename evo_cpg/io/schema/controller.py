@@ -1,10 +1,9 @@
 """Sections of the nervous system, made from the settings classes of the controllers."""
 
-import dataclasses
 import typing
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
-from pydantic import Tag, create_model
+from pydantic import Tag
 from typing_extensions import override
 
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
@@ -13,14 +12,11 @@ from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.tree import Tree
 from evo_cpg.io.keys import unchecked
-from evo_cpg.io.schema.section import RATE, CustomConfig, Section, by_type
-
-# Typical ranges stand here because settings classes do not depend on the configuration.
-_TYPICAL = {"max_rate": RATE, "rate_gain": RATE}
+from evo_cpg.io.schema.section import RATE, CustomConfig, Section, by_type, section_of
 
 
 class _ControllerSection(Section):
-    settings: ClassVar[type]
+    described: ClassVar[type]
     uses_senses: ClassVar[bool] = True
 
     @property
@@ -31,13 +27,11 @@ class _ControllerSection(Section):
     def _settings(self) -> Any:
         fields = {name: value for name, value in self if name != "type"}
         # Check concrete numbers only: traced numbers cannot be checked.
-        chosen(lambda: self.settings(**fields) and None)
-        return unchecked(self.settings, fields)
+        chosen(lambda: self.described(**fields) and None)
+        return unchecked(self.described, fields)
 
 
 class _BrainCpgSection(_ControllerSection):
-    settings = BrainCpgSettings
-
     def build(
         self,
         tree: Tree,
@@ -53,7 +47,7 @@ class _BrainCpgSection(_ControllerSection):
 
 
 class _PosturesSection(_ControllerSection):
-    settings, uses_senses = PostureSettings, False
+    uses_senses: ClassVar[bool] = False
 
     if typing.TYPE_CHECKING:
         graded: bool
@@ -69,24 +63,20 @@ class _PosturesSection(_ControllerSection):
         return build_posture_controller(tree, self._settings(), control_step)
 
 
-def _section_of(base: type[_ControllerSection], name: str, kind: str) -> type[Section]:
-    """Return the configuration section of a settings dataclass, with its keys and defaults."""
-    hints = typing.get_type_hints(base.settings)
-    fields: dict[str, Any] = {"type": (Literal[kind], kind)}
-    for field in dataclasses.fields(base.settings):
-        default = field.default
-        if default is dataclasses.MISSING:
-            assert field.default_factory is not dataclasses.MISSING
-            default = field.default_factory()
-        hint = hints[field.name]
-        if field.name in _TYPICAL:
-            hint = Annotated[hint, _TYPICAL[field.name]]
-        fields[field.name] = (hint, default)
-    return create_model(name, __base__=base, __doc__=base.settings.__doc__, **fields)
-
-
-BrainCpgConfig = _section_of(_BrainCpgSection, "BrainCpgConfig", "brain_cpg")
-PosturesConfig = _section_of(_PosturesSection, "PosturesConfig", "postures")
+BrainCpgConfig = section_of(
+    BrainCpgSettings,
+    "BrainCpgConfig",
+    __name__,
+    "brain_cpg",
+    default=True,
+    base=_BrainCpgSection,
+    # Typical ranges stand here because settings classes do not depend on the configuration.
+    max_rate=Annotated[float, RATE],
+    rate_gain=Annotated[float, RATE],
+)
+PosturesConfig = section_of(
+    PostureSettings, "PosturesConfig", __name__, "postures", default=True, base=_PosturesSection
+)
 
 # Pyright cannot follow the two classes that are created at import.
 ControllerConfig: TypeAlias = Annotated[

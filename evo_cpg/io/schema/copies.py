@@ -110,28 +110,25 @@ def copies(entries: Sequence[Entry]) -> list[Copy]:
         ValueError: there are more than 1000 bodies.
     """
     found: dict[int, list[Copy]] = {}
-
-    def require_few(entry: Entry, parents: int) -> None:
-        each = entry.repeat * entry.radial * (2 if entry.mirror else 1)
-        count = sum(map(len, found.values())) + parents * each
-        if count > _MOST:
-            raise ValueError(f"bodies: {count} bodies with {entry.name!r}. Allowed: up to {_MOST}")
-
     while True:
         before = len(found)
         for number, entry in enumerate(entries):
             if number in found:
                 continue
-            if not _PLACEHOLDER.search(entry.parent or ""):
-                require_few(entry, 1)
-                found[number] = list(_copies_on(number, entry, None))
+            parents: Sequence[Copy | None] = (None,)
+            known = [copy for each in found.values() for copy in each]
+            if entry.parent and _PLACEHOLDER.search(entry.parent):
+                parents = copies_named(entry.parent, known)
+            if not parents:
                 continue
-            parents = copies_named(entry.parent or "", [c for each in found.values() for c in each])
-            if parents:
-                require_few(entry, len(parents))
-                found[number] = [
-                    copy for parent in parents for copy in _copies_on(number, entry, parent)
-                ]
+            each = entry.repeat * entry.radial * (2 if entry.mirror else 1)
+            count = len(known) + len(parents) * each
+            if count > _MOST:
+                problem = f"{count} bodies with {entry.name!r}. Allowed: up to {_MOST}"
+                raise ValueError(f"bodies: {problem}")
+            found[number] = [
+                copy for parent in parents for copy in _copies_on(number, entry, parent)
+            ]
         if len(found) == before:
             return [copy for number in sorted(found) for copy in found[number]]
 
@@ -186,8 +183,8 @@ def moved(place: Triple, origin: np.ndarray) -> Triple:
     return as_vector(xp.array(place) - origin) if origin.any() else place
 
 
-def reflected(place: Triple, axis: MirrorAxis) -> Triple:
-    """Return the mirror image of a position in the plane with this normal."""
+def reflected(place: Triple, axis: MirrorAxis | None) -> Triple:
+    """Return the mirror image of a position in the plane with this normal, if there is one."""
     x, y, z = (-value if name == axis else value for name, value in zip("xyz", place, strict=True))
     return x, y, z
 

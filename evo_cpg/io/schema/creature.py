@@ -51,7 +51,7 @@ from evo_cpg.io.schema.section import (
     section_of,
 )
 from evo_cpg.io.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
-from evo_cpg.io.schema.shape import ShapeConfig
+from evo_cpg.io.schema.shape import LoftConfig, ShapeConfig
 from evo_cpg.io.schema.tendon import TendonConfig
 
 Color = Annotated[
@@ -62,6 +62,7 @@ Color = Annotated[
 MaterialConfig = section_of(
     Material,
     "MaterialConfig",
+    __name__,
     density=Positive,
     restitution=Fraction,
     static_friction=NotNegative,
@@ -249,7 +250,10 @@ class CreatureConfig(Section):
             CreatureError: its parts do not fit together.
         """
         everything = self.copies()
-        centres = {copy.name: self._centre(copy) for copy in everything}
+        centres = {copy.name: np.zeros(3) for copy in everything}
+        for copy in everything:
+            if shape := self.bodies[copy.entry].shape:
+                centres[copy.name] = _mirrored(shape, copy).build()[0][1]
         bodies, root_joint = [], None
         for copy in everything:
             entry = self.bodies[copy.entry]
@@ -271,8 +275,8 @@ class CreatureConfig(Section):
             light_sensors=tuple(
                 LightSensor(
                     copy.name,
-                    moved(_image(eye.position, copy), centres[copy.name]),
-                    unit(_image(eye.axis, copy)),
+                    moved(reflected(eye.position, copy.mirror), centres[copy.name]),
+                    unit(reflected(eye.axis, copy.mirror)),
                     xp.deg2rad(eye.field_of_view_deg),
                 )
                 for eye in self.light_sensors
@@ -284,7 +288,7 @@ class CreatureConfig(Section):
             depth_sensors=tuple(
                 DepthSensor(
                     copy.name,
-                    moved(_image(gauge.position, copy), centres[copy.name]),
+                    moved(reflected(gauge.position, copy.mirror), centres[copy.name]),
                     gauge.full_scale,
                 )
                 for gauge in self.depth_sensors
@@ -326,22 +330,23 @@ class CreatureConfig(Section):
     def _names_of(self, copy: Copy) -> list[str]:
         """Return the names of a body and of its parts."""
         entry = self.bodies[copy.entry]
-        pieces = sum(len(shape.further_pieces) for shape in entry.shapes)
-        parts = range(2, len(entry.parts) + pieces + 2)
+        lofts = (shape for shape in entry.shapes if isinstance(shape, LoftConfig))
+        further = sum(len(shape.build()) - 1 for shape in lofts)
+        parts = range(2, len(entry.parts) + further + 2)
         return [copy.name, *(f"{copy.name}/{i}" for i in parts)]
 
     def copies(self) -> list[Copy]:
         """Return all bodies that the entries stand for."""
         return copies([entry.entry for entry in self.bodies])
 
-    def entry_of(self, body: int) -> int:
-        """Return the index in ``bodies`` of the entry of a body, given the body's index."""
-        return [copy.entry for copy in self.copies() for _ in self._names_of(copy)][body]
-
-    def entry_of_tendon(self, tendon: int) -> int:
-        """Return the index in ``tendons`` of the entry of a tendon, given the tendon's index."""
+    def entry_of(self, kind: Literal["bodies", "tendons"], number: int) -> int:
+        """Return the index of the entry of a body or tendon, given its index in the creature."""
         everything = self.copies()
-        return [i for i, given in enumerate(self.tendons) for _ in given.build(everything)][tendon]
+        if kind == "bodies":
+            owners = [copy.entry for copy in everything for _ in self._names_of(copy)]
+        else:
+            owners = [i for i, given in enumerate(self.tendons) for _ in given.build(everything)]
+        return owners[number]
 
     def require_names(self) -> None:
         """Check that the names of bodies are unique, and that every name used exists.
@@ -403,18 +408,14 @@ class CreatureConfig(Section):
     def _bodies_of(self, copy: Copy, joint: Joint | None, centre: np.ndarray) -> list[Body]:
         """Return a body, then its further parts, each welded to it.
 
-        Args:
-            copy: the body.
-            joint: its joint to the parent.
-            centre: centre of its shape in the frame of the configuration, m.
+        ``centre`` is the centre of its shape in the frame of the configuration, m.
         """
         entry = self.bodies[copy.entry]
-        solids = [_mirrored(shape, copy) for shape in entry.shapes]
-        shapes = [solid.build() for solid in solids]
+        solids = [_mirrored(shape, copy).build() for shape in entry.shapes]
         density, inertial = None, None
-        if entry.mass is not None and entry.inertia is None and shapes:
-            pieces = [*shapes, *(each.shape for solid in solids for each in solid.further_pieces)]
-            density = entry.mass / sum(shape.volume for shape in pieces)
+        if entry.mass is not None and entry.inertia is None and solids:
+            pieces = [*(solid[0] for solid in solids), *(x for solid in solids for x in solid[1:])]
+            density = entry.mass / sum(shape.volume for shape, _ in pieces)
         elif entry.mass is not None:
             inertial = _inertial(entry, copy, centre)
 
@@ -422,22 +423,24 @@ class CreatureConfig(Section):
             made = self.materials[name].build()
             return made if density is None else dataclasses.replace(made, density=density)
 
-        own = NoShape() if entry.shape is None else shapes.pop(0)
+        own = solids.pop(0) if entry.shape else ((NoShape(), centre),)
         first = NO_MASS if entry.shape is None and inertial is None else inertial
-        found = [Body(copy.name, own, material(entry.material), joint, entry.color, first)]
-
-        def add(
-            shape: Shape,
-            at: Triple,
-            turn_deg: Triple,
-            shape_centre: np.ndarray,
-            given: PartConfig | BodyConfig,
-        ) -> None:
+        found = [Body(copy.name, own[0][0], material(entry.material), joint, entry.color, first)]
+        zero = (0.0, 0.0, 0.0)
+        welded: list[tuple[tuple[Shape, np.ndarray], Triple, Triple, PartConfig | BodyConfig]] = [
+            (piece, zero, zero, entry) for piece in own[1:]
+        ]
+        for part, solid in zip(entry.parts, solids, strict=True):
+            at, turn_deg = part.at, part.rotation_deg
+            if copy.mirror:
+                at, turn_deg = reflected(at, copy.mirror), opposed(turn_deg, copy.mirror)
+            welded += [(piece, at, turn_deg, part) for piece in solid]
+        for (shape, shape_centre), at, turn_deg, given in welded:
             rotation = euler_to_matrix(*xp.deg2rad(xp.array(turn_deg)))
             weld = Joint(
                 parent=copy.name,
                 parent_anchor=moved(at, centre),
-                child_anchor=moved((0.0, 0.0, 0.0), shape_centre),
+                child_anchor=moved(zero, shape_centre),
                 axes=(),
                 lower=(),
                 upper=(),
@@ -454,23 +457,7 @@ class CreatureConfig(Section):
                     copy.name,
                 )
             )
-
-        zero = (0.0, 0.0, 0.0)
-        for piece in solids.pop(0).further_pieces if entry.shape else ():
-            add(piece.shape, zero, zero, piece.centre, entry)
-        for part, solid, shape in zip(entry.parts, solids, shapes, strict=True):
-            at, turn_deg = part.at, part.rotation_deg
-            if copy.mirror:
-                at, turn_deg = reflected(at, copy.mirror), opposed(turn_deg, copy.mirror)
-            add(shape, at, turn_deg, solid.centre, part)
-            for piece in solid.further_pieces:
-                add(piece.shape, at, turn_deg, piece.centre, part)
         return found
-
-    def _centre(self, copy: Copy) -> np.ndarray:
-        """Return the centre of a body's shape in the frame of the configuration, m."""
-        shape = self.bodies[copy.entry].shape
-        return np.zeros(3) if shape is None else _mirrored(shape, copy).centre
 
 
 def _mirrored(shape: ShapeConfig, copy: Copy) -> ShapeConfig:
@@ -481,14 +468,13 @@ def _mirrored(shape: ShapeConfig, copy: Copy) -> ShapeConfig:
 def _inertial(entry: BodyConfig, copy: Copy, centre: np.ndarray) -> Inertial:
     """Return the mass and inertia in numbers of a copy, in the frame of its shape.
 
-    Args:
-        entry: entry of the body, with a mass.
-        copy: the copy.
-        centre: centre of its shape in the frame of the configuration, m.
+    ``centre`` is the centre of its shape in the frame of the configuration, m.
     """
     if entry.inertia is None:
         return Inertial(entry.mass, np.zeros(3), np.zeros((3, 3)))
-    place = _image(entry.centre_of_mass, copy) if entry.centre_of_mass else as_vector(centre)
+    place = as_vector(centre)
+    if entry.centre_of_mass:
+        place = reflected(entry.centre_of_mass, copy.mirror)
     tensor = symmetric(entry.inertia)
     if copy.mirror:
         image = xp.diag(xp.array(reflected((1.0, 1.0, 1.0), copy.mirror)))
@@ -500,8 +486,3 @@ def symmetric(inertia: Sequence[Number]) -> Numbers:
     """Return a symmetric matrix of its elements xx, yy, zz, xy, xz, yz."""
     a, b, c, d, e, f = inertia
     return xp.array([[a, d, e], [d, b, f], [e, f, c]])
-
-
-def _image(vector: Triple, copy: Copy) -> Triple:
-    """Return a vector in body axes for a copy of the body: reflected if the copy is mirrored."""
-    return reflected(vector, copy.mirror) if copy.mirror else vector

@@ -6,7 +6,6 @@ import math
 from typing import Annotated, Literal
 
 from pydantic import Field, Tag, model_validator
-from typing_extensions import override
 
 from evo_cpg.evolution.genetics import BitGenetics, RealGenetics
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
@@ -25,13 +24,9 @@ from evo_cpg.io.schema.section import (
 )
 from evo_cpg.simulation.simulation import Genome
 from evo_cpg.system import command_for
-from evo_cpg.training.experiment import Learning
 
 # Number of individuals of a generation.
 Population = Annotated[int, Field(ge=2, le=1_000_000)]
-
-# Default number of elites that learn: a full vector on one core.
-_LEARNERS = 16
 
 # Largest number of cells of a map. Each cell holds a genome.
 _MOST_CELLS = 100_000
@@ -115,17 +110,9 @@ class MapSection(Section):
     def build(self, genome: Genome, population: int) -> Strategy:
         """Build the search on one island.
 
-        Args:
-            genome: layout of the genome.
-            population: number of individuals of one island.
-
         Raises:
             KeyProblem: the search is not installed, or does not fit the genome.
         """
-
-    def build_learning(self) -> Learning | None:
-        """Return the settings of the elites that learn, or None if no elites learn."""
-        return None
 
     def build_axes(self) -> tuple[Axis, ...]:
         """Return the axes in the form that the search uses."""
@@ -185,11 +172,6 @@ class RealEvolutionConfig(MapSection):
         """Build the search (see `MapSection.build`)."""
         del genome
         return self.into(RealGenetics, population=population)
-
-    @override
-    def build_learning(self) -> Learning | None:
-        given = self.learning
-        return given and given.into(Learning, elites=given.elites or min(_LEARNERS, self.elites))
 
     @model_validator(mode="after")
     def _check(self) -> "RealEvolutionConfig":

@@ -40,14 +40,10 @@ class SituationConfig(OpenSection):
     light: LightConfig | None = None
 
 
-def _number_or_list(value: Any) -> str:
-    return "list" if isinstance(value, (list, tuple)) else "number"
-
-
 TrialsConfig = Annotated[
     Annotated[int, Field(ge=1, le=_MOST_TRIALS), Tag("number")]
     | Annotated[list[SituationConfig], Field(min_length=1, max_length=_MOST_TRIALS), Tag("list")],
-    Discriminator(_number_or_list),
+    Discriminator(lambda value: "list" if isinstance(value, (list, tuple)) else "number"),
 ]
 
 

@@ -48,6 +48,7 @@ def _require_some(gear: float) -> float:
 ActuatorConfig = section_of(
     Actuator,
     "ActuatorConfig",
+    __name__,
     "servo",
     default=True,
     gain=NotNegative,
@@ -57,6 +58,7 @@ ActuatorConfig = section_of(
 TorqueMotorConfig = section_of(
     TorqueMotor,
     "TorqueMotorConfig",
+    __name__,
     "torque",
     gear=Annotated[Finite, AfterValidator(_require_some)],
     torque_limit=Positive | None,
@@ -64,6 +66,7 @@ TorqueMotorConfig = section_of(
 MuscleConfig = section_of(
     Muscle,
     "MuscleConfig",
+    __name__,
     "muscle",
     hill=bool,
     damping_time=NotNegative,
@@ -97,11 +100,6 @@ class TurnConfig(Section):
     turn: AxisName | Vector
     at: Vector | None = None
 
-    @property
-    def axis(self) -> "JointAxis":
-        """The axis."""
-        return JointAxis(Turn(), _direction(self.turn), self.at)
-
 
 class SlideConfig(Section):
     """An axis along which the body slides.
@@ -121,11 +119,6 @@ class SlideConfig(Section):
         if self.limits_m is not None and not self.limits_m[0] < self.limits_m[1]:
             raise ValueError(f"limits_m: {self.limits_m[0]:g} is not below {self.limits_m[1]:g}")
         return self
-
-    @property
-    def axis(self) -> "JointAxis":
-        """The axis."""
-        return JointAxis(Slide(), _direction(self.slide), None, self.limits_m, self.rest_m)
 
 
 def _key_of_entry(entry: Any) -> str:
@@ -163,11 +156,17 @@ class JointAxis(NamedTuple):
     @classmethod
     def of(cls, entry: Any) -> "JointAxis":
         """Return the axis of an entry of ``axes``."""
+
+        def direction(given: Any) -> Triple:
+            return _AXES[given] if isinstance(given, str) else given
+
         if isinstance(entry, JointAxis):
             return entry
-        if isinstance(entry, TurnConfig | SlideConfig):
-            return entry.axis
-        return cls(Turn(), _direction(entry))
+        if isinstance(entry, TurnConfig):
+            return cls(Turn(), direction(entry.turn), entry.at)
+        if isinstance(entry, SlideConfig):
+            return cls(Slide(), direction(entry.slide), None, entry.limits_m, entry.rest_m)
+        return cls(Turn(), direction(entry))
 
     def mirrored(self, axis: MirrorAxis) -> "JointAxis":
         """Return the mirror image of the axis."""
@@ -177,17 +176,8 @@ class JointAxis(NamedTuple):
         return self._replace(kind=self.kind.mirrored(), direction=direction, place=place)
 
 
-def _direction(given: Any) -> Triple:
-    return _AXES[given] if isinstance(given, str) else given
-
-
 def _are_independent(axes: list[JointAxis], joint: Triple) -> bool:
-    """Return whether the axes move a body in independent ways.
-
-    Args:
-        axes: the axes.
-        joint: position of the joint in the body's frame, m.
-    """
+    """Return whether the axes move a body in independent ways. The joint's position is in m."""
     arms = [np.subtract(axis.place, joint) if axis.place else np.zeros(3) for axis in axes]
     # Positions in units of the farthest one, so that they count like directions.
     size = max(np.linalg.norm(arms, axis=1).max(), np.finfo(float).tiny)
@@ -316,7 +306,7 @@ class JointConfig(Section):
         return [None if axis.kind.unit == "m" else pair for axis, pair in every]
 
     @property
-    def motors(self) -> list[_MotorConfig | None]:
+    def motors(self) -> list[Any]:
         """Motor or muscles of each axis."""
         return self._each("actuator")
 
@@ -346,10 +336,7 @@ class JointConfig(Section):
     def build(self, parent: str, parent_centre: np.ndarray, centre: np.ndarray) -> Joint:
         """Build the joint on the given parent, in frames at the bodies' centres of mass.
 
-        Args:
-            parent: name of the parent.
-            parent_centre: centre of mass of the parent in the frame of ``at``, m.
-            centre: centre of mass of the body in the frame of ``child_at``, m.
+        The centres of mass are in the frames of ``at`` and ``child_at``, m.
         """
         rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
         axes, limits, rest = self.every_axis, [], []

@@ -9,6 +9,7 @@ import importlib
 import inspect
 import math
 import re
+import typing
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar
 
@@ -90,26 +91,37 @@ class DescribedSection(Section):
 
 
 def section_of(
-    described: type, name: str, kind: str | None = None, default: bool = False, **hints: Any
-) -> type[DescribedSection]:
+    described: type,
+    name: str,
+    module: str,
+    kind: str | None = None,
+    default: bool = False,
+    base: type[Section] = DescribedSection,
+    **hints: Any,
+) -> type[Section]:
     """Return the section of a dataclass. A default of infinity becomes null.
 
     Args:
         described: the dataclass.
         name: name of the section.
+        module: module that holds the section under this name, so that it can be pickled.
         kind: value of the section's key ``type``, or None for a section without this key.
         default: whether the key ``type`` may be left out.
-        hints: type of each field, with the range of its values.
+        base: base class, whose attribute ``described`` becomes the dataclass.
+        hints: types of fields, with the range of their values, in place of their own types.
     """
+    hints = typing.get_type_hints(described) | hints
     fields: dict[str, Any] = {}
     if kind is not None:
         fields["type"] = (Literal[kind], kind if default else ...)
     for field in dataclasses.fields(described):
         usual = ... if field.default is dataclasses.MISSING else field.default
+        if field.default_factory is not dataclasses.MISSING:
+            usual = field.default_factory()
         fields[field.name] = (hints[field.name], None if usual == math.inf else usual)
-    made = create_model(name, __base__=DescribedSection, __doc__=described.__doc__, **fields)
-    made.described = described
-    return made
+    fields["described"] = (ClassVar[type], described)
+    about = {"__doc__": described.__doc__, "__module__": module}
+    return create_model(name, __base__=base, **about, **fields)
 
 
 class _Count(int):
@@ -131,19 +143,9 @@ class OpenSection(Section):
 _PRINTED = r"[^\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]"
 
 
-def _require_printed(name: str) -> str:
-    """Return a name, and raise ValueError if it is empty or contains control characters."""
-    if not name:
-        raise ValueError("'': must not be empty")
-    if not re.fullmatch(f"{_PRINTED}+", name):
-        raise ValueError(f"{name!r}: must be on one line, without control characters")
-    return name
-
-
 PrintedName = Annotated[
     str,
-    AfterValidator(_require_printed),
-    Field(json_schema_extra={"pattern": f"^{_PRINTED}+$"}),
+    *pattern(f"^{_PRINTED}+$", "must not be empty, but on one line, without control characters"),
 ]
 
 

@@ -8,8 +8,8 @@ from pydantic import Field, model_validator
 from typing_extensions import override
 
 from evo_cpg.creature.cylinder import Cylinder
-from evo_cpg.creature.loft import LoftPiece, LoftSection, loft
-from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
+from evo_cpg.creature.loft import LoftSection, loft
+from evo_cpg.creature.mesh import convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.io.schema.copies import MirrorAxis, reflected
 from evo_cpg.io.schema.section import NotNegative, Positive, Section, Vector
@@ -18,6 +18,9 @@ Size = tuple[Positive, Positive, Positive]
 # Index of a vertex. Larger numbers do not fit into arrays.
 Index = Annotated[int, Field(ge=0, lt=2**31)]
 
+
+# Convex shapes, the largest one first, with their centres ``(3,)`` in the body's frame, m.
+Pieces = tuple[tuple[Shape, np.ndarray], ...]
 
 _Solid = TypeVar("_Solid", bound="SolidConfig")
 
@@ -29,19 +32,9 @@ class SolidConfig(Section):
     # Key of its size; None if there is none.
     size_key: ClassVar[str | None] = None
 
-    def build(self) -> Shape:
-        """Build the shape, centred on its own frame."""
-        return self.into(self.kind)
-
-    @property
-    def centre(self) -> np.ndarray:
-        """Centre of the first piece ``(3,)`` in the body's frame, m, nonzero only for meshes."""
-        return np.zeros(3)
-
-    @property
-    def further_pieces(self) -> tuple[LoftPiece, ...]:
-        """Convex pieces beside the first one, which `build` returns. Only a loft has any."""
-        return ()
+    def build(self) -> Pieces:
+        """Build the shape: one piece at the origin, except for meshes and lofts."""
+        return ((self.into(self.kind), np.zeros(3)),)
 
     def mirrored(self: _Solid, axis: MirrorAxis) -> _Solid:
         """Return the mirror image in the frame's plane with this normal (often the same shape)."""
@@ -138,13 +131,8 @@ class MeshConfig(SolidConfig):
 
     @model_validator(mode="after")
     def _check(self) -> "MeshConfig":
-        self._made()
+        self.build()
         return self
-
-    @property
-    @override
-    def centre(self) -> np.ndarray:
-        return self._made()[1]
 
     @override
     def mirrored(self, axis: MirrorAxis) -> "MeshConfig":
@@ -153,12 +141,9 @@ class MeshConfig(SolidConfig):
         return self.model_copy(update={"vertices": vertices, "faces": faces})
 
     @override
-    def build(self) -> Shape:
-        return self._made()[0]
-
-    def _made(self) -> tuple[ConvexMesh, np.ndarray]:
+    def build(self) -> Pieces:
         faces = np.array(self.faces, int).reshape(-1, 3)
-        return convex_mesh(np.array(self.vertices).reshape(-1, 3), faces)
+        return (convex_mesh(np.array(self.vertices).reshape(-1, 3), faces),)
 
 
 class LoftSectionConfig(Section):
@@ -190,18 +175,8 @@ class LoftConfig(SolidConfig):
 
     @model_validator(mode="after")
     def _check(self) -> "LoftConfig":
-        self._made()
+        self.build()
         return self
-
-    @property
-    @override
-    def centre(self) -> np.ndarray:
-        return self._made()[0].centre
-
-    @property
-    @override
-    def further_pieces(self) -> tuple[LoftPiece, ...]:
-        return self._made()[1:]
 
     @override
     def mirrored(self, axis: MirrorAxis) -> "LoftConfig":
@@ -211,16 +186,13 @@ class LoftConfig(SolidConfig):
         return self.model_copy(update={"sections": sections})
 
     @override
-    def build(self) -> Shape:
-        return self._made()[0].shape
+    def build(self) -> Pieces:
+        return loft(self.drawn, self.corners)
 
     @property
     def drawn(self) -> tuple[LoftSection, ...]:
         """The sections as `loft` takes them."""
         return tuple(LoftSection(each.at, each.width, each.height) for each in self.sections)
-
-    def _made(self) -> tuple[LoftPiece, ...]:
-        return loft(self.drawn, self.corners)
 
 
 # No unit of drawings requires a larger scale.

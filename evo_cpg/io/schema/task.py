@@ -63,9 +63,8 @@ class LightConfig(OpenSection):
     def position(self, start: Triple, heading: Number) -> Triple:
         """Return the position of the light, m, or NaN if a key is open.
 
-        Args:
-            start: position of the root at the start, m.
-            heading: rotation of the root to the left at the start, rad.
+        ``start`` is the position of the root at the start (m), and ``heading`` its rotation to the
+        left (rad).
         """
         if self.at is not None:
             return self.at

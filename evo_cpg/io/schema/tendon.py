@@ -1,7 +1,7 @@
 """Section of a fixed tendon."""
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field, Tag, model_validator
 
@@ -72,12 +72,9 @@ class TendonConfig(Section):
         return self.rest if isinstance(self.rest, tuple) else (self.rest, self.rest)
 
     def build(self, bodies: Sequence[Copy]) -> list[Tendon]:
-        """Build the tendon, or one for each value of the placeholders in its name.
-
-        Args:
-            bodies: all bodies of the creature.
-        """
+        """Build the tendon, or one for each value of the placeholders in its name."""
         lower, upper = self.limits or (-NO_LIMIT, NO_LIMIT)
+        motor: Any = self.actuator
         return [
             self.into(
                 Tendon,
@@ -86,7 +83,7 @@ class TendonConfig(Section):
                 rest=self.resting,
                 lower=lower,
                 upper=upper,
-                actuator=self.actuator and self.actuator.build(),
+                actuator=motor and motor.build(),
             )
             for marks in self._values(bodies)
         ]

@@ -70,7 +70,7 @@ def posed(data: Data, source: Path) -> Posed:
     shifts = [
         np.zeros(3)
         if shape is None
-        else (shape.mirrored(each.mirror) if each.mirror else shape).centre
+        else (shape.mirrored(each.mirror) if each.mirror else shape).build()[0][1]
         for shape, each in zip(shapes, everything, strict=True)
     ]
     turns = rotations[found]

@@ -1,6 +1,7 @@
 """Attributes of MJCF one by one: equal to MuJoCo, refused, or left out by name."""
 
 import dataclasses
+import re
 from collections.abc import Iterable
 from fnmatch import fnmatchcase
 
@@ -12,7 +13,7 @@ from benchmarks.imported_models import accelerations
 from evo_cpg.creature.creature import NO_LIMIT
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.models import mjcf_fields
-from evo_cpg.io.models.mjcf_import import Imported, read_model
+from evo_cpg.io.models.mjcf_import import Imported
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.joint_torque import MotorCommand
@@ -58,18 +59,6 @@ def attributes(usual: str, given: str) -> str:
     pairs = [part.split("=", 1) for part in (usual + " " + given).replace('" ', '"\n').split("\n")]
     chosen = {key.strip(): value for key, value in (pair for pair in pairs if len(pair) == 2)}
     return " ".join(f"{key}={value}" for key, value in chosen.items() if value != '"-"')
-
-
-@pytest.fixture
-def read(tmp_path):
-    """Import a model from text."""
-
-    def call(text: str) -> Imported:
-        path = tmp_path / "model.xml"
-        path.write_text(text)
-        return read_model(path)
-
-    return call
 
 
 def moves_as_in_mujoco(text: str, found: Imported) -> None:
@@ -167,97 +156,52 @@ def test_accepted_attributes_move_as_in_mujoco(read, name):
     moves_as_in_mujoco(MAPPED[name], found)
 
 
-JOINT, GEOM, MOTOR = "joint 'h': ", "geom 'g': ", "actuator 'm': "
-REFUSED = {
-    "joint actuatorgravcomp": (
-        model(joint='actuatorgravcomp="true"'),
-        JOINT + "it has actuatorgravcomp. Allowed: no actuatorgravcomp",
-    ),
-    "body gravcomp": (model(body='gravcomp="1"'), "body 'limb': its gravcomp is not the buoyancy"),
-    "body mocap": (
-        model().replace("</worldbody>", '<body name="k" mocap="true"/></worldbody>'),
-        "body 'k': it is a mocap body, moved from outside. Allowed: no mocap",
-    ),
-    "muscle": (
-        model(drive="muscle", actuator='kv="-"'),
-        MOTOR + "its law is not linear",
-    ),
-    "actuator bias that pushes": (
-        model(drive="general", actuator='kv="-" biastype="affine" biasprm="0 1 0"'),
-        MOTOR + "it pushes away from its target",
-    ),
-    "actuator with a constant force": (
-        model(drive="general", actuator='kv="-" biastype="affine" biasprm="2 0 0"'),
-        MOTOR + "it has a constant force",
-    ),
-    "actuator without gain": (
-        model(drive="general", actuator='kv="-" gainprm="0"'),
-        MOTOR + "its gear or gain is 0",
-    ),
-    "equality": (
-        model(top='<equality><joint name="e" joint1="h"/></equality>'),
-        "equality 'e': a creature cannot have it",
-    ),
-    "spatial tendon": (
-        model(
-            within='<site name="a"/><site name="b" pos="1 0 0"/>',
-            top='<tendon><spatial name="c" stiffness="1"><site site="a"/><site site="b"/>'
-            "</spatial></tendon>",
-        ),
-        "tendon 'c': it runs through sites. Allowed: fixed tendons, over joints",
-    ),
-}
-# Attributes of newer MuJoCo versions, with their fields.
-NEWER = {
-    "joint damping polynomial": (
-        "dof_dampingpoly",
-        model(joint='damping="1 2 3"'),
-        JOINT + "it has damping polynomial",
-    ),
-    "joint stiffness polynomial": (
-        "jnt_stiffnesspoly",
-        model(joint='stiffness="1 2 3"'),
-        JOINT + "it has stiffness polynomial",
-    ),
-    "joint springyield": (
-        "jnt_springyield",
-        model(joint='stiffness="1" springyield="0.1"'),
-        JOINT + "it has springyield",
-    ),
-    "actuator delay": (
-        "actuator_delay",
-        model(actuator='delay="0.1" nsample="2"'),
-        MOTOR + "it has delay",
-    ),
-    "actuator damping": (
-        "actuator_damping",
-        model(actuator='damping="1"'),
-        MOTOR + "it has damping",
-    ),
-    "actuator armature": (
-        "actuator_armature",
-        model(actuator='armature="1"'),
-        MOTOR + "it has armature",
-    ),
-}
+MOTOR = "actuator 'm'"
+SITES = '<site name="a"/><site name="b" pos="1 0 0"/>'
+SPATIAL = '<spatial name="c" stiffness="1"><site site="a"/><site site="b"/></spatial>'
+MOCAP = '<body name="k" mocap="true"/></worldbody>'
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_unsupported_attributes_are_refused(read, name):
-    text, expected = REFUSED[name]
-    with pytest.raises(ExchangeError) as refusal:
+def general(law: str) -> str:
+    """Return a model whose motor has a general law."""
+    return model(drive="general", actuator=f'kv="-" {law}')
+
+
+# A model, and the name and the fault of an element.
+REFUSED = [
+    (model(joint='actuatorgravcomp="true"'), "joint 'h'", "actuatorgravcomp"),
+    (model(body='gravcomp="1"'), "body 'limb'", "gravcomp"),
+    (model().replace("</worldbody>", MOCAP), "body 'k'", "mocap"),
+    (model(drive="muscle", actuator='kv="-"'), MOTOR, "linear"),
+    (general('biastype="affine" biasprm="0 1 0"'), MOTOR, "pushes away"),
+    (general('biastype="affine" biasprm="2 0 0"'), MOTOR, "constant force"),
+    (general('gainprm="0"'), MOTOR, "gear or gain"),
+    (model(top='<equality><joint name="e" joint1="h"/></equality>'), "equality 'e'", "equality"),
+    (model(within=SITES, top=f"<tendon>{SPATIAL}</tendon>"), "tendon 'c'", "sites"),
+]
+# Fields of newer versions of MuJoCo, with attributes that set them, and their words.
+NEWER = [
+    ("dof_dampingpoly", {"joint": 'damping="1 2 3"'}, "damping polynomial"),
+    ("jnt_stiffnesspoly", {"joint": 'stiffness="1 2 3"'}, "stiffness polynomial"),
+    ("jnt_springyield", {"joint": 'stiffness="1" springyield="0.1"'}, "springyield"),
+    ("actuator_delay", {"actuator": 'delay="0.1" nsample="2"'}, "delay"),
+    ("actuator_damping", {"actuator": 'damping="1"'}, "damping"),
+    ("actuator_armature", {"actuator": 'armature="1"'}, "armature"),
+]
+
+
+@pytest.mark.parametrize(("text", "element", "word"), REFUSED, ids=lambda text: text[:12])
+def test_unsupported_attributes_are_refused(read, text, element, word):
+    with pytest.raises(ExchangeError, match=f"{element}: .*{word}"):
         read(text)
-    assert expected in str(refusal.value)
 
 
-@pytest.mark.parametrize("name", NEWER)
-def test_attributes_of_newer_versions_are_refused(read, name):
-    field, text, expected = NEWER[name]
+@pytest.mark.parametrize(("field", "given", "word"), NEWER)
+def test_attributes_of_newer_versions_are_refused(read, field, given, word):
     if not hasattr(mujoco.MjModel, field):
         pytest.skip("this MuJoCo does not have it")
-    with pytest.raises(ExchangeError) as refusal:
-        read(text)
-    assert expected in str(refusal.value)
+    with pytest.raises(ExchangeError, match=f"'[hm]': it has {word}"):
+        read(model(**given))
 
 
 LEFT_OUT = {
@@ -314,26 +258,20 @@ def test_other_settings_are_left_out_by_name(read, name):
     assert expected in read(text).left_out
 
 
-CHANGED = {
-    "forcerange": (
-        model(actuator='forcerange="-1 2"'),
-        "actuator 'm': its force limits, -1 and 2 (N m or N), become -2 and 2",
-    ),
-    "one limit of the force": (
-        model(actuator='forcerange="-1 1e15"'),
-        "actuator 'm': its force limits, -1 and 1e+15 (N m or N), become no limits",
-    ),
-    "far limit": (
-        model(top='<compiler angle="radian"/>', joint='range="-1 1e6"'),
-        "joint 'h': limits -1 to 1e+06 -> -1 to 10000",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", CHANGED)
-def test_changed_numbers_are_said(read, name):
-    text, expected = CHANGED[name]
-    assert read(text).changed == (expected,)
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (model(actuator='forcerange="-1 2"'), "'m': .*-1 and 2 .*become -2 and 2"),
+        (model(actuator='forcerange="-1 1e15"'), "'m': .*-1 and 1e.15 .*become no limits"),
+        (
+            model(top='<compiler angle="radian"/>', joint='range="-1 1e6"'),
+            r"'h': limits -1 to 1e\+06 -> -1 to 10000",
+        ),
+    ],
+)
+def test_changed_numbers_are_said(read, text, words):
+    (said,) = read(text).changed
+    assert re.search(words, said)
 
 
 # Treatment of every field of the compiled model that `mjcf_fields` does not refuse, so that a new
@@ -481,14 +419,10 @@ def test_all_refusals_are_listed_with_lines(read, tmp_path):
     )
     with pytest.raises(ExchangeError) as refusal:
         read(text)
-    lines = str(refusal.value).splitlines()
-    assert lines[0] == f"{tmp_path / 'model.xml'}: a creature cannot have these 3 things:"
-    assert lines[1:] == [
-        "  equality 'e': a creature cannot have it. Allowed: no equality (line 3)",
-        "  joint 'h': it has actuatorgravcomp. Allowed: no actuatorgravcomp (line 7)",
-        "  actuator 'm': its gear or gain is 0. Allowed: a gear and a gain other than 0 (line 13)",
-        "The option --drop imports the model without them.",
-    ]
+    head, *lines, hint = str(refusal.value).splitlines()
+    assert head.startswith(f"{tmp_path / 'model.xml'}: ") and "--drop" in hint
+    words = (r"equality 'e': .*line 3", r"joint 'h': .*line 7", r"actuator 'm': .*line 13")
+    assert all(re.search(*pair) for pair in zip(words, lines, strict=True))
 
 
 def test_elements_with_one_fault_share_a_line(read, tmp_path):
@@ -500,10 +434,9 @@ def test_elements_with_one_fault_share_a_line(read, tmp_path):
     with pytest.raises(ExchangeError) as refusal:
         read(model(within=limbs))
     named = ", ".join(f"joint 'j{i}'" for i in range(5))
-    assert str(refusal.value).splitlines()[0] == (
-        f"{tmp_path / 'model.xml'}: {named} and 2 more: it has actuatorgravcomp. "
-        "Allowed: no actuatorgravcomp (lines 9, 10, 11, 12, 13)"
-    )
+    first = str(refusal.value).splitlines()[0]
+    assert first.startswith(f"{tmp_path / 'model.xml'}: {named} and 2 more: ")
+    assert first.endswith("(lines 9, 10, 11, 12, 13)")
 
 
 def test_elements_of_included_files_have_no_line(read, tmp_path):
@@ -527,9 +460,6 @@ def test_unnamed_elements_have_a_number_or_owner(read):
     <velocity gear="0" joint="h"/></actuator></mujoco>"""
     with pytest.raises(ExchangeError) as refusal:
         read(text)
-    assert str(refusal.value).splitlines()[1:-1] == [
-        "  unnamed joint of body number 2 (unnamed): it has actuatorgravcomp. "
-        "Allowed: no actuatorgravcomp (line 4)",
-        "  actuator number 0 (unnamed): its gear or gain is 0. Allowed: a gear and a gain other "
-        "than 0 (line 8)",
-    ]
+    words = (r"unnamed joint of body number 2 .*line 4", r"actuator number 0 .*line 8")
+    lines = str(refusal.value).splitlines()[1:-1]
+    assert all(re.search(*pair) for pair in zip(words, lines, strict=True))

@@ -106,24 +106,6 @@ HUNG = """
 """
 
 
-@pytest.fixture
-def write(tmp_path):
-    """Write a model."""
-
-    def call(text: str):
-        path = tmp_path / "model.xml"
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    return call
-
-
-@pytest.fixture
-def read(write):
-    """Import a model from text."""
-    return lambda text, **options: read_model(write(text), **options)
-
-
 def assert_same_tree(found: Tree, expected: Tree) -> None:
     """Compare the numbers of two trees to 1e-9 of the largest one in each array."""
     assert jax.tree.structure(found) == jax.tree.structure(expected)
@@ -183,8 +165,7 @@ def test_an_exported_ground_keeps_its_friction_rule(read, rule):
 
 
 @pytest.mark.parametrize(
-    "text",
-    [pytest.param(OTHERS, id="cat"), pytest.param(HUNG, id="crane", marks=pytest.mark.slow)],
+    "text", [pytest.param(OTHERS, id="cat"), pytest.param(HUNG, id="crane", marks=pytest.mark.slow)]
 )
 def test_foreign_models_accelerate_as_in_mujoco(write, text):
     """Random states and controls. The largest error is 1e-13."""
@@ -208,65 +189,32 @@ def test_differences_from_mujocos_numbers_are_said(write, text):
 
 
 # Motors on a joint or a tendon, the largest force by MuJoCo's laws, and whether its size changes.
-LIMITED = {
-    "tendon's limit before the gear": ('<motor tendon="t" gear="2"/>', 'tendon="-1 1"', 2.0, False),
-    "negative gear": ('<motor tendon="t" gear="-2"/>', 'tendon="-1 3"', 6.0, True),
-    "joint's limit after the gear": ('<motor joint="h" gear="2"/>', 'joint="-1 1"', 1.0, False),
-    "actuator's limit before the gear": (
-        '<velocity tendon="t" kv="3" gear="2" forcerange="-1 1"/>',
-        "",
-        2.0,
-        False,
-    ),
-    "unequal limits of a servo": (
-        '<position joint="h" kp="10" gear="10" forcerange="-2.5 3.1"/>',
-        "",
-        31.0,
-        True,
-    ),
-    "limits that cut each other": (
-        '<motor joint="h" forcerange="-3 1"/>',
-        'joint="-1 2"',
-        1.0,
-        False,
-    ),
-    "one limit": ('<motor joint="h" gear="-1" forcerange="-3 1e15"/>', "", np.inf, True),
-    "negative gain": (
-        '<general joint="h" gear="2" gainprm="-5" ctrlrange="-1 1"/>',
-        "",
-        10.0,
-        False,
-    ),
-    "clamped activation": (
-        '<general joint="h" dyntype="integrator" gainprm="3" actlimited="true" actrange="-2 2"/>',
-        "",
-        6.0,
-        False,
-    ),
-    "a rate that is integrated": (
-        '<general joint="h" dyntype="integrator" ctrlrange="-2 2"/>',
-        "",
-        np.inf,
-        False,
-    ),
-}
+# Limits of tendons and actuators hold before the gear, and those of joints after the gear.
+INTEGRATED = '<general joint="h" dyntype="integrator"'
+LIMITED = [
+    ('<motor tendon="t" gear="2"/>', 'tendon="-1 1"', 2.0, False),
+    ('<motor tendon="t" gear="-2"/>', 'tendon="-1 3"', 6.0, True),
+    ('<motor joint="h" gear="2"/>', 'joint="-1 1"', 1.0, False),
+    ('<velocity tendon="t" kv="3" gear="2" forcerange="-1 1"/>', "", 2.0, False),
+    ('<position joint="h" kp="10" gear="10" forcerange="-2.5 3.1"/>', "", 31.0, True),
+    ('<motor joint="h" forcerange="-3 1"/>', 'joint="-1 2"', 1.0, False),
+    ('<motor joint="h" gear="-1" forcerange="-3 1e15"/>', "", np.inf, True),
+    ('<general joint="h" gear="2" gainprm="-5" ctrlrange="-1 1"/>', "", 10.0, False),
+    (f'{INTEGRATED} gainprm="3" actlimited="true" actrange="-2 2"/>', "", 6.0, False),
+    # The command is a rate that is integrated.
+    (f'{INTEGRATED} ctrlrange="-2 2"/>', "", np.inf, False),
+]
 
 
-@pytest.mark.parametrize("name", LIMITED)
-def test_the_largest_force_equals_mujocos(write, name):
+@pytest.mark.parametrize(("motor", "whole", "largest", "changed"), LIMITED)
+def test_the_largest_force_equals_mujocos(write, motor, whole, largest, changed):
     """Limits of unequal size become the larger one, and are named with both values."""
-    motor, whole, largest, changed = LIMITED[name]
     kind, _, limits = whole.partition("=")
     attribute = f" actuatorfrcrange={limits}"
     hinge = HINGE.replace("/>", attribute * (kind == "joint") + "/>")
     tendon = f'<fixed name="t"{attribute * (kind == "tendon")}><joint joint="h" coef="1"/></fixed>'
-    path = write(
-        model(
-            joints=hinge,
-            extra=f"<tendon>{tendon}</tendon>",
-            actuators=motor.replace(" ", ' name="m" ', 1),
-        )
-    )
+    named = motor.replace(" ", ' name="m" ', 1)
+    path = write(model(joints=hinge, extra=f"<tendon>{tendon}</tendon>", actuators=named))
     both = Imports(path, read_model(path))
     laws = both.tree.tendons if both.tree.tendons and "tendon=" in motor else both.tree
     assert laws.torque_limit.tolist() == [largest]
@@ -502,115 +450,70 @@ def model(
 OTHER = '<body name="other">{}<geom size="1"/></body>'
 
 
+SITE = '<site name="s"/>'
+VELOCITY = '<velocity name="m" joint="h" kv="1" {}/>'
+LEVER = '<tendon><fixed name="t"><joint joint="h" coef="-2"/></fixed></tendon>'
+CUT = HINGE.replace("/>", ' actuatorfrcrange="-3 3"/>')
+DISABLED = '<option actuatorgroupdisable="1 2"/>'
+DAMPED = '<joint name="root" type="free" damping="1" armature="0.1"/>'
+
+
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    ("text", "element", "word"),
     [
-        ("<mujoco/>", "body 'world': the worldbody holds no body. Allowed: at least one"),
-        (
-            model(free="", joints=""),
-            "body 'trunk': no body of the file moves. Allowed: joints, or the option --free",
-        ),
+        ("<mujoco/>", "body 'world'", "no body"),
+        (model(free="", joints=""), "body 'trunk'", "--free"),
         (
             model(beside=OTHER.format('<joint name="j"/>'), actuators='<motor joint="j"/>'),
-            "body 'trunk': it moves beside body 'other'. Allowed: one tree of bodies, or several",
+            *("body 'trunk'", "beside body 'other'"),
         ),
-        (
-            model(joints='<joint name="h" type="ball"/><joint type="slide"/>'),
-            "joint 'h': it shares its body with other joints. Allowed: a ball joint alone",
-        ),
-        (
-            model(joints='<joint axis="1 0 0"/><joint axis="1 0 0"/>'),
-            "unnamed joint of body 'limb': axes: must be linearly independent and not zero",
-        ),
-        (
-            model(attributes='gravcomp="1"'),
-            "body 'limb': its gravcomp is not the buoyancy of a fluid around all bodies. Allowed",
-        ),
+        (model(joints='<joint name="h" type="ball"/><joint type="slide"/>'), "'h'", "ball"),
+        (model(joints=2 * '<joint axis="1 0 0"/>'), "unnamed joint of body 'limb'", "independent"),
         (
             model(actuators='<general name="m" joint="h" gaintype="affine" gainprm="1 1 0"/>'),
-            "actuator 'm': its law is not linear. Allowed: motor, position, velocity",
+            *("actuator 'm'", "linear"),
         ),
         (
             model(actuators=2 * '<velocity joint="h" kv="1"/>'),
-            "actuator number 1 (unnamed): it is the second actuator of joint 'h'. Allowed: one",
+            *(r"actuator number 1 \(unnamed\)", "second"),
         ),
         (
-            model(
-                geoms=LIMB + '<site name="s"/>', actuators='<motor name="m" site="s" gear="1 0 0"/>'
-            ),
-            "actuator 'm': it drives no hinge, slide or tendon. Allowed: joint= or tendon=",
+            model(geoms=LIMB + SITE, actuators='<motor name="m" site="s" gear="1 0 0"/>'),
+            *("actuator 'm'", "hinge"),
         ),
+        (model(joints=HINGE.replace("/>", ' damping="-1"/>')), "joint 'h'", "damping: -1.0"),
+        (model(geoms='<geom size="0.1" friction="-1"/>'), "static_friction", "-1.0"),
+        (model(geoms='<geom name="g" type="sphere" size="1e13"/>'), "geom 'g'", "radius"),
+        (model(geoms='<geom name="g" type="box" size="1 1e13 1"/>'), "geom 'g'", "size.1"),
+        (model(actuators=VELOCITY.format('gear="1e200"')), "joint 'h'", "actuator.gain: inf"),
+        (model(actuators=VELOCITY.format('group="2"'), extra=DISABLED), "actuator 'm'", "group, 2"),
+        (model(free=DAMPED), "joint 'root'", "damping 1, armature 0.1"),
         (
-            model(extra='<equality><joint name="e" joint1="h"/></equality>'),
-            "equality 'e': a creature cannot have it. Allowed: no equality",
+            model(joints=CUT, extra=LEVER, actuators='<motor tendon="t" ctrlrange="-1.6 1.6"/>'),
+            *("joint 'h'", "tendon's motor"),
         ),
-        (
-            model(joints=HINGE.replace("/>", ' damping="-1"/>')),
-            "joint 'h': damping: -1.0: must be greater than or equal to 0",
-        ),
-        (
-            model(geoms='<geom name="g" size="0.1" friction="-1"/>'),
-            "static_friction: -1.0: must be greater than or equal to 0",
-        ),
-        *(
-            (model(geoms=f'<geom name="g" type="{kind}"/>'), f"geom 'g': {key}: ")
-            for kind, key in (('sphere" size="1e13', "radius"), ('box" size="1 1e13 1', "size.1"))
-        ),
-        (
-            model(actuators='<velocity name="m" joint="h" kv="1" gear="1e200"/>'),
-            "joint 'h': actuator.gain: inf: must be",
-        ),
-        (
-            model(
-                actuators='<velocity name="m" joint="h" kv="1" group="2"/>',
-                extra='<option actuatorgroupdisable="1 2"/>',
-            ),
-            "actuator 'm': actuatorgroupdisable disables its group, 2. Allowed: an enabled group",
-        ),
-        (
-            model(free='<joint name="root" type="free" damping="1" armature="0.1"/>'),
-            "joint 'root': it is a free joint with damping 1, armature 0.1, which change the ac",
-        ),
-        (
-            model(
-                joints=HINGE.replace("/>", ' actuatorfrcrange="-3 3"/>'),
-                extra='<tendon><fixed name="t"><joint joint="h" coef="-2"/></fixed></tendon>',
-                actuators='<motor tendon="t" ctrlrange="-1.6 1.6"/>',
-            ),
-            "joint 'h': its actuatorfrcrange limits the force of a tendon's motor. Allowed: a forc",
-        ),
-        ("<mujoco><wolrd/></mujoco>", "unrecognized element Element 'wolrd', line 1"),
+        ("<mujoco><wolrd/></mujoco>", "MuJoCo", "'wolrd', line 1"),
     ],
 )
-def test_unsupported_elements_are_refused_by_name(read, tmp_path, text, expected):
-    with pytest.raises(ExchangeError) as refusal:
+def test_unsupported_elements_are_refused_by_name(read, tmp_path, text, element, word):
+    with pytest.raises(ExchangeError, match=f"{element}.*{word}") as refusal:
         read(text)
     assert str(refusal.value).startswith(f"{tmp_path / 'model.xml'}: ")
-    assert expected in str(refusal.value)
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (model(attributes='quat="nan 0 0 1"'), "body 'limb': its quat, euler, axisangle, xyaxes"),
-        (model(attributes='gravcomp="nan"'), "body 'limb': its gravcomp holds nan"),
-        (model().replace("0.3 0 0", "nan 0 0"), "body 'limb': its pos holds nan. Allowed: finite"),
-        (model(geoms='<geom name="g" size="inf"/>'), "geom 'g': its size holds inf. Allowed: fin"),
-        (
-            model(geoms='<geom name="g" size="0.1" friction="nan"/>'),
-            "geom 'g': its friction (first number) holds nan",
-        ),
-        (model(joints=HINGE.replace("/>", ' pos="0 nan 0"/>')), "joint 'h': its pos holds nan"),
-        (model(joints=HINGE.replace("-1 1", "-1 nan")), "joint 'h': its range, ref holds nan"),
-        (model(joints=HINGE.replace("/>", ' damping="nan"/>')), "joint 'h': its damping holds nan"),
-        (
-            model(joints=HINGE.replace("/>", ' actuatorfrcrange="-1 nan"/>')),
-            "joint 'h': its actuatorfrcrange holds nan. Allowed: numbers",
-        ),
-        (
-            model(actuators='<velocity name="m" joint="h" kv="1" gear="nan"/>'),
-            "actuator 'm': its gear holds nan. Allowed: finite numbers",
-        ),
+        (model(attributes='quat="nan 0 0 1"'), "body 'limb': its quat"),
+        (model(attributes='gravcomp="nan"'), "body 'limb': its gravcomp"),
+        (model().replace("0.3 0 0", "nan 0 0"), "body 'limb': its pos"),
+        (model(geoms='<geom name="g" size="inf"/>'), "geom 'g': its size"),
+        (model(geoms='<geom name="g" size="0.1" friction="nan"/>'), "geom 'g': its friction"),
+        (model(joints=HINGE.replace("/>", ' pos="0 nan 0"/>')), "joint 'h': its pos"),
+        (model(joints=HINGE.replace("-1 1", "-1 nan")), "joint 'h': its range"),
+        (model(joints=HINGE.replace("/>", ' damping="nan"/>')), "joint 'h': its damping"),
+        (model(joints=CUT.replace("-3 3", "-1 nan")), "joint 'h': its actuatorfrcrange"),
+        (model(actuators=VELOCITY.format('gear="nan"')), "actuator 'm': its gear"),
     ],
 )
 def test_elements_without_numbers_are_refused(read, tmp_path, monkeypatch, text, expected):
@@ -628,11 +531,7 @@ def test_refused_parts_can_be_dropped(read):
         actuators=MOTOR, beside=ball, extra='<equality><joint name="e" joint1="h"/></equality>'
     )
     found = read(text, drop=True)
-    assert found.dropped == (
-        "equality 'e': a creature cannot have it. Allowed: no equality",
-        "body 'other': it moves beside body 'trunk'. Allowed: one tree of bodies, or several that "
-        "all hang on the world by joints",
-    )
+    assert [words.partition(":")[0] for words in found.dropped] == ["equality 'e'", "body 'other'"]
     assert [body["name"] for body in found.experiment["creature"]["bodies"]] == ["trunk", "limb"]
     arm = '<body name="arm"><joint name="j"/><joint name="k" axis="1 0 0"/><geom size="1"/></body>'
     driven = ball.replace("<geom", f"{arm}<geom")
@@ -660,9 +559,7 @@ def test_a_dropped_mocap_body_is_a_fixed_root(read):
 
 def test_a_dropped_ball_leaves_the_other_joints_of_its_body(read):
     found = read(model(joints=HINGE + '<joint name="b" type="ball"/>'), drop=True)
-    assert found.dropped == (
-        "joint 'b': it shares its body with other joints. Allowed: a ball joint alone in its body",
-    )
+    assert found.dropped[0].startswith("joint 'b': it shares its body")
     assert found.joints == {"limb": (1,)}
     assert found.experiment["creature"]["bodies"][1]["joint"]["axes"] == ["z"]
 
@@ -760,18 +657,10 @@ def test_names_are_made_unique(read):
     assert read(escaped).experiment["creature"]["name"] == "cat_[31m"
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("missing.xml", "no such file"),
-        ("", r"cannot be read \(Is a directory\)"),
-        (300 * "a", r"cannot be read \(File name too long\)"),
-        ("model.xml/model.xml", r"cannot be read \(Not a directory\)"),
-    ],
-)
-def test_a_file_that_cannot_be_read_is_named(tmp_path, name, expected):
+@pytest.mark.parametrize("name", ["missing.xml", "", 300 * "a", "model.xml/model.xml"])
+def test_a_file_that_cannot_be_read_is_named(tmp_path, name):
     (tmp_path / "model.xml").write_text("<mujoco/>")
-    with pytest.raises(ExchangeError, match=f"^{tmp_path / name}: {expected}$"):
+    with pytest.raises(ExchangeError, match=f"^{tmp_path / name}: (no such|cannot be read)"):
         read_model(tmp_path / name)
 
 

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+import yaml
 
 from benchmarks.imported_models import accelerations
 from creatures import random_state
@@ -18,7 +19,6 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.load import complete_config, load_config
 from evo_cpg.io.models.imported_files import write_imported
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.io.models.mjcf_import import read_model
 from evo_cpg.io.models.mujoco_state import dof_order, load_state
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.step.world import World
@@ -87,16 +87,6 @@ def test_accelerations_equal_mujocos(compiled):
         still = MotorCommand(np.zeros_like(state.q))
         ours = accelerations(World(tree, GRAVITY), state, still)
         assert np.abs(ours - theirs).max() < 1e-4 * np.abs(theirs).max()
-
-
-@pytest.fixture
-def read(tmp_path):
-    def call(text: str):
-        path = tmp_path / "model.xml"
-        path.write_text(text, encoding="utf-8")
-        return read_model(path)
-
-    return call
 
 
 def test_export_and_import_preserve_a_creature(read):
@@ -179,32 +169,26 @@ def test_a_mesh_with_needles_becomes_a_coarser_hull(read):
     assert shape.volume == pytest.approx(rod.volume, rel=0.1)
 
 
+LOFT = """
+name: x
+creature:
+  name: x
+  materials: {m: {density: 800}}
+  bodies:
+    - name: a
+      material: m
+      shape:
+        type: loft
+        sections:
+          - {at: [0.1, 0, 0], width: 0.1, height: 0.05}
+          - {at: [0, 0.04, 0], width: 0.06, height: 0.05}
+          - {at: [-0.1, 0, 0], width: 0.08, height: 0.05}
+"""
+
+
 def test_a_loft_has_mujocos_mass_and_inertia(compiled):
     """A bent loft of two pieces, in single precision: 1e-5."""
-    sections = [(0.1, 0.0, 0.1), (0.0, 0.04, 0.06), (-0.1, 0.0, 0.08)]
-    config = complete_config(
-        {
-            "name": "x",
-            "creature": {
-                "name": "x",
-                "materials": {"m": {"density": 800.0}},
-                "bodies": [
-                    {
-                        "name": "a",
-                        "material": "m",
-                        "shape": {
-                            "type": "loft",
-                            "sections": [
-                                {"at": [x, y, 0.0], "width": size, "height": 0.05}
-                                for x, y, size in sections
-                            ],
-                        },
-                    }
-                ],
-            },
-        },
-        Path("x.yaml"),
-    )
+    config = complete_config(yaml.safe_load(LOFT), Path("x.yaml"))
     creature = config.creature.build()
     assert len(creature.bodies) == 2
     tree, model = build_tree(creature), compiled(creature, GRAVITY)

@@ -153,7 +153,7 @@ def test_the_controller_uses_the_senses_of_mujocos_animal(swimmer):
     experiment, genes, steps = swimmer
     simulation, creature = experiment.simulation, experiment.creature
     bent = steps._replace(
-        before=eqx.tree_at(lambda state: state.q, steps.before, steps.before.q + 0.3),
+        before=eqx.tree_at(lambda state: state.q, steps.before, steps.before.q + 0.3)
     )
     commanded = second_opinion(simulation, creature, bent)
     sensed = second_opinion(simulation, creature, bent, brain=ControllerInLoop(simulation, genes))

@@ -101,10 +101,8 @@ def test_a_urdf_comes_in_with_its_mesh(robot):
     assert (upper.damping, upper.friction_loss) == (0.2, 0.1)
     assert found.left_out == ("velocity limit of joint 'shoulder'",)
     assert found.changed == ()
-    assert found.warnings == (
-        "the root 'base' does not move, so use a task of your own. The option --free releases the "
-        "first body",
-    )
+    (warning,) = found.warnings
+    assert "'base' does not move" in warning and "--free" in warning
 
 
 def test_bodies_equal_an_independent_reading(robot):
@@ -269,11 +267,7 @@ def test_limits_and_efforts_stay_or_are_named(pair, limit, limits, said):
         ('lower="-1"', 'lower="2"', "joint 'j': its limits are 2 to 1. Allowed: lower below upper"),
         ('lower="-1"', 'lower="1"', "joint 'j': its limits are 1 to 1. Allowed: lower below upper"),
         ('link name="b"', 'link name="${b}"', r"link '${b}': '${b}' is an expression of xacro"),
-        (
-            'size="0.2',
-            'size="$(arg size)',
-            "link 'a', link 'b': '$(arg size) 0.1 0.1' is an expression of x",
-        ),
+        ('size="0.2', 'size="$(arg size)', "link 'a', link 'b': '$(arg size) 0.1 0.1'"),
         ("</robot>", "<xacro:leg/></robot>", "element <xacro:leg>: it is a macro of xacro. Allow"),
         ('value="0.5"', 'value="0,5"', "MuJoCo cannot load it: XML Error: bad format"),
         ("<mass ", "<Mass ", "MuJoCo cannot load it: XML Error: missing element: 'mass'"),
