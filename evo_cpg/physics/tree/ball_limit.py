@@ -18,7 +18,7 @@ from evo_cpg.creature.axis_kinds import SPANNING
 from evo_cpg.creature.laws import BallLimits
 from evo_cpg.physics.tree.joint_torque import expected_limit_torque, limit_torque
 from evo_cpg.physics.tree.per_body import take
-from evo_cpg.physics.tree.root import joint_part, joint_rows, plus_torque
+from evo_cpg.physics.tree.root import JOINTS, ROOT_DOFS
 from evo_cpg.physics.tree.state import State
 
 # Square of the angle (rad) below which its direction does not matter.
@@ -93,11 +93,11 @@ class BallForce(NamedTuple):
         self, matrix: Float[Array, "v v *n"], force: Float[Array, "v *n"]
     ) -> tuple[Float[Array, "v v *n"], Float[Array, "v *n"]]:
         """Return the matrix plus ``n T n^T``, and the generalized force plus the torque."""
-        n, rows = self.laws.direction, joint_rows(_rows(self.laws.limits))
+        n, rows = self.laws.direction, ROOT_DOFS + _rows(self.laws.limits)
         block = n[:, None] * n[None] * self.resistance[None, None]
         one, other = np.broadcast_arrays(rows[:, None], rows[None])
         matrix = matrix.at[one, other].add(block)
-        return matrix, plus_torque(force, self.laws.torque_of(self.torque, len(joint_part(force))))
+        return matrix, force.at[JOINTS].add(self.laws.torque_of(self.torque, len(force[JOINTS])))
 
 
 def ball_laws(limits: BallLimits | None, state: State) -> BallLaws | None:

@@ -38,7 +38,7 @@ from evo_cpg.physics.tree.spatial_algebra import (
 
 def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
     """Return the accelerations ``(3, b, *n)`` of all bodies, without those of `Kinematics`."""
-    batch_ndim, qdd = y.ndim - 1, root.joint_part(y)
+    batch_ndim, qdd = y.ndim - 1, y[root.JOINTS]
     a = PerBody([Motion(y[:3], y[3 : root.ROOT_DOFS])], batch_ndim)
     if tree.hanging is not None:
         still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
@@ -80,7 +80,7 @@ def generalized_equations(
     """Return the matrix and the force of the equation that `articulated.solve` solves."""
     matrix = root.plus_joint_diagonal(mass_matrix(tree, kin, inertia), resistance)
     force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
-    return matrix, root.plus_torque(force, torque)
+    return matrix, force.at[root.JOINTS].add(torque)
 
 
 def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "v v *n"]:

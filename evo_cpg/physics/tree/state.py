@@ -66,7 +66,7 @@ class State(eqx.Module):
 
     def displaced(self, tree: Tree, x: Float[Array, " v"]) -> "State":
         """Return the state at static coordinates from this pose (`step.statics`)."""
-        q = joint_kinds.displaced(tree, self.q, root.joint_part(x))
+        q = joint_kinds.displaced(tree, self.q, x[root.JOINTS])
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
         turned = integrate_quaternion(self.orientation, x[root.LENGTHS : root.ROOT_DOFS], 1.0)

@@ -33,7 +33,7 @@ from evo_cpg.physics.tree.joint_torque import (
     motor_torque,
 )
 from evo_cpg.physics.tree.per_body import spread, take
-from evo_cpg.physics.tree.root import ROOT_DOFS, joint_part, plus_torque
+from evo_cpg.physics.tree.root import JOINTS, ROOT_DOFS
 from evo_cpg.physics.tree.state import State
 
 
@@ -123,8 +123,8 @@ class TendonForce(NamedTuple):
         product = take(coefficients, one, 0) * take(coefficients, other, 0)
         values = product * take(self.resistance, owners[one], 0)
         matrix = matrix.at[ROOT_DOFS + dofs[one], ROOT_DOFS + dofs[other]].add(values)
-        torque = torque_of(tendons, self.force, len(joint_part(force)))
-        return matrix, plus_torque(force, torque)
+        torque = torque_of(tendons, self.force, len(force[JOINTS]))
+        return matrix, force.at[JOINTS].add(torque)
 
 
 def tendon_laws(
