@@ -53,7 +53,7 @@ from evo_cpg.native.engine import using
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree import root
 from evo_cpg.physics.tree.hanging import Base
-from evo_cpg.physics.tree.joint_torque import Laws, MotorCommand
+from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.muscle import Pull, pull_of
 from evo_cpg.physics.tree.state import State, resting_state
@@ -421,7 +421,7 @@ def _applied(world: World) -> bool:
     return world.water is not None or bool(world.forces)
 
 
-def _controls(laws: Laws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
+def _controls(laws: ForceLaws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
     """Return MuJoCo's commands that give the force of our motors."""
     target_rate, target_angle = np.asarray(command.target_rate), np.asarray(command.target_angle)
     gain, stiffness = (

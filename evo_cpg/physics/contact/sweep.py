@@ -122,7 +122,11 @@ def times_of_contact(
         h: step, s.
     """
     parts, outline, obstacles = _held((parts, outline, obstacles))
-    size = _reach(parts, outline)
+    # Distance from a part's centre to its farthest point, without its radius.
+    half = parts.at.half_extents
+    size = half.max(0) if outline.ellipsoids else _length(half)
+    if outline.ellipsoids and outline.corners is not None:
+        size = jnp.maximum(size, jnp.sqrt(dot(outline.corners, outline.corners)).max(0))
     least = fast_from(margin, size + parts.at.radius)
     # The offset of a ball at its body's origin is 0, so turning does not make it fast.
     offset = parts.at.centre - parts.origin
@@ -206,17 +210,6 @@ def time_of_crossing(
 def _held(values: Any) -> Any:
     """Return values without derivatives, because loops of unknown length have none."""
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if is_traced(x) else x, values)
-
-
-def _reach(parts: Moving, outline: PartShapes) -> Float[Array, "p *n"]:
-    """Return the distance from a part's centre to its farthest point, without its radius, m."""
-    half = parts.at.half_extents
-    if not outline.ellipsoids:
-        return _length(half)
-    reach = half.max(0)
-    if outline.corners is None:
-        return reach
-    return jnp.maximum(reach, jnp.sqrt(dot(outline.corners, outline.corners)).max(0))
 
 
 def _apart_along(

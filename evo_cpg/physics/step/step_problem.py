@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from evo_cpg.creature.algebra.linear import dot, matvec, where_each
+from evo_cpg.creature.algebra.linear import cross, dot, matvec, where_each
 from evo_cpg.creature.algebra.numerics import xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import solve_symmetric
@@ -47,6 +47,7 @@ from evo_cpg.physics.tree.generalized import (
     mass_matrix,
 )
 from evo_cpg.physics.tree.joint_torque import changes_overload, linearized_torque
+from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.root import JOINTS, plus_joint_diagonal
 from evo_cpg.physics.tree.tendon import TendonForce
 
@@ -137,7 +138,8 @@ class StepProblem(NamedTuple):
         contacts = self.equations.contacts
         assert contacts is not None
         accelerations = body_accelerations(self.world.tree, self.equations.kin, y)
-        return contacts.change_of_velocity(accelerations)
+        angular, linear = (take(x, np.array(contacts.model.bodies)) for x in accelerations)
+        return self.h * matvec(contacts.frame, linear + cross(angular, contacts.offset))
 
     def linearized(
         self,

@@ -118,7 +118,9 @@ def _joint_elements(
         Rows and columns, ``(m, 2)``, and the elements.
     """
     body = np.array(tree.dof_bodies, int)
-    f = joints.momentum_of_each(jax.tree.map(lambda x: take(x, body, 2), composite), kin.axes)
+    inertia = jax.tree.map(lambda x: take(x, body, 2), composite)
+    columns = joints.momentum(inertia, jax.tree.map(lambda x: x[:, None], kin.axes))
+    f = Wrench(columns.moment[:, 0], columns.force[:, 0])
     dofs = np.arange(tree.dof_count)
     places, values = [], []
     while len(dofs):

@@ -77,14 +77,3 @@ def pushed(
     _, _, S = linked(tree, group, fixed_link(base), local, jnp.zeros_like(q))
     assert S.linear is not None
     return matvec_t(S.linear[:, np.array(tree.root_slides), 0], change)
-
-
-def base_of(base: Base | None) -> Base:
-    """Return the base of a state.
-
-    Raises:
-        ValueError: it has none, as the state of another creature with a free root.
-    """
-    if base is None:
-        raise ValueError("the root hangs on the world, so its state needs a base")
-    return base

@@ -248,7 +248,10 @@ class Turns:
         identity = expand_dims_like(np.eye(axes), torque, torque.ndim + 1)
         if axes != SPANNING:
             return AtOnce(S, torque, identity * diagonal[None], None)
-        to_q = _inverse_columns(S.angular)
+        # The inverse of the axes has cross products of its columns as rows.
+        a, b, c = S.angular[:, 0], S.angular[:, 1], S.angular[:, 2]
+        rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
+        to_q = rows * (1.0 / dot(a, rows[0]))[None, None]
         derivative = symmetric(t_matmul(to_q, diagonal[:, None] * to_q))
         return AtOnce(Subspace(identity), matvec_t(to_q, torque), derivative, to_q)
 
@@ -326,13 +329,6 @@ class AxisChain(Weld):
 
 
 _KINDS = {"weld": Weld(), "turns": Turns(), "ball": Ball(), "chain": AxisChain()}
-
-
-def moved(
-    tree: Tree, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
-) -> Float[Array, "d *n"]:
-    """Return the coordinates after h seconds (negative: before) at constant rates."""
-    return displaced(tree, q, h * rate)
 
 
 def displaced(tree: Tree, q: Float[Array, "d *n"], x: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
@@ -457,10 +453,3 @@ def joints_of(
     own = S.of(group, torque.ndim - 1)
     tau, diagonal = (of_joints(x, group, torque.ndim - 1) for x in (torque, torque_derivative))
     return _KINDS[group.kind].elimination(own, tau, diagonal)
-
-
-def _inverse_columns(m: Float[Array, "3 3 *rest"]) -> Float[Array, "3 3 *rest"]:
-    """Return the inverse of a matrix, with cross products of its columns as rows."""
-    a, b, c = m[:, 0], m[:, 1], m[:, 2]
-    rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
-    return rows * (1.0 / dot(a, rows[0]))[None, None]

@@ -155,27 +155,6 @@ def momentum(inertia: Inertia, S: Subspace) -> Wrench:
     )
 
 
-def momentum_of_each(inertia: Inertia, S: Subspace) -> Wrench:
-    """Return ``I S``, with an inertia for each degree of freedom: d wrenches."""
-    found = momentum(inertia, jax.tree.map(lambda x: x[:, None], S))
-    return Wrench(found.moment[:, 0], found.force[:, 0])
-
-
-def speed_along(
-    S: Subspace, offset: Float[Array, "3 p d *n"], normal: Float[Array, "3 p *n"]
-) -> Float[Array, "p d *n"]:
-    """Return the speed of points along their normals, per rate of each degree of freedom.
-
-    Args:
-        S: motion per rate of each degree of freedom, ``(3, d, *n)``.
-        offset: vectors from the origins of the joints' bodies to the points, m.
-        normal: unit normals.
-    """
-    along = jnp.broadcast_to(normal[:, :, None], offset.shape)
-    speed = dot(S.angular[:, None], cross(offset, along))
-    return speed if S.linear is None else speed + dot(S.linear[:, None], along)
-
-
 def about(
     S: Subspace, origins: Float[Array, "3 d *n"]
 ) -> tuple[Float[Array, "3 d *n"], Float[Array, "3 d *n"]]:

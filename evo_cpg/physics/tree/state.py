@@ -58,7 +58,7 @@ class State(eqx.Module):
 
     def moved(self, tree: Tree, h: float) -> "State":
         """Return the state after h seconds (negative: before) at constant velocities."""
-        q = joint_kinds.moved(tree, self.q, self.qd, h)
+        q = joint_kinds.displaced(tree, self.q, h * self.qd)
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
         pose = root.moved(self.position, self.orientation, self.velocity, h)
