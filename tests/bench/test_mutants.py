@@ -45,8 +45,7 @@ def test_every_layer_with_mathematics_has_mutants():
         "control",
         "evolution",
         "simulation",
-        "fusion",
+        "native",
         "view",
-        "spatial",
     }
     assert len(MUTANTS) >= 60
