@@ -289,10 +289,7 @@ def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Co
 
     The volume that the axes span is a cosine of the angle of the middle axis.
 
-    Args:
-        axes: unit vectors of the three axes.
-        lower: lower limit of the middle axis, rad.
-        upper: upper limit of the middle axis, rad.
+    The limits are those of the middle axis, rad.
     """
     first, middle, last = xp.array(axes, float)
     across = xp.cross(middle, last)
@@ -494,8 +491,7 @@ class Creature:
 def rigid_owners(bodies: Sequence[Body]) -> list[int]:
     """Return the index of the first body of the rigid group of each body, often its own.
 
-    Args:
-        bodies: all bodies of a creature, each after its parent.
+    Each body comes after its parent.
     """
     owners: dict[str, int] = {}
     for i, body in enumerate(bodies):
@@ -568,11 +564,6 @@ def lowest_height(creature: Creature, pose: tuple[Numbers, Numbers] | None = Non
     """Return the height of the creature's lowest point, m.
 
     The height in the neutral pose is relative to the root's centre, and never positive.
-
-    Args:
-        creature: the creature.
-        pose: centres and rotations of its bodies, as `neutral_pose` returns them, or None for the
-            neutral pose.
     """
     return lowest_along(creature, xp.array([0.0, 0.0, 1.0]), pose)
 
@@ -582,10 +573,7 @@ def lowest_along(
 ) -> Number:
     """Return the smallest coordinate of any point of the creature along a direction, m.
 
-    Args:
-        creature: the creature.
-        up: unit vector ``(3,)`` in the axes of the pose.
-        pose: centres and rotations of its bodies, or None for the neutral pose.
+    The pose is that of `neutral_pose`, by default the neutral one.
     """
     centres, rotations = neutral_pose(creature) if pose is None else pose
     heights = [

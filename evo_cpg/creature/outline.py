@@ -109,9 +109,7 @@ def outlines(
 ) -> tuple[list[BodyOutline], Float[Numbers, "b b"]]:
     """Return the outline of each body, and the weight with which every two bodies are in line.
 
-    Args:
-        creature: the creature.
-        pose: centres and rotations of its bodies.
+    The pose is that of `neutral_pose`.
     """
     links = joint_places(creature, pose)
     barrels = [_barrel(creature, pose, i, links) for i in range(len(creature.bodies))]

@@ -164,13 +164,7 @@ def _turn(pose: tuple[Numbers, Numbers], link: _Link, place: Numbers) -> Number:
 def _links(
     creature: Creature, pose: tuple[np.ndarray, np.ndarray], places: dict[_Link, np.ndarray]
 ) -> list[_Link]:
-    """Return the joints that continue a chain.
-
-    Args:
-        creature: the creature.
-        pose: centres and rotations of its bodies.
-        places: position of the joint between every two bodies, m.
-    """
+    """Return the joints that continue a chain."""
     centres, rotations = pose
     count = Counter(body for link in places for body in link)
     extents: dict[_Link, list[tuple[float, float, bool]]] = {}

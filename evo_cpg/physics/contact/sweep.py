@@ -113,13 +113,8 @@ def times_of_contact(
     The time of slow parts is 0. The second result is the distance (m) that a fast part moves until
     it touches the obstacle.
 
-    Args:
-        parts: parts of the creature.
-        outline: shapes of the parts.
-        obstacles: k blocks without radius and boulders without extent, on the first axes of the
-            arrays.
-        margin: margin of the ground, m.
-        h: step, s.
+    The obstacles, on the first axes of the arrays, are blocks without radius and boulders without
+    extent.
     """
     parts, outline, obstacles = _held((parts, outline, obstacles))
     # Distance from a part's centre to its farthest point, without its radius.
@@ -172,14 +167,8 @@ def time_of_crossing(
 ) -> Float[Array, "p *n"]:
     """Return the time at which points on straight paths get deeper into a floor, s, or 0.
 
-    Args:
-        floor: parts of the floor.
-        points: initial positions, m.
-        velocity: velocities, m/s.
-        radius: radii of balls around the points, m.
-        least: displacement in a step from which a point is fast, m.
-        h: step, s.
-        beyond: length of the path that is sampled beyond the step, m.
+    Points have radii (m) and are fast from the displacement ``least`` (m) in a step on. The path is
+    sampled ``beyond`` (m) the step.
     """
     floor, points, velocity, radius, least = _held((floor, points, velocity, radius, least))
 

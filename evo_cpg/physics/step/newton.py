@@ -107,14 +107,9 @@ def line_search(
 ) -> Iterate:
     """Return the iterate with the least potential on a line.
 
-    Args:
-        problem: problem with the potential.
-        radius: radii of the friction cones, N.
-        start: accelerations at the start of the line.
-        velocity: velocities of the contact points at the start of the line, m/s.
-        linear: laws linearized at the start of the line.
-        end: accelerations at its end, under these laws.
-        least: decrease per length (W) below which there is no search and the end is returned.
+    The line leads from the accelerations ``start``, at which the laws are linearized, to ``end``.
+    If the potential decreases by less than ``least`` (W) per length, the end is returned without a
+    search.
     """
     direction, h = end - start, problem.h
     turning, pairs = direction[JOINTS], problem.equations.pairs

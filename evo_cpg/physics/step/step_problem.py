@@ -262,11 +262,8 @@ class StepProblem(NamedTuple):
     ) -> Float[Array, "*n"]:
         """Return the Coulomb error of the friction forces, relative to the total normal load.
 
-        Args:
-            radius: radii of the cones in the solved problem, N.
-            allowed: radii from the normal forces of its solution, N.
-            velocity: velocities of the contact points in the solution, m/s.
-            linear: laws linearized at the solution.
+        ``radius`` are the radii of the cones in the solved problem, ``allowed`` those from the
+        normal forces of its solution, N.
         """
         contacts = self.equations.contacts
         if contacts is None or velocity is None:

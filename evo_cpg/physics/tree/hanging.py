@@ -40,14 +40,7 @@ def fixed_link(base: Base) -> Link:
 def pose(
     tree: Tree, base: Base, q: Float[Array, "d *n"], qd: Float[Array, "d *n"]
 ) -> tuple[Float[Array, "3 *n"], Float[Array, "4 *n"], Float[Array, "6 *n"]]:
-    """Return position, orientation and velocity of the root, as in `state.State`.
-
-    Args:
-        tree: the creature.
-        base: frame on which its root hangs.
-        q: joint angles, rad.
-        qd: joint rates, rad/s.
-    """
+    """Return position, orientation and velocity of the root, as in `state.State`."""
     group = tree.hanging
     assert group is not None
     local = local_frames(tree, q)[group.bodies]
@@ -64,12 +57,6 @@ def pushed(
     """Return the changes of the rates of the root's slides by a change of its velocity, m/s.
 
     Each slide takes the part along itself. The other axes take none.
-
-    Args:
-        tree: the creature.
-        base: frame on which its root hangs.
-        q: joint angles, rad.
-        change: change of the root's velocity, m/s.
     """
     group = tree.hanging
     assert group is not None

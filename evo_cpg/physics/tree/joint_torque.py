@@ -135,11 +135,8 @@ def limit_torque(
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of the soft limits (N m), and its decrease per rate (N m s/rad).
 
-    Args:
-        tree: the creature.
-        q: joint angles at the start of the step, rad.
-        rate: joint rates at the end of the step, rad/s.
-        h: step, s, or 0 for the law itself, without a step.
+    The angles are those at the start of the step, the rates (rad/s) those at its end. A step of 0
+    gives the law itself.
     """
     stiffness, damping, lower, upper = (
         expand_dims_like(x, q)

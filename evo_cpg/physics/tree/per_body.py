@@ -62,9 +62,7 @@ class PerBody(Generic[Value]):
     def plus(self, bodies: Sequence[int], stacked: Value) -> "PerBody[Value]":
         """Add values to some bodies, like ``x.at[bodies].add(stacked)`` for an array.
 
-        Args:
-            bodies: body of each value. A body may occur more than once.
-            stacked: the values.
+        A body may occur more than once.
         """
         axis, structure = -self._batch_ndim - 1, jax.tree.structure(stacked)
         columns = []
@@ -98,10 +96,7 @@ class PerBody(Generic[Value]):
 def of_joints(x: Array, group: Group, batch_ndim: int) -> Array:
     """Return a group's part of a quantity of all degrees of freedom.
 
-    Args:
-        x: the quantity, ``(..., d, *n)``.
-        group: the group of joints.
-        batch_ndim: number of axes of individuals.
+    The individuals are the last ``batch_ndim`` axes.
 
     Returns:
         ``(..., axes of a joint, bodies, *n)``.
@@ -131,11 +126,7 @@ def take(x: Array, indices: np.ndarray, axis: int = 1) -> Array:
 def spread(parts: Array, bodies: Sequence[int], count: int, axis: int = 1) -> Array:
     """Return parts of some bodies as a quantity of all bodies, with 0 for the others.
 
-    Args:
-        parts: one part for each entry of ``bodies``, stacked on the axis.
-        bodies: body of each part. The parts of a body that occurs more than once are added.
-        count: number of bodies.
-        axis: axis of the bodies.
+    The parts of a body that occurs more than once are added.
     """
     each: dict[int, Array] = {}
     for body, part in zip(bodies, jnp.unstack(parts, axis=axis), strict=True):

@@ -69,9 +69,7 @@ def moved(
 def solved(inertia: Inertia, bias: Wrench) -> Motion:
     """Return the root's acceleration ``-I^-1 p``, by eliminating the linear part.
 
-    Args:
-        inertia: I, the articulated inertia of the whole tree at the root.
-        bias: p, the bias wrench.
+    ``I`` and ``p`` are the articulated inertia and bias of the whole tree at the root.
     """
     linear_inverse = inverse_symmetric(inertia.linear)
     coupling = matmul(inertia.mixed, linear_inverse)

@@ -247,11 +247,7 @@ def make_plate_lift(
 ) -> PlateLift | None:
     """Return the lift of the thin bodies outside slender chains, or None if there are none.
 
-    Args:
-        creature: the creature.
-        tree: tree of the creature.
-        has_moment: whether the force acts ahead of the centre (`PlateLift`).
-        layout: "complete" keeps thick bodies, with a weight of 0.
+    The layout "complete" keeps thick bodies, with a weight of 0.
     """
     chained = {
         creature.bodies[body].name

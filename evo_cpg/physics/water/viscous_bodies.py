@@ -167,11 +167,8 @@ def _form_points(
     The coefficients give the chain the drag of its outline. Where the points of a round body are
     too few for that, such as at the edge of a thin disc, points at the body's centre add the rest.
 
-    Args:
-        shape: outline of the chain.
-        surfaces: points of its bodies.
-        fine: many points of the first body. The few points of a thin ellipsoid have up to six times
-            its area, and a single body meets hardly more flow than its silhouette.
+    ``fine`` are many points of the first body: a thin ellipsoid's few points have up to six times
+    its area, and a single body meets hardly more flow than its silhouette.
     """
     normals = [surface.normals @ turn for surface, turn in zip(surfaces, shape.axes, strict=True)]
     every, areas = xp.concatenate(normals), xp.concatenate([s.areas for s in surfaces])
@@ -335,10 +332,8 @@ def form_drag_coefficients(
 ) -> Float[Numbers, " 3"]:
     """Return C for flow along each axis of a shape.
 
-    Args:
-        sizes: lengths of the shape along its axes, m.
-        sharpness: 0 for round shapes, 1 for boxes. Values between mix the two coefficients.
-        bluntness: fraction that consists of cylinders along each axis, or None without cylinders.
+    The sharpness is 0 for round shapes and 1 for boxes. The bluntness is the fraction that consists
+    of cylinders along each axis.
     """
     found = []
     for axis in range(3):
