@@ -7,11 +7,11 @@ body has a frame at its geometric centre. In the neutral pose z is up and the an
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from evo_cpg.creature.algebra.decisions import Condition, chosen
+from evo_cpg.creature.algebra.decisions import Condition, decided
 from evo_cpg.creature.algebra.numerics import Number, Numbers, Triple, as_vector, is_traced, xp
 from evo_cpg.creature.axis_kinds import SPANNING, AxisKind, Turn
 from evo_cpg.creature.shapes import Shape
@@ -249,8 +249,10 @@ class Joint:
     @property
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
         """Degrees of freedom, in the order in which they move the body."""
-        alike = self.stiffness, self.rest, self.damping, self.armature, self.friction_loss
-        columns = self.lower, self.upper, *map(self._each, alike), self._each(self.actuator)
+        given = self.stiffness, self.rest, self.damping, self.armature, self.friction_loss
+        columns = [self.lower, self.upper]
+        for x in (*given, self.actuator):
+            columns.append(x if isinstance(x, tuple) else (x,) * len(self.axes))
         kinds = self.kinds or (Turn(),) * len(self.axes)
         places = self.places or (None,) * len(self.axes)
         shifts = [
@@ -273,15 +275,9 @@ class Joint:
             return "chain"
         if len(self.axes) < SPANNING:
             return "turns"
-
-        def spans() -> Condition:
-            return stay_independent(self.axes, self.lower[1], self.upper[1])
-
-        return "turns" if chosen(lambda: bool(spans()), lambda made: spans() == made) else "chain"
-
-    def _each(self, value: Any) -> tuple[Any, ...]:
-        """Return the value of each axis."""
-        return value if isinstance(value, tuple) else (value,) * len(self.axes)
+        ends = self.lower[1], self.upper[1]
+        spans = decided(lambda: stay_independent(self.axes, *ends))
+        return "turns" if spans else "chain"
 
 
 def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Condition:

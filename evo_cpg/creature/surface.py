@@ -71,13 +71,10 @@ def outer_surfaces(
     surfaces = _outline(creature, resolution, sheltered, layout)
     if layout == "complete":
         return surfaces
-
-    def with_area() -> list[Numbers]:
-        return [surface.areas > 0 for surface in surfaces]
-
+    with_area = chosen(lambda: [surface.areas > 0 for surface in surfaces])
     return tuple(
         Surface(*(column[kept] for column in surface))
-        for surface, kept in zip(surfaces, chosen(with_area), strict=True)
+        for surface, kept in zip(surfaces, with_area, strict=True)
     )
 
 

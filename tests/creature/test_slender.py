@@ -34,7 +34,7 @@ def test_a_chain_runs_from_nose_to_tail():
     (chain,) = slender_chains(box_chain(5, "z", size=(0.2, 0.1, 0.1), gap=0.02))
     assert chain.bodies == (0, 1, 2, 3, 4)
     assert float(chain.length) == pytest.approx(5 * 0.2 + 4 * 0.02)
-    np.testing.assert_allclose(chain.distances, [0.0, 0.21, 0.43, 0.65, 0.87])
+    np.testing.assert_allclose(chain.lengths, [0.21, 0.22, 0.22, 0.22, 0.21])
     np.testing.assert_allclose(chain.tangents, [[1, 0, 0]] * 5, atol=1e-12)
     np.testing.assert_allclose(chain.front[0], [0.1, 0, 0])
     np.testing.assert_allclose(chain.rear[-1], [-0.1, 0, 0], atol=1e-12)

@@ -115,6 +115,11 @@ def chosen(choose: Callable[[], _T], holds: Callable[[_T], Condition] | None = N
     return made
 
 
+def decided(condition: Callable[[], Condition]) -> bool:
+    """Return whether a condition holds, which is right as long as its truth value stays."""
+    return chosen(lambda: bool(condition()), lambda made: condition() == made)
+
+
 def some_hold(conditions: Callable[[], Condition]) -> bool:
     """Return whether any of some conditions holds, to decide whether a model gets a part.
 

@@ -151,7 +151,7 @@ class Contacts(NamedTuple):
         force = matvec_t(self.frame, force)
         bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), force.ndim - 2)
         on_bodies = Wrench(cross(self.offset, force), force)
-        return bodies.plus(self.model.bodies, on_bodies).stacked()
+        return bodies.plus(self.model.bodies, on_bodies)[:]
 
 
 class ContactLinearization(NamedTuple):
@@ -187,7 +187,7 @@ class ContactLinearization(NamedTuple):
         mixed = matmul(shift, translation)
         blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, translation)
         bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), translation.ndim - 3)
-        return bodies.plus(contacts.model.bodies, blocks).stacked()
+        return bodies.plus(contacts.model.bodies, blocks)[:]
 
 
 def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Contacts:

@@ -49,7 +49,7 @@ def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> 
         a_i = motion_at_child(a[i.parents], kin.offset[:, i.bodies])
         S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
         a = a.followed_by(joints.accelerated(a_i, S, x))
-    return a.stacked()
+    return a[:]
 
 
 def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Array, "v *n"]:
@@ -98,7 +98,7 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
     H = H.at[: len(block), : len(block)].set(block)
     if not tree.dof_count:
         return H
-    places, values = _joint_elements(tree, kin, I_c.stacked())
+    places, values = _joint_elements(tree, kin, I_c[:])
     rows, columns = places.T
     return H.at[rows, columns].set(values).at[columns, rows].set(values)
 

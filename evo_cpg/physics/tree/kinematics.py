@@ -72,7 +72,7 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         bodies = bodies.followed_by(body)
         offsets.append(offset)
         axes.append(S)
-    rotation, origin, *motion = bodies.stacked()
+    rotation, origin, *motion = bodies[:]
     return Kinematics(
         rotation,
         origin,
@@ -99,4 +99,4 @@ def motion_of_bodies(
         parent, offset = bodies[i.parents], kin.offset[:, i.bodies]
         S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
         bodies = bodies.followed_by(joints.carried(parent, offset, S, rates))
-    return bodies.stacked()
+    return bodies[:]

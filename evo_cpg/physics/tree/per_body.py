@@ -44,15 +44,12 @@ class PerBody(Generic[Value]):
 
     def __getitem__(self, bodies: slice | Sequence[int]) -> Value:
         chosen = range(len(self._values))[bodies] if isinstance(bodies, slice) else bodies
-        return self._stacked([self._values[body] for body in chosen])
+        values, axis = [self._values[body] for body in chosen], -self._batch_ndim - 1
+        return jax.tree.map(lambda *parts: jnp.stack(parts, axis), *values)
 
     def root(self) -> Value:
         """Return the value of the first body, without an axis of bodies."""
         return self._values[0]
-
-    def stacked(self) -> Value:
-        """Return the values of all bodies, stacked."""
-        return self._stacked(self._values)
 
     def followed_by(self, stacked: Value) -> "PerBody[Value]":
         """Append the values of further bodies."""
@@ -87,10 +84,6 @@ class PerBody(Generic[Value]):
             columns.append(totals)
         values = [structure.unflatten(leaves) for leaves in zip(*columns, strict=True)]
         return PerBody(values, self._batch_ndim)
-
-    def _stacked(self, values: Sequence[Value]) -> Value:
-        axis = -self._batch_ndim - 1
-        return jax.tree.map(lambda *parts: jnp.stack(parts, axis), *values)
 
 
 def of_joints(x: Array, group: Group, batch_ndim: int) -> Array:

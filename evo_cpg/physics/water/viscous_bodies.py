@@ -46,7 +46,7 @@ compares them with measurements.
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.decisions import decided
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Surface
@@ -183,9 +183,7 @@ def _form_points(
     k = point_coefficients(every, areas, coefficients)
     splits = np.cumsum([len(s.areas) for s in surfaces])[:-1].tolist()
     own = xp.split(k, splits)
-    if chosen(
-        lambda: bool(shape.sharpness > _SHARP), lambda was: (shape.sharpness > _SHARP) == was
-    ):
+    if decided(lambda: shape.sharpness > _SHARP):
         return list(zip(surfaces, own, strict=True))
     given = (k * areas) @ xp.abs(every) ** 3
     missing = xp.maximum(coefficients - given / xp.maximum(total, _TINY**2), 0.0)
@@ -207,14 +205,10 @@ def _creep(shape: ChainOutline) -> Float[Numbers, "n 6"]:
     half = shape.sizes / 2
     scale = (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
     force, torque = ellipsoid_resistance(xp.maximum(half * scale, _TINY))
-    lengths = _lengths(shape)
+    lengths = shape.lengths
     part = (lengths / xp.maximum(lengths.sum(), _TINY))[:, None]
     about = xp.concatenate([part * torque[None, :1], part**3 * torque[None, 1:]], 1)
     return xp.concatenate([about, part * force[None]], 1)
-
-
-def _lengths(shape: ChainOutline) -> Float[Numbers, " n"]:
-    return shape.chain.lengths if len(shape.axes) > 1 else 2 * shape.halves[:, 0]
 
 
 def _path(depth: Number, one: Number, other: Number) -> Number:
@@ -228,7 +222,7 @@ def _runs_along(shape: ChainOutline) -> Float[Numbers, "n 2"]:
 
     The mean of ``x^-1/2`` over a body from x_0 to x_1 is ``2 / (sqrt(x_0) + sqrt(x_1))``.
     """
-    lengths = _lengths(shape)
+    lengths = shape.lengths
     ends = xp.cumsum(lengths)
     total = xp.maximum(ends[-1], _TINY)
     starts = ends - lengths
