@@ -6,8 +6,7 @@ from typing import Any
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view.film import side_by_side
-from evo_cpg.view.frames import Film
+from evo_cpg.view.film import Film, side_by_side
 from evo_cpg.view.scene import Panel
 
 _SETTINGS = [field.name for field in dataclasses.fields(Film)]

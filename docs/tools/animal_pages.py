@@ -55,8 +55,7 @@ def collect(run: Path) -> str:
     from evo_cpg.io.run import open_run
     from evo_cpg.io.shipped import shipped_names
     from evo_cpg.training.checkpoint import genes_digest
-    from evo_cpg.view.film import picture
-    from evo_cpg.view.frames import Film
+    from evo_cpg.view.film import Film, picture
     from evo_cpg.view.run_page.viewer_data import viewer_data
     from evo_cpg.view.scene import panel_of
 

@@ -85,7 +85,7 @@ def analyse(
         together = None
         if crowd is not None:
             from evo_cpg.api.film import crowd_panel
-            from evo_cpg.view.frames import Film
+            from evo_cpg.view.film import Film
 
             together = crowd_panel(opened, crowd, trial, Film())
         path = output or opened.folder.path / f"analysis{suffix(number, trial)}.html"
@@ -164,13 +164,11 @@ def page(
 ) -> str:
     """Return the HTML text of a champion's page."""
     from evo_cpg.analysis.gait_numbers import chain_places
-    from evo_cpg.view.clip import sample
-    from evo_cpg.view.film import picture
-    from evo_cpg.view.frames import Film
+    from evo_cpg.view.film import Film, picture
     from evo_cpg.view.run_page.document import document
     from evo_cpg.view.run_page.subject import PageSubject, RecordedMotion
     from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
-    from evo_cpg.view.scene import panel_of
+    from evo_cpg.view.scene import panel_of, sample
 
     folder, config, champion = opened.folder, opened.config, opened.champion
     experiment, meta = opened.experiment, folder.read_meta()

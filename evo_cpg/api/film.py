@@ -14,7 +14,7 @@ from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.crowd import compile_crowd_motion, populations_at
 from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolderError
-from evo_cpg.view.frames import Film
+from evo_cpg.view.film import Film
 from evo_cpg.view.legible import terms_text
 from evo_cpg.view.scene import Panel, panel_of
 from evo_cpg.view.signals import Signals, signals_of

@@ -88,7 +88,7 @@ def save_answer(answer: Answer, name: str, folder: Path) -> list[Path]:
     Raises:
         OutputError: the files cannot be written.
     """
-    from evo_cpg.view.answer_plots import Panel, cell, lab_figure
+    from evo_cpg.view.answer_plots import MeasurePanel, cell, lab_figure
     from evo_cpg.view.figure import save_figure
 
     rows, varied, columns = answer.rows, varied_knobs(answer), shown_columns(answer.rows)
@@ -99,7 +99,7 @@ def save_answer(answer: Answer, name: str, folder: Path) -> list[Path]:
         write_table(folder / "columns.csv", meanings)
     drawn = [one for one in columns if len({cell(row[one.key]) for row in rows}) > 1] or columns
     panels = [
-        Panel(one.label, [row[one.key] for row in rows], one.decades, one.cycle)
+        MeasurePanel(one.label, [row[one.key] for row in rows], one.decades, one.cycle)
         for one in drawn[:_MOST_PANELS]
     ]
     if not panels:

@@ -24,12 +24,11 @@ from evo_cpg.training.crowd import CrowdMotion, compile_crowd_motion, population
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-from evo_cpg.view.clip import sample
+from evo_cpg.view.captions import Words
 from evo_cpg.view.lanes import Course, course_of, in_lanes, tank_of
 from evo_cpg.view.output import check_size, output_path
-from evo_cpg.view.scene import Panel, animal_radius, panel_of
+from evo_cpg.view.scene import Panel, animal_radius, panel_of, sample
 from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, story_film
-from evo_cpg.view.story_words import Words
 
 # Lengths in the film, s: of the whole story, of the title before the first motion, of the motion of
 # the first crowd and of each other one, and of the race. The champion takes the rest.

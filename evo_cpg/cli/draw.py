@@ -115,8 +115,7 @@ def render(
     from evo_cpg.files import make_folder
     from evo_cpg.training.devices import available_cores
     from evo_cpg.training.run_folder import RunFolder
-    from evo_cpg.view.film import film_path, side_by_side
-    from evo_cpg.view.frames import Film
+    from evo_cpg.view.film import Film, film_path, side_by_side
 
     alone = {
         "--lineage": lineage, "--beside": beside, "--signals": signals, "--cell": cell,

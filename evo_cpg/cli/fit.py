@@ -41,9 +41,9 @@ def fit(
     from evo_cpg.cli.terminal import show_table
     from evo_cpg.files import write_text
     from evo_cpg.io.load import dump_config
-    from evo_cpg.view.answer_plots import fit_figure
     from evo_cpg.view.figure import save_figure
     from evo_cpg.view.output import PLOT_SUFFIXES, output_path
+    from evo_cpg.view.plots import fit_figure
 
     for file, suffixes in ((out, (".yaml", ".yml")), (plot, PLOT_SUFFIXES)):
         if file is not None:

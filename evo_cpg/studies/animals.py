@@ -31,7 +31,7 @@ _QUICK_SECONDS = 3.0
 
 def card(workshop: Workshop, rows: Sequence[Row]) -> list[Table]:
     """Ask all questions of some rows, and return the card and its commands."""
-    from evo_cpg.view.card_plot import Bar, card_figure
+    from evo_cpg.view.answer_plots import Bar, card_figure
 
     questions = list({id(row.question): row.question for row in rows}.values())
     answers = {id(question): _ask(workshop, question) for question in questions}

@@ -175,8 +175,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
         picture: name of the picture within the part, or empty for the part's own name.
     """
     from evo_cpg.training.evaluate import compile_replay
-    from evo_cpg.view.film import side_by_side
-    from evo_cpg.view.frames import Film
+    from evo_cpg.view.film import Film, side_by_side
     from evo_cpg.view.scene import panel_of
 
     rows, panels = [], []

@@ -1,13 +1,13 @@
-"""Pictures of an audit, of probed situations, of laboratory answers, and of parameters."""
+"""Figures of an audit, of probed lights, of laboratory answers, parameters and a report card."""
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -101,15 +101,12 @@ def _draw_energy(axes: Axes, ledger: Ledger, step: float) -> None:
     left_over = np.cumsum(ledger.left_over)[each]
     axes.plot(time[each], left_over, color=INK, lw=2.2, label="unexplained (simulator error)")
     axes.axhline(0, color=GREY, lw=0.8)
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel("cumulative work (J)")
-    axes.set_title("Sources and sinks of energy")
+    axes.set(xlabel="time (s)", ylabel="cumulative work (J)", title="Sources and sinks of energy")
     axes.legend(fontsize=8)
 
 
 def _draw_paths(axes: Axes, paths: Mapping[str, Float[np.ndarray, "3 t"]]) -> None:
     """Draw the root's path in each program, from above."""
-    axes.set_title("Paths of the root, from above")
     for (name, path), color in zip(paths.items(), _OPINIONS[: len(paths)], strict=True):
         axes.plot(path[0], path[1], color=color, lw=1.6, label=name)
         axes.plot(*path[:2, -1], "o", color=color, ms=5)
@@ -118,10 +115,9 @@ def _draw_paths(axes: Axes, paths: Mapping[str, Float[np.ndarray, "3 t"]]) -> No
     axes.set_aspect("equal", adjustable="box")
     every = np.concatenate([path[:2] for path in paths.values()], 1)
     middle, half = (every.max(1) + every.min(1)) / 2, 0.55 * np.ptp(every, 1).max() + 0.05
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
+    (left, low), (right, high) = middle - half, middle + half
+    axes.set(xlabel="x (m)", ylabel="y (m)", title="Paths of the root, from above")
+    axes.set(xlim=(left, right), ylim=(low, high))
     axes.legend(fontsize=8)
 
 
@@ -137,8 +133,7 @@ def _draw_fractions(axes: Axes, kept: Sequence[Check]) -> None:
             axes.plot([limit] * 2, [row - 0.42, row + 0.42], color=INK, lw=2, zorder=3)
             axes.text(limit, row, f" {side} {limit:.0f}", va="center", fontsize=8, zorder=4)
     name_rows(axes, [check.question for check in kept])
-    axes.set_xlim(0, 105)
-    axes.set_xlabel("displacement kept, relative to the original (%)")
+    axes.set(xlim=(0, 105), xlabel="displacement kept, relative to the original (%)")
 
 
 # Colours from lights on the right to lights on the left. All of them stand out on white.
@@ -167,7 +162,11 @@ def probe_figure(probe: Probe, fraction: float, title: str) -> Figure:
     reached = probe.reached(fraction)
     starts = np.array([situation.start_position for situation in probe.situations])
     lights = np.array([situation.light for situation in probe.situations], float)
-    figure = new_figure(*_size(probe, lights), title)
+    places = np.concatenate([lights, probe.paths[np.isfinite(probe.paths).all(-1)]])
+    extent = np.ptp(places[:, :2], axis=0) + 1e-9
+    width, height = np.maximum(_LONG * extent / extent.max(), _SHORT).tolist()
+    # The title and the legend need height.
+    figure = new_figure(width, height + 1.0, title)
     axes = figure.subplots()
     for i, colour in enumerate(colours):
         place, away = lights[i, :2], (lights - starts)[i, :2]
@@ -180,8 +179,9 @@ def probe_figure(probe: Probe, fraction: float, title: str) -> Figure:
         axes.plot(*end, "o", color=colour, mec="white", mew=0.8, ms=7, zorder=5)
         face = colour if reached[i] else "white"
         axes.plot(*place, "*", mfc=face, mec=colour, mew=1.4, ms=17, zorder=4)
+        bearing = f"{np.rad2deg(bearings[i]):+.0f}".replace("-", "\N{MINUS SIGN}")
         axes.annotate(
-            _bearing(bearings[i]),
+            f"{bearing if bearing[1:] != '0' else '0'}\N{DEGREE SIGN}",
             tuple(place.tolist()),
             tuple((_LABEL * away / max(float(np.linalg.norm(away)), 1e-9)).tolist()),
             textcoords="offset points",
@@ -189,48 +189,24 @@ def probe_figure(probe: Probe, fraction: float, title: str) -> Figure:
             va="center",
             fontsize=9,
         )
-    _draw_starts(axes, probe)
-    axes.set_aspect("equal", "datalim")
-    axes.margins(0.07)
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
-    axes.grid()
-    figure.legend(handles=_legend(fraction), loc="outside lower center", ncols=2)
-    return figure
-
-
-def _size(probe: Probe, lights: np.ndarray) -> tuple[float, float]:
-    """Return width and height of a picture that fits the lights and paths, inches."""
-    places = np.concatenate([lights, probe.paths[np.isfinite(probe.paths).all(-1)]])
-    extent = np.ptp(places[:, :2], axis=0) + 1e-9
-    width, height = np.maximum(_LONG * extent / extent.max(), _SHORT)
-    # The title and the legend need height.
-    return float(width), float(height) + 1.0
-
-
-def _bearing(angle: float) -> str:
-    """Return an angle in degrees, with a sign unless it rounds to 0."""
-    text = f"{np.rad2deg(angle):+.0f}".replace("-", "\N{MINUS SIGN}")
-    return f"{text if text[1:] != '0' else '0'}\N{DEGREE SIGN}"
-
-
-def _draw_starts(axes: Axes, probe: Probe) -> None:
-    """Draw a wedge at every start, which points along the animal's heading."""
-    for (x, y, _), heading in {s[:2] for s in probe.situations}:
+    for (x, y, _), heading in {situation[:2] for situation in probe.situations}:
+        # A wedge at every start points along the animal's heading.
         marker = MarkerStyle(">", transform=Affine2D().rotate(heading))
         axes.plot(x, y, marker=marker, color=INK, mec="white", mew=0.8, ms=12, zorder=6)
-
-
-def _legend(fraction: float) -> list[Line2D]:
-    def star(face: str, label: str) -> Line2D:
-        return Line2D([], [], ls="", marker="*", mfc=face, mec=GREY, ms=13, label=label)
-
-    return [
+    axes.set_aspect("equal", "datalim")
+    axes.margins(0.07)
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    axes.grid()
+    star = {"ls": "", "marker": "*", "mec": GREY, "ms": 13}
+    reach = f"light reached: at most {fraction:.0%} of the distance left"
+    handles = [
         Line2D([], [], ls="", marker=">", color=INK, ms=9, label="start"),
         Line2D([], [], ls="-", color=GREY, marker="o", ms=5, label="path and its end"),
-        star(GREY, f"light reached: at most {fraction:.0%} of the distance left"),
-        star("white", "light not reached"),
+        Line2D([], [], mfc=GREY, label=reach, **star),
+        Line2D([], [], mfc="white", label="light not reached", **star),
     ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    return figure
 
 
 # Size of a panel, inches, and number of panels side by side.
@@ -239,8 +215,8 @@ _PANEL_SIZE, _ACROSS = (3.5, 2.6), 3
 _NAMED = 10
 
 
-class Panel(NamedTuple):
-    """A measure of every setting.
+class MeasurePanel(NamedTuple):
+    """A measure under every setting, which has axes of its own in the figure.
 
     Attributes:
         label: name of the measure with its unit.
@@ -259,7 +235,7 @@ class Panel(NamedTuple):
 def lab_figure(
     knobs: Sequence[str],
     settings: Sequence[Sequence[Any]],
-    panels: Sequence[Panel],
+    panels: Sequence[MeasurePanel],
     title: str,
 ) -> Figure:
     """Draw measures over the values of the first knob, a line for each value of the others.
@@ -279,7 +255,9 @@ def lab_figure(
         lines.setdefault(tuple(values[1:]), []).append(number)
     first = [values[0] if values else "" for values in settings]
     for axes, panel in zip(grid, panels, strict=False):
-        _draw(axes, first, lines, panel, knobs)
+        _draw_measure(axes, first, lines, panel)
+        axes.set(xlabel=legible(knobs[0]) if knobs else "", title=legible(panel.label))
+        axes.grid()
     for axes in grid[len(panels) :]:
         axes.set_visible(False)
     if 1 < len(lines) <= _NAMED:
@@ -290,13 +268,10 @@ def lab_figure(
     return figure
 
 
-def _draw(
-    axes: Axes,
-    first: Sequence[Any],
-    lines: dict[tuple, list[int]],
-    panel: Panel,
-    knobs: Sequence[str],
+def _draw_measure(
+    axes: Axes, first: Sequence[Any], lines: dict[tuple, list[int]], panel: MeasurePanel
 ) -> None:
+    """Draw a measure over the first knob, a line for each value of the others."""
     named = any(isinstance(value, str) for value in first)
     names = list(dict.fromkeys(map(str, first)))
     for number, (values, places) in enumerate(lines.items()):
@@ -318,28 +293,15 @@ def _draw(
         axes.set_xlim(-0.6, len(names) - 0.4)
         if max(map(len, names)) * len(names) > 30:
             axes.tick_params(axis="x", rotation=40)
-    elif _spans_decades(first):
-        axes.set_xscale("log")
-        _write_plainly(axes.xaxis)
     known = [value for value in panel.values if math.isfinite(value)]
-    if panel.decades and known and _spans_decades(known):
-        axes.set_yscale("log")
-        _write_plainly(axes.yaxis)
-    if knobs:
-        axes.set_xlabel(legible(knobs[0]))
-    axes.set_title(legible(panel.label))
-    axes.grid()
-
-
-def _write_plainly(axis: Axis) -> None:
-    """Write numbers on a logarithmic axis without mathematics, which our pictures never have."""
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
-def _spans_decades(values: Sequence[float]) -> bool:
-    """Return whether positive values span more than a factor of 30."""
-    return min(values) > 0 and max(values) > 30 * min(values)
+    across, upwards = [] if named else first, known if panel.decades else []
+    for axis, values in ((axes.xaxis, across), (axes.yaxis, upwards)):
+        # Positive values that span more than a factor of 30 have a logarithmic axis. Its numbers
+        # are plain, because our pictures never have formulas.
+        if len(values) and min(values) > 0 and max(values) > 30 * min(values):
+            axes.set(**{f"{axis.axis_name}scale": "log"})
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_minor_formatter(NullFormatter())
 
 
 def cell(value: Any) -> str:
@@ -399,25 +361,54 @@ def sensitivity_figure(
     return figure
 
 
-@framed
-def fit_figure(
-    time: np.ndarray, columns: Sequence[str], data: np.ndarray, fitted: np.ndarray
-) -> Figure:
-    """Draw every column over time: the recording as dots, the fitted simulation as a line.
+# Report card: size of a row and width of the picture, inches, and longest line of a name, letters.
+_RULE, _CARD, _LINE = 0.52, 9.0, 52
 
-    Args:
-        time: instants, s.
-        columns: names of the columns: ``x``, ``y`` and ``z`` in m, others in rad.
-        data: recorded values ``(t, c)``.
-        fitted: simulated values ``(t, c)``.
+
+class Bar(NamedTuple):
+    """A row of the picture.
+
+    Attributes:
+        name: animal and quantity.
+        low: lower end of the bar, or minus infinity.
+        high: upper end of the bar, or infinity.
+        values: our values.
+        reproduced: whether their median is in the range of the rule.
     """
-    figure = new_figure(7.4, 0.9 + 1.5 * len(columns))
-    rows = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, name, own, model in zip(rows, columns, data.T, fitted.T, strict=True):
-        axes.plot(time, own, "o", ms=3, color=LIGHT_GREY, label="recorded")
-        axes.plot(time, model, color=RED, lw=1.6, label="fitted")
-        axes.set_ylabel(f"{legible(name)} ({'m' if name in 'xyz' else 'rad'})")
-        axes.grid()
-    rows[-1].set_xlabel("time (s)")
-    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+
+    name: str
+    low: float
+    high: float
+    values: Sequence[float]
+    reproduced: bool
+
+
+@framed
+def card_figure(bars: Sequence[Bar]) -> Figure:
+    """Draw a card, each row with its own axis. The median is green if reproduced, else red."""
+    figure = new_figure(_CARD, _RULE * len(bars) + 0.3)
+    for axes, bar in zip(figure.subplots(len(bars), 1, squeeze=False)[:, 0], bars, strict=True):
+        _draw_rule(axes, bar)
     return figure
+
+
+def _draw_rule(axes: Axes, bar: Bar) -> None:
+    """Draw a rule's range as a bar and our values as dots."""
+    known = np.array([value for value in bar.values if math.isfinite(value)])
+    ends = [end for end in (bar.low, bar.high) if math.isfinite(end)]
+    shown = [*ends, *known.tolist()]
+    span = max(shown) - min(shown) or abs(max(shown)) or 1.0
+    left, right = min(shown) - 0.15 * span, max(shown) + 0.15 * span
+    axes.barh(0, min(bar.high, right) - max(bar.low, left), left=max(bar.low, left), height=0.9,
+              color=BLUE, alpha=0.25, lw=0)  # fmt: skip
+    if known.size:
+        axes.plot(known, 0 * known, "o", color=LIGHT_GREY, ms=4, mec=INK, mew=0.4)
+        color = GREEN if bar.reproduced else RED
+        axes.plot(float(np.median(known)), 0, "D", color=color, ms=7)
+    axes.set(xlim=(left, right), ylim=(-0.8, 0.8))
+    name = textwrap.fill(bar.name, _LINE, break_long_words=False, break_on_hyphens=False)
+    axes.set_yticks([0], [legible(name)], fontsize=8)
+    axes.tick_params(axis="y", length=0)
+    axes.tick_params(axis="x", labelsize=7, pad=1)
+    axes.locator_params(axis="x", nbins=6)
+    axes.spines["left"].set_visible(False)

@@ -80,7 +80,7 @@ class CameraPath(NamedTuple):
     view_angle: float
 
 
-class Bodies(NamedTuple):
+class BodyBoxes(NamedTuple):
     """Boxes around all bodies in every frame.
 
     Attributes:
@@ -93,11 +93,6 @@ class Bodies(NamedTuple):
     rotation: Float[np.ndarray, "frames b 3 3"]
     half_extents: Float[np.ndarray, "b 3"]
 
-    def radius(self, centre: Float[np.ndarray, "frames 3"]) -> float:
-        """Return the largest distance of a box's corner from a moving point, m."""
-        away = np.linalg.norm(self.position - centre[:, None], axis=-1)
-        return float((away + np.linalg.norm(self.half_extents, axis=-1)).max())
-
     def corners(self) -> Float[np.ndarray, "frames corners 3"]:
         """Return the corners of the boxes, m."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -107,7 +102,7 @@ class Bodies(NamedTuple):
 
 
 def follow(
-    bodies: Bodies,
+    bodies: BodyBoxes,
     goal: Float[np.ndarray, "3"],
     rate: float,
     aspect: float,
@@ -124,13 +119,14 @@ def follow(
         aspect: width of the picture over its height.
         elevation: height of the eye above the focus as an angle, rad.
         turn: angle between the line of sight and the animal's course, rad, with a value per frame
-            if it changes. None for a camera that shows the light, or the animal's side if there is
-            no light.
+            if it changes. None for a camera that shows the light or, if there is none, the
+            animal's side.
         close: whether the animal shall be large and go to the right, perhaps without the light.
     """
     position = bodies.position
     centre = smooth(position.mean(1), SMOOTHING * rate)
-    radius = bodies.radius(centre)
+    far = np.linalg.norm(position - centre[:, None], axis=-1)
+    radius = float((far + np.linalg.norm(bodies.half_extents, axis=-1)).max())
     lit = bool(np.isfinite(goal).all())
     bearing = course(centre, goal, radius / 10)
     focus = centre
@@ -266,9 +262,8 @@ def _filled(
     """
     wide, high = _FILL if aspect >= 1 else _FILL_TALL, _FILL_HEIGHT
     for _ in range(_ROUNDS):
-        few, shown = _thinned(path, points)
-        place = project(few, shown, aspect)
-        first = project(few, at_first[None], aspect)[0] * _APART
+        place = _thinly(path, points, aspect)
+        first = project(path, at_first[None], aspect)[0] * _APART
         every = np.concatenate([place.reshape(-1, 2), first])
         if not np.isfinite(every).all():
             # Points behind the camera: step back.
@@ -311,16 +306,16 @@ def _moved(
     return path._replace(position=path.focus + aside + back * factor, focus=path.focus + aside)
 
 
-def _thinned(path: CameraPath, points: np.ndarray) -> tuple[CameraPath, np.ndarray]:
-    """Return camera and points in some of the frames."""
+def _thinly(path: CameraPath, points: np.ndarray, aspect: float) -> np.ndarray:
+    """Return the places of points in the picture, in some of the frames."""
     every = max(len(points) // _MEASURED, 1)
-    return CameraPath(path.position[::every], path.focus[::every], path.view_angle), points[::every]
+    few = CameraPath(path.position[::every], path.focus[::every], path.view_angle)
+    return project(few, points[::every], aspect)
 
 
 def _extent(path: CameraPath, points: np.ndarray, aspect: float) -> Float[np.ndarray, "2"]:
     """Return the median parts of the frame's width and height that the animal fills."""
-    few, shown = _thinned(path, points)
-    return np.median(np.ptp(project(few, shown, aspect), axis=1) / 2, axis=0)
+    return np.median(np.ptp(_thinly(path, points, aspect), axis=1) / 2, axis=0)
 
 
 def _clearest(
@@ -338,11 +333,9 @@ def _clearest(
 def aspect_of(
     camera: str, frames: int = 1
 ) -> tuple[float | Float[np.ndarray, " frames"], float] | None:
-    """Return turn and elevation of a camera, rad, or None for the following camera.
+    """Return turn and elevation of one of `CAMERAS`, rad, or None for the following camera.
 
-    Args:
-        camera: one of `CAMERAS`.
-        frames: number of frames of the film. A circling camera has a turn for each frame.
+    A circling camera has a turn for each frame.
 
     Raises:
         ValueError: no camera has this name.
@@ -364,7 +357,7 @@ def hidden(
 
     Args:
         path: the camera of every frame.
-        points: observed points ``(frames, n, 3)``, m.
+        points: observed points, m.
         height: function that returns the height of solid things, m, at x and y ``(..., 2)``.
         margin: least height of a line of sight above solid things at the camera, m. The margin
             falls to 0 at the points.

@@ -1,13 +1,20 @@
-"""Captions of a film, an arrow to a goal outside of its picture, and the headings of a sheet."""
+"""Words in films: captions, an arrow to a goal out of sight, headings, and the words of a story.
+
+The words of a story fade in and out. A word beside an animal or a line also fades out where it
+would cross another one.
+"""
 
 from collections.abc import Callable
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from PIL import ImageDraw
 
-from evo_cpg.view.camera import CameraPath, in_camera
+from evo_cpg.view.camera import CameraPath, in_camera, project, smooth
 from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import Look
+from evo_cpg.view.scene import Scene
 
 # Margin around the captions in a picture 720 pixels high, pixels, and the least factor by which
 # margin and letters shrink in smaller pictures.
@@ -29,11 +36,13 @@ def captions(
 ) -> Callable[[np.ndarray, float, float, float], None]:
     """Lay out the captions.
 
+    If a picture is too narrow for the title and the values, the last values are left out. A title
+    that does not fit next to the time shrinks, and may be cut. A small picture has only title and
+    time.
+
     Args:
         look: look of the world.
-        title: text at the bottom right. If a picture is too narrow for the title and the values,
-            the last values are left out. A title that does not fit next to the time shrinks, and
-            may be cut. A small picture has only title and time.
+        title: text at the bottom right.
         distance: name of the shown distance.
         note: text below the title.
         size: width and height of the film, pixels.
@@ -71,13 +80,7 @@ def captions(
 
 
 def heading(text: str, width: int, height: int) -> np.ndarray:
-    """Return a moment's heading, dark on white: ``(height, width, 3)`` bytes, bottom row first.
-
-    Args:
-        text: words of the line.
-        width: width, pixels.
-        height: height, pixels.
-    """
+    """Return a moment's heading, dark on white: ``(height, width, 3)`` bytes, bottom row first."""
     picture = np.full((height, width, 3), 255, np.uint8)
     with lettering(picture) as draw:
         write(draw, text, (width / 2, height / 2), _HEADING * height, "black", anchor="mm")
@@ -118,7 +121,7 @@ def pointer(
     size: tuple[int, int],
     name: str = "light",
 ) -> Callable[[np.ndarray, int], None]:
-    """Return a function that draws the arrow into a frame, if the goal is outside of it.
+    """Return a function that draws the arrow to a goal (m) into a frame, if the goal is outside.
 
     Args:
         camera: the camera in every frame.
@@ -182,3 +185,212 @@ def edge_places(
     beyond = np.maximum(np.abs(place[:, :1]) / _SIDEWAYS, np.abs(place[:, 1:]) / limit)
     seen = (np.abs(place) < 1).all(-1, keepdims=True) & (depth > 0)[:, None]
     return np.where(seen, np.nan, place / np.maximum(beyond, 1.0))
+
+
+# Sizes of letters, margin, and distance of lines, in a picture whose shorter side is 1080 pixels.
+_SIZES = {"title": 98.0, "subtitle": 56.0, "caption": 64.0}
+_EDGE, _LINE = 84.0, 1.25
+# Time in which words fade in and out, s.
+_FADE = 0.35
+# Offset and opacity of the shadow behind letters, in their size.
+_SHADOW, _SHADOW_OPACITY = 0.045, 0.45
+# Height of the letters of a tag and its distance from an animal, as fractions of the shorter side.
+_LETTERS, _GAP = 0.034, 0.012
+# Half height of a tag and its margin sideways, in the height of its letters.
+_HIGH, _BORDER = 0.7, 0.4
+# Part of the picture for tags, from -1 to 1 between its edges: sideways, down and up. The captions
+# are lower.
+_TAG_ASIDE, _TAG_DOWN, _TAG_UP = 0.97, 0.62, 0.95
+# Half width of the window over which the place of a tag is averaged, and time in which it fades, in
+# frames.
+_STEADY, _FADING = 5.0, 6.0
+# Distance of the tags at the lines from the lanes, in radii of the animal.
+_BESIDE = 0.15
+
+
+class Words(NamedTuple):
+    """A text in a story.
+
+    Attributes:
+        text: the text.
+        kind: ``title`` and ``subtitle`` stand at the top, ``caption`` at the bottom.
+        start: time in the film at which it begins to appear, s.
+        end: time at which it has gone, s.
+    """
+
+    text: str
+    kind: Literal["title", "subtitle", "caption"]
+    start: float
+    end: float
+
+
+def written(
+    draw: ImageDraw.ImageDraw, words: Words, time: float, look: Look, size: tuple[int, int]
+) -> None:
+    """Write words into a picture of a size (pixels), if they are shown at a time of the film, s."""
+    opacity = min((time - words.start) / _FADE, (words.end - time) / _FADE, 1.0)
+    if opacity <= 0:
+        return
+    unit = min(size) / 1080
+    letters, margin = _SIZES[words.kind] * unit, _EDGE * unit
+    lines = wrapped(words.text, letters, size[0] - 2 * margin)
+    step = _LINE * letters
+    if words.kind == "caption":
+        first = size[1] - margin - step * (len(lines) - 1)
+    else:
+        first = margin + letters
+        if words.kind == "subtitle":
+            # It stands below a title of one line.
+            first += 0.3 * letters + _SIZES["title"] * unit * _LINE
+    bold = words.kind != "subtitle"
+    dark = float(np.mean([int(look.text[i : i + 2], 16) for i in (1, 3, 5)])) > 128
+    for number, line in enumerate(lines):
+        place = margin, first + number * step
+        if dark and words.kind != "caption":
+            offset = _SHADOW * letters
+            behind = place[0] + offset, place[1] + offset
+            write(
+                draw, line, behind, letters, "#000000", bold=bold,
+                opacity=_SHADOW_OPACITY * opacity, anchor="ls",
+            )  # fmt: skip
+        # Letters would be lost on lines and bodies that pass below them.
+        plate = look.distance if words.kind == "caption" else ""
+        write(
+            draw, line, place, letters, look.text,
+            bold=bold, opacity=opacity, anchor="ls", plate=plate,
+        )  # fmt: skip
+
+
+def wrapped(text: str, size: float, room: float) -> list[str]:
+    """Return the lines of a text that are at most this wide, if its words are.
+
+    Args:
+        text: the text.
+        size: size of the letters, pixels.
+        room: available width, pixels.
+    """
+    lines = _filled(text, size, room)
+    # Lines of about equal length look better than a last line of one word.
+    while len(lines) > 1 and len(shorter := _filled(text, size, 0.95 * room)) == len(lines):
+        lines, room = shorter, 0.95 * room
+    return lines
+
+
+def _filled(text: str, size: float, room: float) -> list[str]:
+    """Return the lines of a text, each filled as far as its words go."""
+    lines: list[str] = []
+    for word in legible(text).split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and font(size).getlength(longer) <= room:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+class Tag(NamedTuple):
+    """A word at its place in every frame.
+
+    Attributes:
+        name: the word.
+        middle: middle of the word, pixels to the right and up.
+        half: half width and half height, pixels.
+        opacity: opacity in every frame, 0 to 1.
+    """
+
+    name: str
+    middle: Float[np.ndarray, "frames 2"]
+    half: Float[np.ndarray, "2"]
+    opacity: Float[np.ndarray, " frames"]
+
+
+def tags_of(
+    camera: CameraPath, scene: Scene, size: tuple[int, int], shared: tuple[int, int] = (0, 0)
+) -> Callable[[np.ndarray, int], None]:
+    """Return a function that writes names and distances of a race into a frame.
+
+    Args:
+        camera: the camera in every frame.
+        scene: the animals and the lanes.
+        size: width and height of the picture, pixels.
+        shared: numbers of first and last frames without words, because other takes share them.
+
+    Returns:
+        A function of a picture, bytes ``(height, width, 3)``, bottom row first, and its number.
+    """
+    tags = placed_tags(camera, scene, size)
+    letters, look = _LETTERS * min(size), scene.look
+    begin, end = shared[0], len(scene.clip.time) - 1 - shared[1]
+
+    def draw_into(picture: np.ndarray, number: int) -> None:
+        part = min(1.0, (number - begin + 1) / _FADING, (end - number + 1) / _FADING)
+        shown = [tag for tag in tags if part * tag.opacity[number] > 0]
+        if not shown:
+            return
+        with lettering(picture) as draw:
+            for tag in shown:
+                right, up = tag.middle[number]
+                write(
+                    draw, tag.name, (float(right), float(size[1] - up)), letters, look.text,
+                    opacity=float(part * tag.opacity[number]), anchor="mm", plate=look.distance,
+                )  # fmt: skip
+
+    return draw_into
+
+
+def placed_tags(camera: CameraPath, scene: Scene, size: tuple[int, int]) -> list[Tag]:
+    """Return the names of animals, and then the distances at the lines, for a picture of a size.
+
+    A name is below the first animal and above the others. A tag fades where it would leave the
+    picture or cross an earlier one.
+    """
+    staging = scene.staging
+    if staging is None:
+        return []
+    count, letters = len(scene.clip.time), _LETTERS * min(size)
+    low, high = (np.array([[-_TAG_ASIDE, -_TAG_DOWN], [_TAG_ASIDE, _TAG_UP]]) + 1) / 2 * size
+    tags: list[Tag] = []
+
+    def add(name: str, place: np.ndarray, opacity: np.ndarray) -> None:
+        width = font(letters).getlength(name)
+        half = np.array([width / 2 + _BORDER * letters, _HIGH * letters])
+        sideways = half * [1, 0]
+        hidden = ((place - sideways < low) | (place + sideways > high)).any(-1)
+        for tag in tags:
+            close = (np.abs(place - tag.middle) < half + tag.half).all(-1)
+            hidden |= close & (tag.opacity > 0)
+        if hidden.any():
+            away = np.abs(np.arange(count)[:, None] - np.flatnonzero(hidden)).min(1)
+            opacity = np.minimum(opacity, np.clip(away / _FADING, 0.0, 1.0))
+        tags.append(Tag(name, place, half, opacity))
+
+    appear = np.ones(count)
+    if staging.appear is not None:
+        appear = np.interp(np.arange(count), staging.appear, (0.0, 1.0))
+    bodies = scene.clip.position[:, None]
+    if scene.ghosts is not None:
+        bodies = np.concatenate([bodies, scene.ghosts.position], 1)
+    # Half of an animal's thickness in every frame, pixels.
+    away = np.linalg.norm(camera.position - camera.focus, axis=-1)
+    seen = size[1] / 2 / (np.tan(np.radians(camera.view_angle / 2)) * away)
+    out = scene.half_extents.min(1).max() * seen + _HIGH * letters + _GAP * min(size)
+    for animal, name in enumerate(staging.names):
+        spots = _pixels(camera, bodies[:, animal], size)
+        # Nothing stands between the viewer and the first animal, so its name is below it.
+        up = spots[..., 1].max(1) + out if animal else spots[..., 1].min(1) - out
+        # A word does not shake with the strokes of its animal.
+        add(name, smooth(np.stack([spots[..., 0].mean(1), up], -1), _STEADY), appear)
+    if (track := staging.track) is not None:
+        along = track.spacing * np.arange(1, track.lines + 1)
+        lines = np.array([track.at(each, -track.right - _BESIDE * scene.radius) for each in along])
+        lines[:, 2] = scene.level or 0.0
+        places = _pixels(camera, lines[None].repeat(count, 0), size)
+        for number, each in enumerate(along):
+            add(f"{each:g} m", places[:, number], np.ones(count))
+    return tags
+
+
+def _pixels(
+    camera: CameraPath, points: Float[np.ndarray, "frames n 3"], size: tuple[int, int]
+) -> Float[np.ndarray, "frames n 2"]:
+    return (project(camera, points, size[0] / size[1]) + 1) / 2 * size

@@ -9,11 +9,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.physics.contact.terrain import GroundPart
 from evo_cpg.view.ghosts import add_ghosts
 from evo_cpg.view.ground import add_ground, add_numbers
 from evo_cpg.view.meshes import surfaces
-from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh
 from evo_cpg.view.offscreen import pixels, placed
 from evo_cpg.view.scene import moved_aside
 from evo_cpg.view.scenery import (
@@ -28,7 +26,7 @@ from evo_cpg.view.scenery import (
 from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.skin import add_skins
 from evo_cpg.view.stage import Stage, Update
-from evo_cpg.view.terrain import Terrain
+from evo_cpg.view.terrain import Terrain, add_obstacles, obstacle_mesh
 from evo_cpg.view.water import add_ceiling, add_mirror, add_tint, add_waterlines
 
 
@@ -81,12 +79,20 @@ def _add_environment(stage: Stage) -> list[Update]:
     """
     scene, look = stage.scene, stage.look
     updates = [add_sky(stage), add_ground(stage)]
-    if scene.walks and scene.numbers:
+    if stage.measured and scene.numbers:
         updates.append(add_numbers(stage))
     staging = scene.staging
     if staging is not None and staging.track is not None:
         add_track(stage, staging.track)
-    _add_stones(stage, scene.ground.obstacles)
+    if stones := scene.ground.obstacles:
+        add_obstacles(stage.plotter, stones, look.ambient, stage.ground.height)
+        shades = [obstacle_mesh(stone, shade=True) for stone in stones]
+        meshes, places, turns = zip(*shades, strict=True)
+        half_extents = np.array([np.ptp(np.asarray(mesh.points), axis=0) / 2 for mesh in meshes])
+        still = stage.shot(0)._replace(position=np.array(places), rotation=np.array(turns))
+        # The shadows of stones rest.
+        add_shadows(stage, half_extents)(still)
+        add_sun_shadows(stage, meshes)(still)
     updates += [
         add_sun_shadows(stage, surfaces(scene.creature)),
         add_shadows(stage, scene.half_extents),
@@ -115,16 +121,3 @@ def _add_environment(stage: Stage) -> list[Update]:
         updates.append(add_mirror(stage, scene.surface))
         updates.append(add_waterlines(stage, scene.surface))
     return updates
-
-
-def _add_stones(stage: Stage, stones: Sequence[GroundPart]) -> None:
-    """Draw obstacles with their shadows."""
-    if not stones:
-        return
-    add_obstacles(stage.plotter, stones, stage.look.ambient, stage.ground.height)
-    shades = [obstacle_mesh(stone, shade=True) for stone in stones]
-    meshes, places, turns = zip(*shades, strict=True)
-    half_extents = np.array([np.ptp(np.asarray(mesh.points), axis=0) / 2 for mesh in meshes])
-    still = stage.shot(0)._replace(position=np.array(places), rotation=np.array(turns))
-    for lay in (add_shadows(stage, half_extents), add_sun_shadows(stage, meshes)):
-        lay(still)

@@ -56,13 +56,7 @@ framed = matplotlib.rc_context(
 
 
 def new_figure(width: float, height: float, title: str = "") -> Figure:
-    """Return an empty figure.
-
-    Args:
-        width: width, inches.
-        height: height, inches.
-        title: text above the figure.
-    """
+    """Return an empty figure of a width and height (inches) with a title above it."""
     figure = Figure(figsize=(width, height), layout="constrained")
     if title:
         figure.suptitle(legible(title))
@@ -71,14 +65,7 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
 
 @framed
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> Path:
-    """Write a figure to a file.
-
-    Args:
-        figure: figure to write.
-        path: name that ends in ``.png``, ``.svg`` or ``.pdf``.
-
-    Returns:
-        The path.
+    """Write a figure to a ``.png``, ``.svg`` or ``.pdf`` file, and return its path.
 
     Raises:
         OutputError: the path cannot be written, or has another suffix.
@@ -128,8 +115,8 @@ def draw_runs(
         color: colour of the line and the band.
         label: label of the line.
         width: width of the line, points.
-        band: whether to draw the band.
-        opacity: opacity of the band, which is at most 0.16.
+        band: whether to draw the band. Its opacity is at most 0.16, so that bands may overlap.
+        opacity: desired opacity of the band.
     """
     known = np.isfinite(runs).any(0)
     if not known.any():
@@ -149,10 +136,10 @@ def draw_stances(
     height: float,
     color: str,
 ) -> None:
-    """Draw the stances of a foot as bars (Hildebrand 1965).
+    """Draw the stances of a foot as bars (Hildebrand 1965) around a row, with time (s) across.
 
     Args:
-        axes: axes with time, s, to the right.
+        axes: axes of the drawing.
         stances: beginning and end of each stance, s.
         window: first and last instant that the axes show, s.
         row: middle of the bars.

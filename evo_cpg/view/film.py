@@ -1,12 +1,14 @@
-"""Films and stills of recordings, rendered off screen by one or several processes.
+"""Films, stills and sheets of recordings, rendered off screen by one or several processes.
 
-A software renderer leaves cores idle. Each process builds the whole scene once. A frame does not
-depend on the process that draws it, except on uneven ground. The horizon follows the focus in steps
-there, so an opacity may differ by one of 255 levels.
+Frames are rendered larger than the film and averaged down, which smooths edges, thin lines and
+text. A software renderer leaves cores idle, so several processes may draw. Each builds the whole
+scene once. A frame does not depend on the process that draws it, except on uneven ground. The
+horizon follows the focus in steps there, so an opacity may differ by one of 255 levels.
 """
 
 import atexit
 import contextlib
+import dataclasses
 import functools
 import itertools
 import math
@@ -24,7 +26,10 @@ import numpy as np
 from PIL import Image
 
 from evo_cpg.view.camera import aspect_of
-from evo_cpg.view.frames import Film, Frames
+from evo_cpg.view.captions import captions, heading, pointer
+from evo_cpg.view.drawing import set_scene
+from evo_cpg.view.meshes import add_bodies
+from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import (
     FILM_SUFFIXES,
     PICTURE_SUFFIXES,
@@ -34,24 +39,196 @@ from evo_cpg.view.output import (
     is_numbered,
     numbered_path,
     output_path,
+    oversampling,
     picture_of,
     save_numbered,
     save_picture,
 )
-from evo_cpg.view.scene import Panel, check_panel
-from evo_cpg.view.signals import SMALLEST
+from evo_cpg.view.scene import Clip, Panel, check_panel, sample, scene_of
+from evo_cpg.view.signals import FRACTION, LOWEST, SMALLEST, Strip
+from evo_cpg.view.stage import Stage, camera_path
+
+# Pixels rendered per pixel of the result, along a side. A frame of 1280 x 720 costs 46 ms at 1.25
+# and 100 ms at 2 on one core of a software renderer. It costs 58 ms at 1.5, which looks hardly
+# better.
+_FILM_OVERSAMPLING = 1.25
+_STILL_OVERSAMPLING = 3.0
+# Gaps in pixels: between pictures of a sheet and animals side by side, height of a heading, and
+# between moments. A sheet of several animals has a heading above each moment.
+_GUTTER, _HEAD, _GAP = 4, 40, 24
+# Columns by number of animals. For more animals it is the square root, rounded up.
+_COLUMNS = (1, 1, 2, 3, 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class Film:
+    """Settings of a film, a still or a sheet.
+
+    Attributes:
+        size: width and height of each animal's picture, pixels, rounded down to even numbers.
+        fps: frames per second of the film.
+        seconds: recorded time to show, s, or None for the whole recording. For a still: the shown
+            instant, or None for the middle.
+        speed: recorded seconds per second of film.
+        camera: ``follow`` (from behind towards the light, or without a light from the side and a
+            little ahead), ``side``, ``top`` or ``orbit`` (once around).
+        sheet: columns and rows of moments in one picture, each with all animals. They run evenly
+            from the first moment of the film to the last. Moments of a shorter recording lie closer
+            together. A sheet of several animals has a column with a heading for each moment: its
+            time or, if the recordings differ in length, its part of each film. None for a film or a
+            still.
+        columns: columns of animals. If None: 1, 2, 3 and 2 columns for one to four animals, and for
+            more the square root of their number, rounded up. On a sheet of several animals, 1.
+    """
+
+    size: tuple[int, int] = (640, 360)
+    fps: float = 30.0
+    seconds: float | None = None
+    speed: float = 1.0
+    camera: str = "follow"
+    sheet: tuple[int, int] | None = None
+    columns: int | None = None
+
+
+class Frames:
+    """Frames of animals, row by row, laid out and ready to be drawn in any order, as a `Reel`.
+
+    Raises:
+        SettingError: the sheet has more moments than the film has frames.
+    """
+
+    def __init__(self, panels: Sequence[Panel], film: Film, still: bool = False):
+        self._panels, self._film, sheet = panels, film, film.sheet
+        end = None if still else film.seconds
+        self._clips = [sample(one.recording, film.fps, film.speed, end) for one in panels]
+        self._instants = [_instants(clip, film.seconds, still, sheet) for clip in self._clips]
+        self.count = max(map(len, self._instants))
+        finely = still or sheet is not None
+        self._scale = scale = oversampling(
+            film.size, _STILL_OVERSAMPLING if finely else _FILM_OVERSAMPLING
+        )
+        self._one = width, height = film.size[0] // 2 * 2, film.size[1] // 2 * 2
+        self._grouped = sheet is not None and len(panels) > 1
+        columns = 1 if self._grouped and film.columns is None else film.columns
+        if columns is None:
+            most = len(panels)
+            columns = _COLUMNS[most] if most < len(_COLUMNS) else int(np.ceil(np.sqrt(most)))
+        self._columns, rows = columns, -(-len(panels) // columns)
+        head = _HEAD if self._grouped else 0
+        self.size = (
+            self._columns * (width + _GUTTER) - _GUTTER,
+            rows * (height + _GUTTER) - _GUTTER + head,
+        )
+        self._head = round(head * scale)
+        self._pitch = round((width + _GUTTER) * scale), round((height + _GUTTER) * scale)
+        self._rows = rows
+        self.rendered = (
+            (self._columns - 1) * self._pitch[0] + round(width * scale),
+            (rows - 1) * self._pitch[1] + round(height * scale) + self._head,
+        )
+
+    @contextlib.contextmanager
+    def drawn(self) -> Iterator[Callable[[int], np.ndarray]]:
+        """Build the scenes of all animals, and yield a function that draws frames (see `Reel`)."""
+        # The gaps stay white. The picture of each animal fills its place.
+        picture = np.full((self.rendered[1], self.rendered[0], 3), 255, np.uint8)
+        with contextlib.ExitStack() as stack:
+            shows = [
+                stack.enter_context(self._panel(panel, clip))
+                for panel, clip in zip(self._panels, self._clips, strict=True)
+            ]
+
+            def draw(number: int) -> np.ndarray:
+                if self._grouped:
+                    words = self._moment(number)
+                    picture[-self._head :] = heading(words, self.rendered[0], self._head)
+                for i, (show, own) in enumerate(zip(shows, self._instants, strict=True)):
+                    seen = show(own[min(number, len(own) - 1)])
+                    if len(shows) == 1:
+                        return seen
+                    # The first row of the array is the lowest row of pixels.
+                    below = (self._rows - 1 - i // self._columns) * self._pitch[1]
+                    left = i % self._columns * self._pitch[0]
+                    picture[below : below + len(seen), left : left + seen.shape[1]] = seen
+                return picture
+
+            yield draw
+
+    def sheet(self, pictures: Iterable[Image.Image]) -> Image.Image:
+        """Return a sheet of moments, row by row. A still is a sheet of one moment."""
+        columns, rows = self._film.sheet or (1, 1)
+        gap = _GAP if self._grouped else _GUTTER
+        across, down = self.size[0] + gap, self.size[1] + gap
+        sheet = Image.new("RGB", (columns * across - gap, rows * down - gap), "white")
+        for number, picture in enumerate(pictures):
+            sheet.paste(picture, (number % columns * across, number // columns * down))
+        return sheet
+
+    def _moment(self, number: int) -> str:
+        instants = {
+            f"{clip.time[own[number]] - clip.time[0]:.1f} s"
+            for clip, own in zip(self._clips, self._instants, strict=True)
+        }
+        if len(instants) == 1:
+            return instants.pop()
+        # Recordings of different lengths have no common time.
+        last = self.count - 1
+        return "end" if number == last else f"{number / last:.0%} of each film"
+
+    @contextlib.contextmanager
+    def _panel(self, panel: Panel, clip: Clip) -> Iterator[Callable[[int], np.ndarray]]:
+        """Draw an animal's picture, frame by frame: ``(height, width, 3)``, bottom row first."""
+        scene, film, scale = scene_of(panel, clip), self._film, self._scale
+        (width, height), above = self._one, self._one[1]
+        strip, strip_height = None, 0
+        if panel.signals is not None:
+            above -= max(round(FRACTION * height), LOWEST)
+            strip = Strip(panel.signals, scene.look, (width, height - above), scale)
+            strip_height = strip.height
+        title = panel.creature.name if panel.title is None else panel.title
+        pace = f", {film.speed:g} x speed" if film.speed != 1 else ""
+        note = "; ".join(filter(None, [panel.note, f"grid {scene.grid:g} m{pace}"]))
+        caption = captions(scene.look, title, scene.measured, note, (width, above), scale)
+        with canvas((round(width * scale), round(height * scale) - strip_height)) as plotter:
+            camera = camera_path(scene, film.camera, width / above)
+            stage = Stage(plotter, scene, camera, scale)
+            point = pointer(
+                camera, scene.goal, scene.look, (round(width * scale), round(above * scale))
+            )
+            bodies = add_bodies(plotter, panel.creature, scene.look.ambient)
+            show = set_scene(stage, bodies)
+
+            def draw(instant: int) -> np.ndarray:
+                seen, time = show(instant), clip.time[instant]
+                point(seen, instant)
+                caption(seen, time - clip.time[0], clip.distance[instant], clip.speed[instant])
+                return seen if strip is None else np.concatenate([strip.at(time), seen])
+
+            yield draw
+
+
+def _instants(
+    clip: Clip, seconds: float | None, still: bool, sheet: tuple[int, int] | None
+) -> Sequence[int]:
+    """Return the shown frames of a clip: all, one, or the frames of a sheet."""
+    if still:
+        instant = np.median(clip.time) if seconds is None else clip.time[0] + seconds
+        return [int(np.abs(clip.time - instant).argmin())]
+    if sheet is None:
+        return range(len(clip.time))
+    frames, (columns, rows) = len(clip.time), sheet
+    if min(sheet) < 1:
+        raise SettingError(f"sheet is {columns}x{rows}, but needs at least 1 column and 1 row")
+    if frames < columns * rows:
+        raise SettingError(
+            f"the film has {frames} frames, fewer than a sheet of {columns}x{rows} shows. "
+            "Choose more frames per second or fewer moments"
+        )
+    return np.linspace(0, frames - 1, columns * rows).round().astype(int).tolist()
 
 
 def film_path(path: str | os.PathLike[str], film: Film, signals: bool = False) -> Path:
-    """Check the settings of a film before any recording exists.
-
-    Args:
-        path: file or numbered pictures, see `side_by_side`.
-        film: settings of the film.
-        signals: whether signals are shown below an animal.
-
-    Returns:
-        The path.
+    """Check path (see `side_by_side`) and settings of a film before any recording exists.
 
     Raises:
         OutputError: the path cannot be written, or has another suffix.
@@ -91,15 +268,15 @@ def side_by_side(
             name such as ``frames/%04d.png`` gives a picture of every frame, counted from 0, in a
             new folder.
         film: settings of the film.
-        processes: number of processes that draw a film. The calling process draws a still or a
-            sheet. Each process takes some 400 MB of memory and a few seconds to start.
+        processes: number of processes that draw a film. Each takes some 400 MB of memory and a few
+            seconds to start, so the calling process draws a still or a sheet.
         progress: function that receives the number of finished frames and their total.
 
     Returns:
         The path, or the folder of the pictures.
 
     Raises:
-        DrawingError: one of several processes failed.
+        RenderError: one of several processes failed.
         OutputError: the path cannot be written, or has another suffix.
         RecordingError: a recording does not fit its creature, is empty or is not finite.
         SettingError: a setting is out of range.
@@ -114,8 +291,7 @@ def side_by_side(
         return path
     frames = Frames(panels, film)
     processes = drawing_processes(frames.count, processes)
-    make = functools.partial(Frames, panels, film)
-    with drawn_frames(frames, make, processes) as drawn:
+    with drawn_frames(frames, processes) as drawn:
         counted = _counted(drawn, frames.count, progress)
         if numbered:
             save_numbered((picture_of(frame, frames.size) for frame in counted), path)
@@ -131,12 +307,7 @@ def picture(
     film: Film,
     progress: Callable[[int, int], None] | None = None,
 ) -> Image.Image:
-    """Return a still, or a sheet of moments.
-
-    Args:
-        panels: the animals.
-        film: settings. Without a sheet, the picture is a still.
-        progress: function that receives the number of finished frames and their total.
+    """Return a still or, if the film has a sheet, a sheet of moments. See `side_by_side`.
 
     Raises:
         SettingError: the sheet has more moments than the film has frames.
@@ -167,7 +338,7 @@ _AHEAD = 3
 
 
 class Reel(Protocol):
-    """Frames that can be drawn in any order, such as `evo_cpg.view.frames.Frames`.
+    """Frames that can be drawn in any order, such as `evo_cpg.view.film.Frames`.
 
     Attributes:
         count: number of frames.
@@ -189,33 +360,25 @@ class Reel(Protocol):
         ...
 
 
-# Function that lays out the frames, in a process that draws.
-_makers: list[Callable[[], Reel]] = []
+# Frames to draw, in a process that draws.
+_laid_out: list[Reel] = []
 
 
-class DrawingError(RuntimeError):
+class RenderError(RuntimeError):
     """A process that draws frames failed."""
 
 
 def drawing_processes(frames: int, cores: int) -> int:
-    """Return the number of processes that draw the frames fastest.
-
-    Args:
-        frames: number of frames.
-        cores: number of usable cores.
-    """
+    """Return the number of processes that draw a number of frames fastest on usable cores."""
     return max(1, min(cores, frames // _WORTH, _MOST))
 
 
 @contextlib.contextmanager
-def drawn_frames(
-    frames: Reel, make: Callable[[], Reel], processes: int
-) -> Iterator[Iterator[np.ndarray]]:
+def drawn_frames(frames: Reel, processes: int) -> Iterator[Iterator[np.ndarray]]:
     """Draw all frames, one after the other.
 
     Args:
-        frames: the frames.
-        make: function that lays out the same frames in another process.
+        frames: the frames. Each drawing process receives a copy.
         processes: number of drawing processes. With 1, this process draws.
 
     Yields:
@@ -223,14 +386,14 @@ def drawn_frames(
         next one.
 
     Raises:
-        DrawingError: one of the processes failed.
+        RenderError: one of the processes failed.
     """
     if processes == 1:
         with frames.drawn() as draw:
             yield map(draw, range(frames.count))
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context, _prepare, (make,)) as pool:
+    with ProcessPoolExecutor(processes, context, _prepare, (frames,)) as pool:
         try:
             yield _in_order(pool, frames.count, _AHEAD * processes)
         finally:
@@ -244,18 +407,18 @@ def _in_order(pool: Executor, count: int, ahead: int) -> Iterator[np.ndarray]:
         try:
             picture = awaited.popleft().result()
         except Exception as error:
-            raise DrawingError(f"a process that draws frames failed: {error}") from error
+            raise RenderError(f"a process that draws frames failed: {error}") from error
         yield picture
         awaited.extend(pool.submit(_draw, number) for number in itertools.islice(numbers, 1))
 
 
-def _prepare(make: Callable[[], Reel]) -> None:
-    """Store the function that lays out the frames."""
+def _prepare(frames: Reel) -> None:
+    """Store the frames in a process that draws."""
     # Ignore Ctrl-C, because the parent process stops this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # The CPU is enough for heights of the ground.
     jax.config.update("jax_platforms", "cpu")
-    _makers[:] = [make]
+    _laid_out[:] = [frames]
 
 
 def _draw(number: int) -> np.ndarray:
@@ -266,4 +429,4 @@ def _draw(number: int) -> np.ndarray:
 def _scene() -> Callable[[int], np.ndarray]:
     stack = contextlib.ExitStack()
     atexit.register(stack.close)
-    return stack.enter_context(_makers[0]().drawn())
+    return stack.enter_context(_laid_out[0].drawn())

@@ -12,6 +12,7 @@ import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, Joint, lowest_height, neutral_pose
 from evo_cpg.creature.shapes import Box, Shape
+from evo_cpg.view.offscreen import grid_triangles, smooth_surface
 
 # Largest thickness of a plate relative to its width, and least distance of the joint from the
 # plate's middle, relative to its half length.
@@ -77,29 +78,28 @@ class Fin(NamedTuple):
         side = middle[:, None] + np.outer(wide, across)
         bulge = np.outer(thick, np.sqrt(np.maximum(1 - across**2, 0)))
         grid = np.arange(_ALONG * _ACROSS).reshape(_ALONG, _ACROSS)
-        sides = [
-            _sheet(self._points(place, side, sign * bulge), grid if sign > 0 else grid[:, ::-1])
-            for sign in (1, -1)
+        patches: list[tuple] = [
+            (place, side, bulge, grid, None),
+            (place, side, -bulge, grid[:, ::-1], None),
         ]
-        ends = [
-            _sheet(
-                self._points(
-                    np.tile(place[row], (2, 1)),
-                    np.tile(side[row], (2, 1)),
-                    sign * np.stack([bulge[row], -bulge[row]]),
-                ),
-                np.arange(2 * _ACROSS).reshape(2, _ACROSS),
-                sign * self.axes[0],
-            )
-            for row, sign in ((0, -1), (-1, 1))
-            if bulge[row].max() > _FLAT
-        ]
-        return cast(pv.PolyData, pv.merge([*sides, *ends], merge_points=False))
-
-    def _points(self, *places: np.ndarray) -> np.ndarray:
-        """Return points ``(n, 3)`` of places along, across and through, relative to the plate."""
-        own = np.stack([each.ravel() for each in places], -1) * self.half
-        return own @ self.axes
+        for row, sign in ((0, -1), (-1, 1)):
+            if bulge[row].max() > _FLAT:
+                edge = [np.tile(each[row], (2, 1)) for each in (place, side)]
+                thin = sign * np.stack([bulge[row], -bulge[row]])
+                corners = np.arange(2 * _ACROSS).reshape(2, _ACROSS)
+                patches.append((*edge, thin, corners, sign * self.axes[0]))
+        sheets = []
+        for *where, corners, normal in patches:
+            points = np.stack([each.ravel() for each in where], -1) * self.half @ self.axes
+            triangles = grid_triangles(corners)
+            if normal is None:
+                sheets.append(smooth_surface(points, triangles))
+                continue
+            # An end is flat.
+            end = pv.PolyData.from_regular_faces(points, triangles)
+            end.point_data.active_normals = np.tile(normal, (len(points), 1)).astype(np.float32)
+            sheets.append(end)
+        return cast(pv.PolyData, pv.merge(sheets, merge_points=False))
 
 
 def fins(creature: Creature) -> dict[int, Fin]:
@@ -112,7 +112,11 @@ def fins(creature: Creature) -> dict[int, Fin]:
         if body.joint is None or body.whole or body.name in wholes:
             continue
         found = _plate(creature, body.shape, body.joint)
-        if found is not None and not _is_foot(found, centres[i], rotations[i], lowest):
+        if found is None:
+            continue
+        level = abs(rotations[i][2] @ found.axes[2]) > _LEVEL
+        # A plate that lies level at the lowest height of the animal is a foot.
+        if not (level and centres[i][2] - found.half[2] <= lowest + 2 * found.half[2]):
             plates[i] = found
     after: dict[int, list[int]] = {}
     for i, plate in plates.items():
@@ -183,25 +187,3 @@ def _plate(creature: Creature, shape: Shape, joint: Joint) -> _Plate | None:
     axes[2] = np.cross(axes[0], axes[1])
     place = np.asarray(joint.parent_anchor, float)
     return _Plate(axes, half[order], creature.body_index(joint.parent), place)
-
-
-def _is_foot(plate: _Plate, centre: np.ndarray, turn: np.ndarray, lowest: float) -> bool:
-    """Return whether a plate lies level at the lowest height of the animal, m."""
-    level = abs(turn[2] @ plate.axes[2]) > _LEVEL
-    return bool(level and centre[2] - plate.half[2] <= lowest + 2 * plate.half[2])
-
-
-def _sheet(points: np.ndarray, grid: np.ndarray, normal: np.ndarray | None = None) -> pv.PolyData:
-    """Return a smooth surface over a grid of points, or a flat one with a normal."""
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    faces = np.concatenate(
-        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
-    )
-    sheet = pv.PolyData.from_regular_faces(points, faces)
-    if normal is not None:
-        sheet.point_data.active_normals = np.tile(normal, (len(points), 1)).astype(np.float32)
-        return sheet
-    smooth = sheet.compute_normals(
-        cell_normals=False, split_vertices=False, consistent_normals=False
-    )
-    return cast(pv.PolyData, smooth)

@@ -8,10 +8,9 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.view.offscreen import add_faded, write_depth
+from evo_cpg.view.offscreen import add_faded, spot_texture, write_depth
 from evo_cpg.view.shadows import Spots, patch_opacity
 from evo_cpg.view.stage import Shot, Stage, Update
-from evo_cpg.view.textures import spot_texture
 
 # Opacity of a ghost, alone and among many, and in a lane of its own.
 _OPACITY, _OPACITY_OF_MANY, _MANY, _OPACITY_IN_LANES = 0.5, 0.12, 100, 0.9
@@ -29,7 +28,7 @@ def add_ghosts(stage: Stage) -> Update:
     """Draw all ghosts of the scene, and soft patches under them."""
     scene, look = stage.scene, stage.look
     assert scene.ghosts is not None
-    position, rotation = scene.ghosts
+    position, rotation = scene.ghosts.position, scene.ghosts.rotation
     drawn = [i for i, body in enumerate(scene.creature.bodies) if body.shape.exists]
     count = position.shape[1]
     own, faces = zip(*(coarse(scene.creature.bodies[i].shape) for i in drawn), strict=True)

@@ -17,15 +17,13 @@ from evo_cpg.io.models.glb import Glb, Node
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.system import version_of
-from evo_cpg.view.clip import quaternions, sample
 from evo_cpg.view.look import Look, sun_direction
 from evo_cpg.view.meshes import pieces
-from evo_cpg.view.obstacles import obstacle_mesh
-from evo_cpg.view.scene import Panel, Scene, check_panel, scene_of
-from evo_cpg.view.skin import Skin, skins
+from evo_cpg.view.offscreen import floor_texture
+from evo_cpg.view.scene import Panel, Scene, check_panel, quaternions, sample, scene_of
+from evo_cpg.view.skin import ChainSkin, skins
 from evo_cpg.view.stage import camera_path
-from evo_cpg.view.terrain import Terrain
-from evo_cpg.view.textures import floor_texture
+from evo_cpg.view.terrain import Terrain, obstacle_mesh
 
 # Rotation from z upwards to y upwards: a quarter turn about x, as a quaternion x, y, z, w.
 Z_UP = (-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))
@@ -111,7 +109,7 @@ def _add_skins(
     glb: Glb,
     creature: Creature,
     recording: Recording,
-    covered: Sequence[Skin],
+    covered: Sequence[ChainSkin],
     times: int,
     add: Callable[[int, str], Node],
 ) -> None:

@@ -3,8 +3,6 @@
 A level floor writes no depth, so things in its plane do not flicker.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 import pyvista as pv
 from jaxtyping import Float
@@ -16,10 +14,9 @@ from evo_cpg.view.camera import (
     project,
     turned_about_vertical,
 )
-from evo_cpg.view.offscreen import add_faded, write_depth
+from evo_cpg.view.offscreen import add_faded, floor_texture, write_depth
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Terrain
-from evo_cpg.view.textures import floor_texture
 
 # Numbers on the ground: height of a digit and distance from the path, in radii of the animal. They
 # fade between two fractions of the height from the picture's middle to its lower edge, because
@@ -66,7 +63,7 @@ def add_ground(stage: Stage) -> Update:
     look, marks = stage.look, stage.scene.marks
     # On ground with relief, a net of strong lines makes slopes visible. On a level floor, strong
     # lines mark the places of the painted distances (`add_numbers`).
-    marked = stage.scene.walks or isinstance(stage.ground, Terrain)
+    marked = stage.measured or isinstance(stage.ground, Terrain)
     texture = floor_texture(look.floor, look.grid, look.checkered, marked)
     if isinstance(stage.ground, Terrain):
         return _add_relief(stage, stage.ground, texture)
@@ -153,47 +150,46 @@ def add_numbers(stage: Stage) -> Update:
     if not glyphs:
         return lambda shot: None
     mesh = glyphs[0].append_polydata(*glyphs[1:])
-    numbers = _Numbers(stage, np.concatenate(flat), np.concatenate(middle))
+    return _painted(stage, mesh, np.concatenate(flat), np.concatenate(middle))
+
+
+def _painted(
+    stage: Stage,
+    mesh: pv.PolyData,
+    flat: Float[np.ndarray, "n 2"],
+    middle: Float[np.ndarray, "n 2"],
+) -> Update:
+    """Draw numbers that lie on the ground.
+
+    Args:
+        stage: scene and camera.
+        mesh: mesh of all numbers, whose points are placed anew.
+        flat: their points in the plane of their number: to the right and ahead, m.
+        middle: place of the number that each point belongs to, m.
+    """
     rgba = np.tile(pv.Color(stage.look.text).int_rgba, (mesh.n_points, 1)).astype(np.uint8)
-    mesh.points = numbers.points(0.0)
+    ground, turned = stage.ground, 0.0
+
+    def points(turned: float) -> Float[np.ndarray, "n 3"]:
+        right, ahead = level_axes(turned_about_vertical(stage.sight, turned))
+        place = middle + flat @ np.stack([right[:2], ahead[:2]])
+        return np.column_stack([place, ground.height(place) + stage.lift])
+
+    mesh.points = points(0.0)
     add_faded(stage.plotter, mesh, rgba)
-    turned = 0.0
 
     def update(shot: Shot) -> None:
         nonlocal turned
         # The numbers turn with a circling camera, so that they can be read all around.
         if shot.turned != turned:
             turned = shot.turned
-            mesh.points = numbers.points(turned)
-        rgba[:, 3] = 200 * numbers.opacity(np.asarray(mesh.points, float), shot)
+            mesh.points = points(turned)
+        place = np.asarray(mesh.points, float)
+        away = np.linalg.norm(place[:, :2] - shot.focus[:2], axis=1)
+        path = CameraPath(shot.eye[None], shot.focus[None], VIEW_ANGLE)
+        down = -project(path, place[None], 1.0)[0, :, 1]
+        shown = np.interp(np.nan_to_num(down, nan=1.0), _FADES_DOWN, (1.0, 0.0))
+        rgba[:, 3] = 200 * shown * np.exp(-((away / (0.4 * stage.visible)) ** 2))
         mesh["rgba"] = rgba
 
     return update
-
-
-class _Numbers(NamedTuple):
-    """Points of the numbers on the ground.
-
-    Attributes:
-        stage: stage of the film.
-        flat: points in the plane of their number: to the right and ahead, m.
-        middle: place of the number that each point belongs to, m.
-    """
-
-    stage: Stage
-    flat: Float[np.ndarray, "n 2"]
-    middle: Float[np.ndarray, "n 2"]
-
-    def points(self, turned: float) -> Float[np.ndarray, "n 3"]:
-        """Return the points for a camera that has turned by an angle (rad) since the start."""
-        right, ahead = level_axes(turned_about_vertical(self.stage.sight, turned))
-        place = self.middle + self.flat @ np.stack([right[:2], ahead[:2]])
-        return np.column_stack([place, self.stage.ground.height(place) + self.stage.lift])
-
-    def opacity(self, points: Float[np.ndarray, "n 3"], shot: Shot) -> Float[np.ndarray, " n"]:
-        """Return the opacity of points: low far from the animal, and above the captions."""
-        distance = np.linalg.norm(points[:, :2] - shot.focus[:2], axis=1)
-        path = CameraPath(shot.eye[None], shot.focus[None], VIEW_ANGLE)
-        down = -project(path, points[None], 1.0)[0, :, 1]
-        shown = np.interp(np.nan_to_num(down, nan=1.0), _FADES_DOWN, (1.0, 0.0))
-        return shown * np.exp(-((distance / (0.4 * self.stage.visible)) ** 2))

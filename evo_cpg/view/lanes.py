@@ -13,10 +13,9 @@ from jaxtyping import Float
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.crowd import CrowdMotion
-from evo_cpg.view.camera import Bodies, course, overview, project
-from evo_cpg.view.clip import sample
+from evo_cpg.view.camera import BodyBoxes, course, overview, project
 from evo_cpg.view.look import STYLES
-from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing
+from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing, sample
 from evo_cpg.view.scenery import LAMP
 from evo_cpg.view.story import FPS, GLIDE, Overview
 from evo_cpg.view.terrain import heights
@@ -93,6 +92,7 @@ class Tank(NamedTuple):
         title: view of the first animal, and of its goal if it is near.
         wide: view of all lanes.
         near: whether this view shows the goal.
+        goal: place of the last line that the champion passes, m, and its name, or None.
     """
 
     course: Course
@@ -103,14 +103,7 @@ class Tank(NamedTuple):
     title: Overview
     wide: Overview
     near: bool
-
-    @property
-    def goal(self) -> tuple[Float[np.ndarray, "3"], str] | None:
-        """Place of the last line that the champion passes, m, and its name, or None."""
-        course = self.course
-        if course.target is None or course.finish is None:
-            return None
-        return course.target, f"{course.finish:g} m"
+    goal: tuple[Float[np.ndarray, "3"], str] | None
 
     def behind(self, first: Recording, others: CrowdMotion, time: float) -> Overview:
         """Return a view of the first animal and those close behind it, at a time (s)."""
@@ -150,7 +143,7 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
     aside = np.array([-ahead[1], ahead[0], 0.0])
     clip = sample(recording, FPS)
     box = np.array([body.shape.half_extents for body in creature.bodies])
-    corners = Bodies(clip.position[:1], clip.rotation[:1], box).corners()[0]
+    corners = BodyBoxes(clip.position[:1], clip.rotation[:1], box).corners()[0]
     across = (corners - start) @ aside
     lane = max(_LANE * length, _ROOMY * np.ptp(across), _HIGH * np.ptp(corners[:, 2]))
     progress, spacing = (path - start) @ ahead, mark_spacing(length)
@@ -235,7 +228,9 @@ def tank_of(
         track = Track(start, course.bearing, course.spacing, lines, *sides, finish)
     title = _title_view(course, STYLES[panel.world].side_elevation, aspect)
     floor = None if land else _floor(panel, course, crowds)
-    return Tank(course, lane, _LANES - 1 if lane else _PILED, track, floor, title, wide, near)
+    goal = None if target is None or finish is None else (target, f"{finish:g} m")
+    others = _LANES - 1 if lane else _PILED
+    return Tank(course, lane, others, track, floor, title, wide, near, goal)
 
 
 def _title_view(course: Course, elevation: float, aspect: float) -> Overview:

@@ -87,12 +87,7 @@ def write(
 
 @functools.cache
 def font(size: float, bold: bool = True) -> ImageFont.FreeTypeFont:
-    """Return a face of the font that is always there.
-
-    Args:
-        size: size of the letters, pixels.
-        bold: whether to use the bold face.
-    """
+    """Return a face of the font that is always there, in a size (pixels)."""
     return ImageFont.truetype(str(_BOLD if bold else _REGULAR), size)
 
 

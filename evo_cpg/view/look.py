@@ -35,8 +35,8 @@ class Look:
         ghost: colour of the other animals of a crowd.
         visibility: distance at which the floor has faded to a third.
         elevation: elevation of the camera above the focus, rad, when it looks towards a light.
-        side_elevation: elevation when the camera looks at the animal's side, rad. On land it is low
-            enough to show the horizon and the space under the animal.
+        side_elevation: the same when it looks at the animal's side, rad. On land it is low enough
+            to show the horizon and the space under the animal.
         particles: whether specks drift in the medium.
         checkered: whether alternate grid cells differ in tone.
         zenith: colour towards which the sky, or the water, turns above the horizon.
@@ -131,12 +131,7 @@ SHORE = dataclasses.replace(
 
 
 def sun_direction(look: Look, sight: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Return the unit vector towards the sun.
-
-    Args:
-        look: look of the world.
-        sight: the camera's direction of view in the first frame.
-    """
+    """Return the unit vector towards the sun, for a direction of view in the first frame."""
     towards = np.array(_SUN_AT_SEA)
     if not look.under_water:
         towards = np.array(_SUN_SEEN) @ np.stack([*level_axes(sight), [0.0, 0.0, 1.0]])

@@ -16,6 +16,7 @@ import pyvista as pv
 from evo_cpg.creature.creature import Body, Creature, LightSensor, length_of, neutral_pose
 from evo_cpg.creature.shapes import Ellipsoid, Shape
 from evo_cpg.view.fins import fins
+from evo_cpg.view.offscreen import grid_triangles, smooth_surface
 
 _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
 # Radius of an eye, relative to the body's smallest half size.
@@ -97,16 +98,10 @@ def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv
     sight = np.array(sensor.position) + reach[:, None] * axis
     outside = shape.distance(sight) >= 0
     centre = sight[outside.argmax()] if outside.any() else sight[0]
+    ball = functools.partial(pv.Sphere, theta_resolution=_BALL[0], phi_resolution=_BALL[1])
     centre = centre - 0.35 * radius * axis
-    return (
-        _ball(radius, centre),
-        _ball(0.72 * radius, centre + 0.42 * radius * axis),
-    )
-
-
-def _ball(radius: float, centre: np.ndarray) -> pv.PolyData:
-    around, down = _BALL
-    return pv.Sphere(radius=radius, center=centre, theta_resolution=around, phi_resolution=down)
+    pupil = ball(radius=0.72 * radius, center=centre + 0.42 * radius * axis)
+    return ball(radius=radius, center=centre), pupil
 
 
 def drawn_eyes(creature: Creature) -> list[LightSensor]:
@@ -130,7 +125,7 @@ def drawn_eyes(creature: Creature) -> list[LightSensor]:
     return [LightSensor(body, tuple(place), tuple(axis), np.pi) for axis in axes]
 
 
-class Piece(NamedTuple):
+class BodySurface(NamedTuple):
     """A surface that moves with a body, in the body's frame.
 
     Attributes:
@@ -146,26 +141,28 @@ class Piece(NamedTuple):
 
 def surfaces(creature: Creature) -> list[pv.PolyData]:
     """Return the drawn surface of every body in its own frame, m: its shape, a fin or a shell."""
-    finned, colors = fins(creature), body_colors(creature)
-    return [
-        finned[i].mesh()
-        if i in finned
-        else _shell_mesh(body, colors[i])
-        if _is_shell(body)
-        else shape_mesh(body.shape)
-        for i, body in enumerate(creature.bodies)
-    ]
+    finned, colors, found = fins(creature), body_colors(creature), []
+    for i, body in enumerate(creature.bodies):
+        if i in finned:
+            found.append(finned[i].mesh())
+        elif body.name in _SHELLS and isinstance(body.shape, Ellipsoid):
+            found.append(_shell_mesh(body, colors[i]))
+        else:
+            found.append(shape_mesh(body.shape))
+    return found
 
 
-def pieces(creature: Creature) -> list[list[Piece]]:
+def pieces(creature: Creature) -> list[list[BodySurface]]:
     """Return the pieces of every body: its own surface, then white and pupil of its eyes."""
     colors = [pv.Color(color).hex_rgb for color in body_colors(creature)]
-    found = [[Piece(mesh, color)] for mesh, color in zip(surfaces(creature), colors, strict=True)]
+    found = [
+        [BodySurface(mesh, color)] for mesh, color in zip(surfaces(creature), colors, strict=True)
+    ]
     for number, sensor in enumerate(creature.light_sensors or drawn_eyes(creature), 1):
         white, pupil = eye_meshes(creature, sensor)
         found[creature.body_index(sensor.body)] += [
-            Piece(white, _WHITE, f"eye{number}"),
-            Piece(pupil, _PUPIL, f"pupil{number}"),
+            BodySurface(white, _WHITE, f"eye{number}"),
+            BodySurface(pupil, _PUPIL, f"pupil{number}"),
         ]
     return found
 
@@ -173,27 +170,20 @@ def pieces(creature: Creature) -> list[list[Piece]]:
 def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[list[pv.Actor]]:
     """Draw the bodies and eyes, each in its own frame at the origin.
 
-    Args:
-        plotter: plotter of the picture.
-        creature: the animal.
-        ambient: fraction of light that comes from everywhere.
-
-    Returns:
-        The actors of each body, to be moved together.
+    Return the actors of each body, to be moved together.
     """
     skin = {"ambient": ambient, "diffuse": 0.8, "specular": 0.25, "specular_power": 18}
     finish = {False: skin, True: {"ambient": 0.4, "specular": 0.8}}
-    draw = functools.partial(plotter.add_mesh, smooth_shading=True, culling="back")
-
-    def paint(piece: Piece) -> dict[str, Any]:
-        if "rgb" in piece.mesh.point_data:
-            return {"scalars": "rgb", "rgb": True, "show_scalar_bar": False}
-        return {"color": piece.color}
-
-    return [
-        [draw(piece.mesh, **paint(piece), **finish[bool(piece.name)]) for piece in own]
-        for own in pieces(creature)
-    ]
+    actors: list[list[pv.Actor]] = []
+    for own in pieces(creature):
+        actors.append([])
+        for piece in own:
+            paint: dict[str, Any] = {"color": piece.color}
+            if "rgb" in piece.mesh.point_data:
+                paint = {"scalars": "rgb", "rgb": True, "show_scalar_bar": False}
+            paint |= finish[bool(piece.name)] | {"smooth_shading": True, "culling": "back"}
+            actors[-1].append(plotter.add_mesh(piece.mesh, **paint))
+    return actors
 
 
 # Bodies with these names that are ellipsoids are drawn as shells.
@@ -214,11 +204,6 @@ _OUT, _AROUND = 25, 64
 _COARSER = 4
 
 
-def _is_shell(body: Body) -> bool:
-    """Return whether a body is drawn as a shell."""
-    return body.name in _SHELLS and isinstance(body.shape, Ellipsoid)
-
-
 def _shell_mesh(body: Body, color: np.ndarray) -> pv.PolyData:
     """Return the surface of a shell in its own frame, m, with colours ``rgb`` of its points.
 
@@ -227,52 +212,33 @@ def _shell_mesh(body: Body, color: np.ndarray) -> pv.PolyData:
         color: colour of the scutes: red, green and blue from 0 to 1.
     """
     out, half = np.linspace(0, np.pi / 2, _OUT), np.asarray(body.shape.half_extents, float)
-    flat, height = _dome(out)
+    flat, height, faces = _dome(out)
     scute, far = _scutes(flat)
     # Seams end at the rim, where the belly begins.
     seam = _DEPTH * (1 - scute) * np.sqrt(height)
     above = np.column_stack([flat, height]) * (1 - seam)[:, None]
     tone = _DARK + (1 + (_PALE - 1) * np.exp(-((far / _MIDDLE_SIZE) ** 2)) - _DARK) * scute
-    top = _sheet(above * half, _faces(_OUT), np.minimum(color * tone[:, None], 1))
-    flat, height = _dome(out[::_COARSER])
-    below = np.column_stack([flat, -_BELLY * height]) * half
-    belly = _sheet(
-        below,
-        _faces(len(below) // _AROUND)[:, ::-1],
-        np.broadcast_to(_BELLY_COLOR, below.shape),
-    )
+    top = smooth_surface(above * half, faces)
+    top["rgb"] = np.round(255 * np.minimum(color * tone[:, None], 1)).astype(np.uint8)
+    flat, height, faces = _dome(out[::_COARSER])
+    belly = smooth_surface(np.column_stack([flat, -_BELLY * height]) * half, faces[:, ::-1])
+    belly["rgb"] = np.tile(np.round(255 * _BELLY_COLOR).astype(np.uint8), (len(flat), 1))
     return cast(pv.PolyData, pv.merge([top, belly], merge_points=False))
 
 
-def _dome(out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return places ``(n, 2)`` and heights ``(n,)`` on a half sphere, ring by ring.
+def _dome(out: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return places ``(n, 2)``, heights ``(n,)`` and triangles ``(m, 3)`` of a half sphere.
 
-    Args:
-        out: angles of the rings from the middle, rad.
+    The rings have angles ``out`` from the middle, rad.
     """
     around = 2 * np.pi * np.arange(_AROUND) / _AROUND
     ring = np.stack([np.cos(around), np.sin(around)], -1)
     flat = (np.sin(out)[:, None, None] * ring).reshape(-1, 2)
-    # The rim is level.
-    return flat, np.repeat(np.maximum(np.cos(out), 0).round(9), _AROUND)
-
-
-def _faces(rings: int) -> np.ndarray:
-    """Return the triangles between rings. The first ring is one point."""
-    grid = np.arange(rings * _AROUND).reshape(rings, _AROUND)
-    a, b = grid[:-1], grid[1:]
-    c, d = np.roll(b, -1, 1), np.roll(a, -1, 1)
-    one, two = np.stack([a, b, c], -1), np.stack([a, c, d], -1)[1:]
-    return np.concatenate([one.reshape(-1, 3), two.reshape(-1, 3)])
-
-
-def _sheet(points: np.ndarray, faces: np.ndarray, rgb: np.ndarray) -> pv.PolyData:
-    sheet = pv.PolyData.from_regular_faces(points, faces)
-    sheet["rgb"] = np.round(255 * rgb).astype(np.uint8)
-    smooth = sheet.compute_normals(
-        cell_normals=False, split_vertices=False, consistent_normals=False
-    )
-    return cast(pv.PolyData, smooth)
+    grid = np.arange(len(flat)).reshape(-1, _AROUND)
+    faces = grid_triangles(np.column_stack([grid, grid[:, 0]]))
+    # The first ring is one point, so half of its triangles have no area. The rim is level.
+    faces = faces[(faces < _AROUND).sum(1) < 2]
+    return flat, np.repeat(np.maximum(np.cos(out), 0).round(9), _AROUND), faces
 
 
 def _scutes(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

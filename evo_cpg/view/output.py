@@ -73,11 +73,7 @@ def oversampling(size: tuple[int, int], desired: float) -> float:
 
 
 def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
-    """Return a path to which a file with one of some suffixes can be written.
-
-    Args:
-        path: path from the user. An existing file is replaced.
-        suffixes: suffixes that the caller can write, such as ``(".mp4", ".gif")``.
+    """Return a path to which a file with one of some suffixes can be written, or replaced.
 
     Raises:
         OutputError: another suffix, a folder that does not exist, a folder in the file's place,
@@ -97,10 +93,7 @@ def is_numbered(path: Path) -> bool:
 
 
 def numbered_path(path: Path) -> Path:
-    """Return a path for numbered pictures, whose folder must be empty or new.
-
-    Args:
-        path: path from the user, such as ``frames/%04d.png``.
+    """Return a path such as ``frames/%04d.png``, whose folder must be empty or new.
 
     Raises:
         OutputError: the folder is not empty, or cannot be created.
@@ -120,11 +113,9 @@ def numbered_path(path: Path) -> Path:
 
 
 def picture_of(frame: np.ndarray, size: tuple[int, int]) -> Image.Image:
-    """Return a picture of this width and height, with pixels averaged from a frame.
+    """Return a picture of this width and height, averaged from the bytes of a frame.
 
-    Args:
-        frame: bytes ``(height, width, 3)``, bottom row first as in OpenGL.
-        size: width and height, pixels.
+    The frame is ``(height, width, 3)``, bottom row first as in OpenGL.
     """
     return Image.fromarray(frame[::-1]).resize(size, Image.Resampling.BOX)
 
@@ -167,7 +158,7 @@ def save_numbered(pictures: Iterable[Image.Image], path: Path) -> None:
 @contextlib.contextmanager
 def film_writer(
     path: Path, size: tuple[int, int], rendered: tuple[int, int], fps: float
-) -> Iterator[Callable[[np.ndarray], None]]:
+) -> Iterator[Callable[[np.ndarray], object]]:
     """Write frames to a film: H.264, WebP or GIF.
 
     Args:
@@ -197,7 +188,7 @@ def film_writer(
         )
         try:
             with contextlib.suppress(BrokenPipeError), cast(IO[bytes], process.stdin) as pipe:
-                yield lambda frame: _send(pipe, frame)
+                yield lambda frame: pipe.write(frame.data)
         except BaseException:
             process.kill()
             raise
@@ -208,7 +199,3 @@ def film_writer(
             said = complaints.read().decode(errors="replace").split()
             reason = " ".join(said) or f"code {code}"
             raise OutputError(f"cannot write {path}: ffmpeg failed: {reason}")
-
-
-def _send(pipe: IO[bytes], frame: np.ndarray) -> None:
-    pipe.write(frame.data)

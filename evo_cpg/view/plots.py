@@ -19,6 +19,7 @@ from evo_cpg.view.figure import (
     GREEN,
     GREY,
     INK,
+    LIGHT_GREY,
     ORANGE,
     RED,
     TIME,
@@ -94,8 +95,7 @@ def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
     top.legend(title=f"{len(runs)} runs, half of them in the band" if several else None)
     if diverged.any():
         bottom.bar(generation, diverged, width=1.0, color=RED)
-        bottom.set_ylim(0, diverged.max() * 1.15)
-        bottom.set_ylabel("diverged")
+        bottom.set(ylabel="diverged", ylim=(0, diverged.max() * 1.15))
         bottom.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=3))
     bottom.set_xlabel("generation")
     count_in_whole_numbers(bottom)
@@ -143,7 +143,12 @@ def joint_signals_figure(
     if axis not in available:
         raise ValueError(f"no joint has the axis {axis!r}. Allowed: {', '.join(available)}")
     shown = _in_window(recording, window)
-    groups = _in_chains([i for i, name in enumerate(names) if name[1] == axis], chains)
+    left, groups = [i for i, name in enumerate(names) if name[1] == axis], []
+    for chain in chains:
+        groups.append([row for row in chain if row in left])
+        left = [row for row in left if row not in chain]
+    # Joints that belong to no chain are the last group.
+    groups = [group for group in [*groups, left] if group]
     rows = [row for group in groups for row in group]
     time = recording.time[shown]
     angle = recording.joint_angle[shown][:, rows]
@@ -199,10 +204,7 @@ def _draw_rows(
 ) -> list[Line2D]:
     """Draw a row for each joint, with a scale on either side, and return one line of each kind.
 
-    Args:
-        panels: axes of the rows.
-        time: instants, s.
-        signals: signals of the joints ``(t, d)`` by label: first solid lines, then dashed lines.
+    The first signals ``(t, d)`` are solid lines, the second ones dashed lines.
     """
     styles = ((BLUE, 1.8, "solid"), (RED, 1.2, (0, (4, 2))))
     tops = [1.25 * max(float(np.abs(values).max()), 1e-3) for values in signals.values()]
@@ -223,15 +225,28 @@ def _draw_rows(
     return lines[:2]
 
 
-def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[int]]:
-    """Return the rows chain by chain, then the rows that belong to no chain."""
-    if not chains:
-        return [rows]
-    groups, left = [], list(rows)
-    for chain in chains:
-        groups.append([row for row in chain if row in left])
-        left = [row for row in left if row not in chain]
-    return [group for group in [*groups, left] if group]
+@framed
+def fit_figure(
+    time: np.ndarray, columns: Sequence[str], data: np.ndarray, fitted: np.ndarray
+) -> Figure:
+    """Draw every column over time: the recording as dots, the fitted simulation as a line.
+
+    Args:
+        time: instants, s.
+        columns: names of the columns: ``x``, ``y`` and ``z`` in m, others in rad.
+        data: recorded values ``(t, c)``.
+        fitted: simulated values ``(t, c)``.
+    """
+    figure = new_figure(7.4, 0.9 + 1.5 * len(columns))
+    rows = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name, own, model in zip(rows, columns, data.T, fitted.T, strict=True):
+        axes.plot(time, own, "o", ms=3, color=LIGHT_GREY, label="recorded")
+        axes.plot(time, model, color=RED, lw=1.6, label="fitted")
+        axes.set_ylabel(f"{legible(name)} ({'m' if name in 'xyz' else 'rad'})")
+        axes.grid()
+    rows[-1].set_xlabel("time (s)")
+    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure
 
 
 @framed
@@ -239,10 +254,6 @@ def path_figure(recording: Recording, root_index: int) -> Figure:
     """Draw the root's path from above, with outlines of the animal, and the distance over time.
 
     The distance is measured to the light. Without a light it is the displacement from the start.
-
-    Args:
-        recording: the motion.
-        root_index: index of the root in ``creature.bodies``.
     """
     figure = new_figure(10.5, 4.4)
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
@@ -266,15 +277,16 @@ def path_figure(recording: Recording, root_index: int) -> Figure:
     above.set_aspect("equal", "datalim")
     above.margins(0.08)
     above.autoscale_view()
-    above.set_xlabel("x (m)")
-    above.set_ylabel("y (m)")
+    above.set(xlabel="x (m)", ylabel="y (m)")
     above.legend()
     figure.colorbar(trace, ax=above, label="time (s)", shrink=0.85, pad=0.02)
     later.plot(recording.time, recording.distance, color=BLUE, lw=2)
-    later.set_xlabel("time (s)")
-    later.set_ylabel("distance to the light (m)" if lit else "distance from the start (m)")
-    later.set_ylim(0, 1.08 * np.nanmax(recording.distance, initial=1e-3))
-    later.set_xlim(recording.time[0], recording.time[-1])
+    later.set(
+        xlabel="time (s)",
+        ylabel="distance to the light (m)" if lit else "distance from the start (m)",
+        xlim=(recording.time[0], recording.time[-1]),
+        ylim=(0, 1.08 * np.nanmax(recording.distance, initial=1e-3)),
+    )
     return figure
 
 

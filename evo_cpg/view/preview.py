@@ -17,17 +17,16 @@ from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import VIEW_ANGLE, CameraPath, level_axes
-from evo_cpg.view.clip import sample
 from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import STYLES
 from evo_cpg.view.meshes import add_bodies, shape_mesh
-from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import check_size, output_path, oversampling, picture_of, save_picture
-from evo_cpg.view.scene import Panel, Scene, grid_spacing, scene_of
+from evo_cpg.view.scene import Panel, Scene, grid_spacing, sample, scene_of
 from evo_cpg.view.skin import drape
 from evo_cpg.view.stage import Stage
+from evo_cpg.view.terrain import obstacle_mesh
 
 # Pale looks of dry land, a shore and the bottom of the sea, so that names and axes stand out.
 _BACKGROUND = "#f4f6f8"
@@ -49,7 +48,9 @@ _SIGHT = "#E69F00"
 _PRESSURE = "#CC79A7"
 _DEPTH = "#56B4E9"
 # The camera looks along this direction, onto the animal's left front.
-_VIEW = np.array([-0.55, -0.95, -0.62])
+_AHEAD = np.array([-0.55, -0.95, -0.62]) / np.linalg.norm([-0.55, -0.95, -0.62])
+_RIGHT = level_axes(_AHEAD)[0]
+_UP = np.cross(_RIGHT, _AHEAD)
 # Fraction of the picture that the animal fills.
 _FILL = 0.72
 # Opacity of the bodies, which lets the joints inside show.
@@ -86,7 +87,7 @@ def preview(
     pose: tuple[np.ndarray, np.ndarray] | None = None,
     surface: float | None = None,
 ) -> Path:
-    """Draw a creature in its neutral pose, or in another pose.
+    """Draw a creature in its neutral pose, or in another pose, and return the path.
 
     Args:
         creature: creature to draw.
@@ -98,9 +99,6 @@ def preview(
             or None for the neutral pose.
         surface: height of the water in the world's frame, m. Infinity means water everywhere, None
             no water.
-
-    Returns:
-        The path.
 
     Raises:
         OutputError: the path cannot be written, or is not a ``.png`` file.
@@ -121,17 +119,20 @@ def preview(
     middle = (shown.min(0) + shown.max(0)) / 2
     scene = scene._replace(radius=float(np.linalg.norm(shown - middle, axis=1).max()))
     camera, half_height = _camera(shown, size)
-    scale = oversampling(size, _OVERSAMPLING)
-    rendered = round(size[0] * scale), round(size[1] * scale)
+    finer = oversampling(size, _OVERSAMPLING)
+    rendered = round(size[0] * finer), round(size[1] * finer)
     with canvas(rendered) as plotter:
         bodies = add_bodies(plotter, creature, scene.look.ambient)
-        show = set_scene(Stage(plotter, scene, camera, scale), bodies, skins=False)
+        show = set_scene(Stage(plotter, scene, camera, finer), bodies, skins=False)
         plotter.camera.parallel_projection = True
         plotter.camera.parallel_scale = half_height
         draped = drape(plotter, creature, scene.look.ambient)
         for skin, _ in draped:
             skin.move(*rest)
-        legend = _add_joints(plotter, scene) | _add_sensors(plotter, scene)
+        thin = scene.half_extents.min(1)
+        # Half the thickness of a typical body, m.
+        scale = float(np.median(thin[thin > 0]))
+        legend = _add_joints(plotter, scene, scale) | _add_sensors(plotter, scene, scale)
         opaque = show(0)
         for actor in [body for body, *_ in bodies] + [actor for _, actor in draped]:
             actor.visibility = False
@@ -140,9 +141,11 @@ def preview(
     if surface is not None:
         notes.append(water_note(surface, hull))
     if size[0] >= _ROOM[0] and size[1] >= _ROOM[1]:
-        unit = scale * max(min(size[0] / _SCREEN[0], size[1] / _SCREEN[1]), 0.5)
-        places = _places(camera, scene.clip.position[0], half_height, rendered)
-        _write(picture, creature, places, rendered[1] / 2 / half_height, legend, notes, unit)
+        unit = finer * max(min(size[0] / _SCREEN[0], size[1] / _SCREEN[1]), 0.5)
+        pixels_per_metre = rendered[1] / 2 / half_height
+        offset = (rest[0] - camera.focus[0]) @ np.column_stack([_RIGHT, -_UP])
+        places = np.array(rendered) / 2 + pixels_per_metre * offset
+        _write(picture, creature, places, pixels_per_metre, legend, notes, unit)
     save_picture(picture_of(picture, size), path)
     return path
 
@@ -172,9 +175,7 @@ def _at_rest(
 def obstacles_near(ground: Ground, hull: np.ndarray) -> tuple[np.ndarray, int]:
     """Return points of near obstacles ``(n, 3)``, m, and the number of obstacles farther away.
 
-    Args:
-        ground: ground with its obstacles.
-        hull: points of the creature ``(n, 3)`` in the world, m.
+    The hull holds points of the creature ``(n, 3)``, m.
     """
     middle = (hull.min(0) + hull.max(0)) / 2
     length = float(np.ptp(hull, axis=0).max())
@@ -190,12 +191,7 @@ def obstacles_near(ground: Ground, hull: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def water_note(surface: float, hull: np.ndarray) -> str:
-    """Return a phrase about the creature's place in the water.
-
-    Args:
-        surface: height of the water, m. Infinity means water everywhere.
-        hull: points of the creature ``(n, 3)``, m.
-    """
+    """Return a phrase about a hull of points ``(n, 3)``, m, and water up to a surface, m."""
     low, high = float(hull[:, 2].min()), float(hull[:, 2].max())
     if surface == math.inf:
         return "water everywhere"
@@ -204,7 +200,7 @@ def water_note(surface: float, hull: np.ndarray) -> str:
     return "partly under water" if surface > low else f"{low - surface:.2g} m above the water"
 
 
-def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
+def _add_joints(plotter: pv.Plotter, scene: Scene, scale: float) -> dict[str, str]:
     """Draw arrows along the joint axes, and return their colours by meaning."""
     meaning = {}
     for body, centre, turn in _posed(scene):
@@ -218,19 +214,14 @@ def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
             color = _AXES.get(name, _OTHER_AXIS)
             meaning[f"{name} axis" if names else "other axis, such as -z"] = color
             # Long enough to stick out of the bodies on either side.
-            _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * _thickness(scene), color)
+            _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * scale, color)
     return dict(sorted(meaning.items()))
 
 
-def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
+def _add_sensors(plotter: pv.Plotter, scene: Scene, scale: float) -> dict[str, str]:
     """Draw lines of sight, depth gauges and pressure sensors, and return their colours."""
-    creature, scale, meaning = scene.creature, _thickness(scene), {}
+    creature, balls, meaning = scene.creature, [], {}
     posed = {body.name: (body, centre, turn) for body, centre, turn in _posed(scene)}
-
-    def add_ball(place: np.ndarray, radius: float, color: str) -> None:
-        ball = pv.Sphere(radius=radius, center=place)
-        plotter.add_mesh(ball, color=color, lighting=False, render=False)
-
     for sensor in creature.light_sensors:
         _, centre, turn = posed[sensor.body]
         eye = centre + turn @ np.array(sensor.position)
@@ -238,13 +229,16 @@ def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
         meaning["line of sight"] = _SIGHT
     for gauge in creature.depth_sensors:
         _, centre, turn = posed[gauge.body]
-        add_ball(centre + turn @ np.array(gauge.position), 0.3 * scale, _DEPTH)
+        balls.append((centre + turn @ np.array(gauge.position), 0.3, _DEPTH))
         meaning["depth gauge"] = _DEPTH
     for name in creature.pressure_sensors if scene.stands else ():
         body, centre, turn = posed[name]
         for outward in (*np.eye(3)[1:], *-np.eye(3)[1:]):
-            add_ball(centre + turn @ body.shape.support(outward), 0.22 * scale, _PRESSURE)
+            balls.append((centre + turn @ body.shape.support(outward), 0.22, _PRESSURE))
         meaning["pressure sensor"] = _PRESSURE
+    for place, size, color in balls:
+        ball = pv.Sphere(radius=size * scale, center=place)
+        plotter.add_mesh(ball, color=color, lighting=False, render=False)
     return meaning
 
 
@@ -252,12 +246,6 @@ def _posed(scene: Scene) -> Iterator[tuple[Body, np.ndarray, np.ndarray]]:
     """Yield every body with its centre and rotation."""
     clip = scene.clip
     return zip(scene.creature.bodies, clip.position[0], clip.rotation[0], strict=True)
-
-
-def _thickness(scene: Scene) -> float:
-    """Return half the thickness of a typical body, m."""
-    thin = scene.half_extents.min(1)
-    return float(np.median(thin[thin > 0]))
 
 
 def _add_arrow(
@@ -276,30 +264,14 @@ def _add_arrow(
 
 def _camera(shown: np.ndarray, size: tuple[int, int]) -> tuple[CameraPath, float]:
     """Return a camera whose picture the points ``(n, 3)`` fill, and half the shown height, m."""
-    ahead = _VIEW / np.linalg.norm(_VIEW)
-    axes = np.stack(_picture_axes())
+    axes = np.stack([_RIGHT, _UP])
     place = shown @ axes.T
     low, high = place.min(0), place.max(0)
-    focus = (low + high) / 2 @ axes + shown.mean(0) @ ahead * ahead
+    focus = (low + high) / 2 @ axes + shown.mean(0) @ _AHEAD * _AHEAD
     width, height = (high - low) / _FILL
-    eye = focus - 5 * np.ptp(shown, axis=0).max() * ahead
+    eye = focus - 5 * np.ptp(shown, axis=0).max() * _AHEAD
     half_height = max(width * size[1] / size[0], height) / 2
     return CameraPath(eye[None], focus[None], VIEW_ANGLE), float(half_height)
-
-
-def _picture_axes() -> tuple[np.ndarray, np.ndarray]:
-    """Return unit vectors to the right and up in the picture."""
-    right, _ = level_axes(_VIEW)
-    return right, np.cross(right, _VIEW / np.linalg.norm(_VIEW))
-
-
-def _places(
-    camera: CameraPath, points: np.ndarray, half_height: float, rendered: tuple[int, int]
-) -> np.ndarray:
-    """Return the pixels to the right and down at which points ``(n, 3)`` are drawn."""
-    right, up = _picture_axes()
-    offset = (points - camera.focus[0]) @ np.column_stack([right, -up])
-    return np.array(rendered) / 2 + rendered[1] / 2 / half_height * offset
 
 
 def _write(
@@ -353,12 +325,7 @@ def _write(
 
 
 def _apart(places: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Move labels up or down as little as possible, so that none covers another.
-
-    Args:
-        places: desired middles ``(n, 2)``, pixels.
-        sizes: widths and heights ``(n, 2)``, pixels.
-    """
+    """Move middles ``(n, 2)`` of labels up or down as little as possible, so that none overlap."""
     placed = np.array(places, float)
     # Half a line up, half a line down, a line up, and so on.
     steps = [sign * count / 2 for count in range(2 * len(placed)) for sign in (1, -1)]

@@ -1,4 +1,4 @@
-"""An animal and its world, as films, pages, previews and glTF files show them."""
+"""An animal and its world over the instants of a clip, as films, pages and glTF files show them."""
 
 from typing import NamedTuple
 
@@ -12,11 +12,91 @@ from evo_cpg.simulation.recording import Recording, require_whole
 from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.view.camera import course
-from evo_cpg.view.clip import Clip
 from evo_cpg.view.look import SHORE, STYLES, Look
+from evo_cpg.view.offscreen import CELLS
 from evo_cpg.view.signals import Signals
 from evo_cpg.view.terrain import Terrain, heights, make_terrain
-from evo_cpg.view.textures import CELLS
+
+# Window of the displayed speed, s: long enough to average a tail beat.
+_SPEED_WINDOW = 1.0
+
+
+class Clip(NamedTuple):
+    """A recording sampled at the film's frames.
+
+    Attributes:
+        time: time of each frame, s.
+        position: centre of every body, m.
+        rotation: rotation from body to world.
+        distance: distance from the root to the goal or, without a goal, horizontal distance of the
+            root from its start, m.
+        speed: speed of the mean of the bodies' centres, averaged over the last second, m/s.
+        rate: frames per second of recorded time.
+    """
+
+    time: Float[np.ndarray, " frames"]
+    position: Float[np.ndarray, "frames b 3"]
+    rotation: Float[np.ndarray, "frames b 3 3"]
+    distance: Float[np.ndarray, " frames"]
+    speed: Float[np.ndarray, " frames"]
+    rate: float
+
+
+def sample(
+    recording: Recording, fps: float, speed: float = 1.0, seconds: float | None = None
+) -> Clip:
+    """Sample a recording at the frames of a film, with interpolation between steps.
+
+    Args:
+        recording: the motion.
+        fps: frames per second of the film.
+        speed: recorded seconds per second of film.
+        seconds: recorded time to show, s, or None for all of it.
+    """
+    start, end = recording.time[0], recording.time[-1]
+    if seconds is not None:
+        end = min(end, start + seconds)
+    # A hundredth of a frame keeps rounding from dropping the last frame.
+    time = start + np.arange(int((end - start) * fps / speed + 1.01)) * (speed / fps)
+    return sample_at(recording, time, fps / speed)
+
+
+def sample_at(recording: Recording, time: Float[np.ndarray, " frames"], rate: float) -> Clip:
+    """Sample a recording at some instants (s) with a rate (1/s), interpolating between steps."""
+    after = np.clip(np.searchsorted(recording.time, time), 1, max(len(recording.time) - 1, 1))
+    after = np.minimum(after, len(recording.time) - 1)
+    before = np.maximum(after - 1, 0)
+    step = recording.time[after] - recording.time[before]
+    weight = np.clip((time - recording.time[before]) / np.where(step > 0, step, 1), 0, 1)
+
+    def between(values: np.ndarray) -> np.ndarray:
+        part = weight.reshape(-1, *(1,) * (values.ndim - 1))
+        return (1 - part) * values[before] + part * values[after]
+
+    # The nearest rotation to a mean of two near rotations: its polar factor.
+    left, _, right = np.linalg.svd(between(recording.rotation))
+    position, frames = between(recording.position), np.arange(len(time))
+    # In the first second the speed is the mean since the start, so the first frame shows no speed.
+    first = np.maximum(frames - max(round(_SPEED_WINDOW * rate), 1), 0)
+    moved = np.linalg.norm((position - position[first]).mean(1), axis=-1)
+    speed = moved * rate / np.maximum(frames - first, 1)
+    return Clip(time, position, left @ right, between(recording.distance), speed, rate)
+
+
+def quaternions(rotation: Float[np.ndarray, "t *b 3 3"]) -> Float[np.ndarray, "t *b 4"]:
+    """Return unit quaternions x, y, z, w of rotation matrices.
+
+    Signs are chosen so that no quaternion jumps to its negative from one instant to the next.
+    """
+    # SciPy takes long to import.
+    from scipy.spatial.transform import Rotation
+
+    found = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat()
+    found = found.reshape(*rotation.shape[:-2], 4)
+    flips = np.where((found[1:] * found[:-1]).sum(-1) < 0, -1.0, 1.0)
+    found[1:] *= np.cumprod(flips, axis=0)[..., None]
+    return found
+
 
 # The floor lies this many radii of the animal below the lowest point of its path through water.
 _FLOOR_DEPTH = 0.55
@@ -103,18 +183,6 @@ class Staging(NamedTuple):
     under: bool = False
 
 
-class Ghosts(NamedTuple):
-    """Poses of other animals of the same kind, in every frame.
-
-    Attributes:
-        position: centres of the bodies, m.
-        rotation: rotations from body to world.
-    """
-
-    position: Float[np.ndarray, "frames n b 3"]
-    rotation: Float[np.ndarray, "frames n b 3 3"]
-
-
 def panel_of(
     experiment: ExperimentParts,
     recording: Recording,
@@ -189,7 +257,7 @@ class Scene(NamedTuple):
         radius: distance of the animal's far ends from its middle at the start, m.
         bearing: bearing of the path from the x axis, rad.
         marks: pattern of the ground.
-        ghosts: other animals of the same kind, or None.
+        ghosts: other animals of the same kind at the clip's instants, or None.
         numbers: whether distances are painted on the ground.
         staging: arrangement of a race, or None.
     """
@@ -204,7 +272,7 @@ class Scene(NamedTuple):
     radius: float
     bearing: float
     marks: Marks
-    ghosts: Ghosts | None = None
+    ghosts: CrowdMotion | None = None
     numbers: bool = True
     staging: Staging | None = None
 
@@ -213,11 +281,6 @@ class Scene(NamedTuple):
         """Height of level ground, m. None if it is uneven, has obstacles, or water is on view."""
         level = self.ground.level
         return None if self.surface is not None or level is None else float(level)
-
-    @property
-    def walks(self) -> bool:
-        """True if the ground carries a moving animal and its path is measured on the ground."""
-        return self.stands and len(self.clip.time) > 1
 
     @property
     def grid(self) -> float:
@@ -266,13 +329,14 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
             lowest = panel.staging.floor
         ground = Ground(floor=Plane(height=float(lowest)))
         marks = Marks(np.zeros(2), 0.0, CELLS * grid_spacing(2 * radius))
-    staging = panel.staging
-    ghosts = None
-    if panel.crowd is not None:
-        ghosts = ghosts_at(panel.crowd, clip)
+    staging, ghosts = panel.staging, panel.crowd
+    if ghosts is not None:
+        # The nearest known instants.
+        near = np.searchsorted((ghosts.time[1:] + ghosts.time[:-1]) / 2, clip.time)
+        place, turn = ghosts.position[near], ghosts.rotation[near]
         if staging is not None:
-            aside = moved_aside(ghosts.position, staging.lanes, ground, radius)
-            ghosts = ghosts._replace(position=aside)
+            place = moved_aside(place, staging.lanes, ground, radius)
+        ghosts = CrowdMotion(clip.time, place, turn, ghosts.goal)
     world = goal, ground, stands, surface, look
     return Scene(creature, clip, *world, radius, bearing, marks, ghosts, panel.numbers, staging)
 
@@ -289,7 +353,7 @@ def moved_aside(
         place: places of the bodies of each animal, m.
         lanes: displacement of each animal, m.
         ground: ground under the animals.
-        radius: radius of the animals, m.
+        radius: radius of an animal, m.
     """
     moved = place + lanes[:, None]
     if ground.level is not None:
@@ -300,13 +364,6 @@ def moved_aside(
     walks = np.interp(gap / radius, (_WALKS, 2 * _WALKS), (1.0, 0.0))
     moved[..., 2] += np.maximum(walks * rise, rise - gap / 2)[..., None]
     return moved
-
-
-def ghosts_at(crowd: CrowdMotion, clip: Clip) -> Ghosts:
-    """Return the poses of a crowd at the instants of a clip, which are the nearest known ones."""
-    middle = (crowd.time[1:] + crowd.time[:-1]) / 2
-    near = np.searchsorted(middle, clip.time)
-    return Ghosts(crowd.position[near], crowd.rotation[near])
 
 
 def surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:

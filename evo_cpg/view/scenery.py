@@ -8,12 +8,11 @@ from jaxtyping import Float
 
 from evo_cpg.view.camera import level_axes, turned_about_vertical
 from evo_cpg.view.meshes import head_index
-from evo_cpg.view.offscreen import add_faded
+from evo_cpg.view.offscreen import add_faded, spot_texture
 from evo_cpg.view.scene import Track
 from evo_cpg.view.shadows import Spots
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Terrain
-from evo_cpg.view.textures import spot_texture
 
 # Points along a side of the pool of light, and its height in radii of the animal.
 _POOL, _POOL_LIFT = 41, 0.02
@@ -39,12 +38,7 @@ _DEEP, _BRIGHT = -1.5, 7.0
 
 
 def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
-    """Draw the goal: a glowing sphere, its halo, and its light on the floor and on the bodies.
-
-    Args:
-        stage: scene and camera.
-        goal: place of the light ``(3,)``, m.
-    """
+    """Draw the goal: a glowing sphere, its halo, and its light on the floor and on the bodies."""
     plotter, look, radius = stage.plotter, stage.look, stage.radius
     shine = spot_texture(look.halo, look.glow, sharpness=3.0)
     pool = Spots(plotter, shine, stage.ground, _POOL_LIFT * radius, 1, _POOL)
@@ -77,12 +71,7 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
 
 
 def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "n 3"]) -> Update:
-    """Draw the lights of the other lanes of a race: small spheres, each with a halo.
-
-    Args:
-        stage: scene and camera.
-        goals: places of the lights, m.
-    """
+    """Draw the lights of the other lanes of a race: small spheres, each with a halo."""
     plotter, look, core = stage.plotter, stage.look, LAMP * stage.radius
     sphere = cast(pv.PolyData, pv.Sphere(radius=core, theta_resolution=16, phi_resolution=12))
     own, faces = np.asarray(sphere.points), sphere.regular_faces
@@ -265,20 +254,16 @@ _WHITE, _BLACK = "#ffffff", "#11161c"
 
 
 def add_track(stage: Stage, track: Track) -> None:
-    """Draw the lines. `evo_cpg.view.story_words` writes their distances."""
+    """Draw the lines. `evo_cpg.view.captions` writes their distances."""
     radius, color = stage.radius, stage.look.text
-    parts: list[tuple[np.ndarray, np.ndarray]] = []
-
-    def fill(near: float, far: float, right: float, left: float, shade: str, part: float) -> None:
-        corners = [(near, right), (far, right), (far, left), (near, left)]
-        place = np.array([track.at(*corner) for corner in corners])
-        parts.append((place, np.array(pv.Color(shade, opacity=part).int_rgba)))
-
+    # Near and far end, right and left side, m, colour and opacity of each rectangle.
+    parts: list[tuple[float, float, float, float, str, float]] = []
     for number in range(track.lines + 1):
         half = (_LINE if number else _START) * radius / 2
         middle = number * track.spacing
         if middle != track.finish:
-            fill(middle - half, middle + half, -track.right, track.left, color, _OPACITY)
+            sides = -track.right, track.left
+            parts.append((middle - half, middle + half, *sides, color, _OPACITY))
     if track.finish is not None:
         count = max(round((track.right + track.left) / (_SQUARE * radius)), 1)
         side = (track.right + track.left) / count
@@ -286,15 +271,13 @@ def add_track(stage: Stage, track: Track) -> None:
             for column in range(count):
                 near, right = track.finish + row * side, column * side - track.right
                 shade = (_WHITE, _BLACK)[(row + column) % 2]
-                fill(near, near + side, right, right + side, shade, _OPAQUE)
-    points = np.concatenate([place for place, _ in parts])
-    rgba = np.concatenate([np.tile(shade, (4, 1)) for _, shade in parts]).astype(np.uint8)
+                parts.append((near, near + side, right, right + side, shade, _OPAQUE))
+    points, rgba = np.zeros((4 * len(parts), 3)), np.zeros((4 * len(parts), 4), np.uint8)
+    for number, (near, far, right, left, shade, opacity) in enumerate(parts):
+        corners = [(near, right), (far, right), (far, left), (near, left)]
+        own = slice(4 * number, 4 * number + 4)
+        points[own] = [track.at(*corner) for corner in corners]
+        rgba[own] = pv.Color(shade, opacity=opacity).int_rgba
+    points[:, 2] = stage.ground.height(points[:, :2]) + stage.lift
     quads = np.arange(len(points)).reshape(-1, 4)
-    _lay(stage, pv.PolyData.from_regular_faces(points, quads), rgba)
-
-
-def _lay(stage: Stage, mesh: pv.PolyData, rgba: np.ndarray) -> None:
-    """Draw a mesh on the ground."""
-    place = np.asarray(mesh.points)[:, :2].astype(float)
-    mesh.points = np.column_stack([place, stage.ground.height(place) + stage.lift])
-    add_faded(stage.plotter, mesh, rgba)
+    add_faded(stage.plotter, pv.PolyData.from_regular_faces(points, quads), rgba)

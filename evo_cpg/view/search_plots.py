@@ -6,7 +6,6 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_hex
 from matplotlib.figure import Figure
@@ -73,8 +72,7 @@ def generations_figure(
         if single_runs:
             axes.plot(best, color=color, lw=0.5, alpha=0.3)
         draw_runs(axes, np.arange(len(best)), best.T, color, name)
-    axes.set_xlabel("generation")
-    axes.set_ylabel(label)
+    axes.set(xlabel="generation", ylabel=label)
     axes.set_ylim(bottom=0)
     count_in_whole_numbers(axes)
     axes.grid()
@@ -102,8 +100,7 @@ def champions_figure(
         color = PALETTE[number // 2 % len(PALETTE)]
         fill = color if number % 2 else "none"
         axes.scatter(across, upwards, edgecolors=color, facecolors=fill, label=name)
-    axes.set_xlabel(labels[0])
-    axes.set_ylabel(labels[1])
+    axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.set_ylim(bottom=0)
     axes.grid()
     figure.legend(ncols=2, loc="outside upper center")
@@ -123,33 +120,25 @@ def sweep_figure(curves: Sequence[Curves], title: str) -> Figure:
     """
     figure = new_figure(_WIDTH, max(_LEAST, _REST + _ROW * len(curves)), title)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+    labels = []
     for row, (curve, next_one) in enumerate(zip(curves, colors(len(curves)), strict=True)):
-        color = curve.color or next_one
+        color, final = curve.color or next_one, curve.final[np.isfinite(curve.final)]
         draw_runs(left, curve.evaluations, curve.best, color, opacity=_INK_OF_BANDS / len(curves))
-        _draw_finals(right, row, curve.final[np.isfinite(curve.final)], color)
-    left.set_xlabel("evaluations per run")
-    left.set_ylabel("best fitness so far")
-    name_rows(right, [_label(curve) for curve in curves])
+        if final.size:
+            beside = row + 0.22 * (np.random.default_rng(row).random(final.size) - 0.5)
+            right.plot(final, beside, "o", ms=5, mfc=color, mec="white", mew=0.6, alpha=0.85)
+            right.plot([np.median(final)] * 2, [row - 0.32, row + 0.32], color=color, lw=2.6)
+        long = len(curve.name) > _LONGEST
+        name = f"{curve.name[: _LONGEST - 1]}..." if long else curve.name
+        labels.append(f"{name}  (n = {final.size})")
+    left.set(xlabel="evaluations per run", ylabel="best fitness so far")
+    name_rows(right, labels)
     # Many long numbers would overlap.
     right.xaxis.set_major_locator(MaxNLocator(4))
     right.set_xlabel("fitness of the champions (line: median)")
     for axes in (left, right):
         axes.grid()
     return figure
-
-
-def _draw_finals(axes: Axes, row: int, final: Float[np.ndarray, " n"], color: str) -> None:
-    if not final.size:
-        return
-    beside = row + 0.22 * (np.random.default_rng(row).random(final.size) - 0.5)
-    axes.plot(final, beside, "o", ms=5, mfc=color, mec="white", mew=0.6, alpha=0.85)
-    axes.plot([np.median(final)] * 2, [row - 0.32, row + 0.32], color=color, lw=2.6)
-
-
-def _label(curve: Curves) -> str:
-    name = curve.name
-    name = name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}..."
-    return f"{name}  (n = {int(np.isfinite(curve.final).sum())})"
 
 
 def colors(count: int) -> Sequence[str]:
@@ -172,18 +161,16 @@ _MOST_PANELS = 25
 
 @framed
 def map_figure(axes: Sequence[Axis], fitness: Float[np.ndarray, "..."], title: str) -> Figure:
-    """Draw a map of gaits.
+    """Draw a map of gaits: the fitness of its elites, or NaN in empty cells.
 
     Two axes make a picture, a third several pictures. Further axes, and a third axis with more than
     25 cells, are not drawn: each place shows the best of all cells along them.
-
-    Args:
-        axes: axes of the map.
-        fitness: fitness of the elites, one array axis for each map axis, or NaN in empty cells.
-        title: text above the picture.
     """
     head = f"{title}: {np.isfinite(fitness).mean():.0%} of {fitness.size} cells filled"
-    axes, shown = _at_most_three(axes, fitness)
+    most = 3 if len(axes) > 2 and axes[2].cells <= _MOST_PANELS else 2
+    filled = np.where(np.isfinite(fitness), fitness, -np.inf)
+    best = filled.max(axis=tuple(range(most, len(axes))))
+    axes, shown = axes[:most], np.where(np.isfinite(best), best, np.nan)
     finite = shown[np.isfinite(shown)]
     low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
     # One elite, or several with equal fitness, get the middle of a colour bar around this fitness.
@@ -194,17 +181,6 @@ def map_figure(axes: Sequence[Axis], fitness: Float[np.ndarray, "..."], title: s
     return draw(axes, shown, scale, head)
 
 
-def _at_most_three(
-    axes: Sequence[Axis], fitness: Float[np.ndarray, "..."]
-) -> tuple[Sequence[Axis], np.ndarray]:
-    """Return at most three axes of a map, and the best fitness over all others."""
-    most = 3 if len(axes) > 2 and axes[2].cells <= _MOST_PANELS else 2
-    rest = tuple(range(most, len(axes)))
-    filled = np.where(np.isfinite(fitness), fitness, -np.inf)
-    best = filled.max(axis=rest) if rest else filled
-    return axes[:most], np.where(np.isfinite(best), best, np.nan)
-
-
 def _bars(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize, title: str) -> Figure:
     (axis,) = axes
     figure = new_figure(_ALONE + _BESIDE, _ALONE, title)
@@ -213,8 +189,7 @@ def _bars(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize, title: st
     width = 0.9 * np.diff(axis.edges)
     colours = ScalarMappable(scale, _COLOURS).to_rgba(np.nan_to_num(fitness))
     panel.bar(middles, np.nan_to_num(fitness), width, color=colours)
-    panel.set_xlabel(_axis_label(axis))
-    panel.set_ylabel("fitness")
+    panel.set(xlabel=_axis_label(axis), ylabel="fitness")
     return figure
 
 
@@ -231,7 +206,10 @@ def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize, title: 
         if i >= len(slices):
             panel.set_axis_off()
             continue
-        _picture(panel, axes, slices[i], scale)
+        panel.set_facecolor(_EMPTY)
+        cells = np.ma.masked_invalid(slices[i].T)
+        panel.pcolormesh(axes[0].edges, axes[1].edges, cells, cmap=_COLOURS, norm=scale)
+        panel.tick_params(labelsize=8)
         if len(slices) > 1:
             low, high = axes[2].edges[i : i + 2]
             unit = UNITS.get(axes[2].name, "")
@@ -248,15 +226,6 @@ def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize, title: 
     bar = figure.colorbar(colours, ax=list(grid.flat), label=label, shrink=0.8)
     bar.outline.set_visible(False)
     return figure
-
-
-def _picture(panel: Axes, axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize) -> None:
-    first, second = axes[:2]
-    panel.set_facecolor(_EMPTY)
-    panel.pcolormesh(
-        first.edges, second.edges, np.ma.masked_invalid(fitness.T), cmap=_COLOURS, norm=scale
-    )
-    panel.tick_params(labelsize=8)
 
 
 def _axis_label(axis: Axis) -> str:

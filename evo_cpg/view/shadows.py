@@ -6,10 +6,9 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.view.offscreen import add_faded, write_depth
+from evo_cpg.view.offscreen import add_faded, spot_texture, write_depth
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Level, Terrain
-from evo_cpg.view.textures import spot_texture
 
 # Height of a body at which the patch under it begins to fade, and at which it has gone, in radii of
 # the animal.
@@ -70,11 +69,9 @@ class Spots:
 
 
 def add_sun_shadows(stage: Stage, meshes: Sequence[pv.PolyData]) -> Update:
-    """Draw the shadows that bodies or obstacles cast on the ground in the sun.
+    """Draw the shadows that meshes of bodies or obstacles, in their own frames, cast in the sun.
 
-    Args:
-        stage: scene and camera. Nothing is drawn if its look has no cast shadows.
-        meshes: meshes of the bodies, in their own frames.
+    Nothing is drawn if the look has no cast shadows.
     """
     look, ground, sun = stage.look, stage.ground, stage.sun
     if not look.cast_strength or not meshes:

@@ -121,11 +121,15 @@ class Strip:
         look: look of the world, for the colours.
         size: width and height, pixels of the film.
         scale: pixels drawn per pixel of the film.
+
+    Attributes:
+        height: height of the drawn strip, pixels.
     """
 
     def __init__(self, signals: Signals, look: Look, size: tuple[int, int], scale: float):
         self._look, self._scale = look, scale
         self._size = round(size[0] * scale), round(size[1] * scale)
+        self.height = self._size[1]
         self._letter = scale * max(_LETTER, _LETTERS * size[1])
         height = size[1] - 2.6 * self._letter / scale
         self._signals = _shown(signals, height / max(1.0, self._letter / scale / _LETTER))
@@ -136,11 +140,6 @@ class Strip:
         self._length = (last - first) / self._pages or self._length
         self._ink = np.uint8(255 * np.array(to_rgb(look.text)))
         self._drawn, self._picture, self._box = -1, np.zeros(0), (0, 0, 0, 0)
-
-    @property
-    def height(self) -> int:
-        """Height of the drawn strip, pixels."""
-        return self._size[1]
 
     def at(self, time: float) -> np.ndarray:
         """Draw the strip at a time, s: ``(height, width, 3)`` bytes, bottom row first."""
@@ -239,12 +238,7 @@ class Strip:
 
 
 def _shown(signals: Signals, room: float) -> Signals:
-    """Return the signals of those joints and feet for which the strip has room.
-
-    Args:
-        signals: signals of all joints and feet.
-        room: height for all rows of least height, pixels.
-    """
+    """Return the signals of those joints and feet for which the strip has room (pixels)."""
     steps = [len(touch_downs(foot, 1.0)) for foot in signals.touched.T]
     # A foot that hardly ever touches down would leave its row empty.
     often = [i for i, count in enumerate(steps) if count >= _SELDOM * max(steps)]

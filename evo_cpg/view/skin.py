@@ -27,6 +27,7 @@ from evo_cpg.creature.shapes import Box, Ellipsoid, Shape
 from evo_cpg.creature.slender import LEAST_BODIES, SlenderChain, slender_chains
 from evo_cpg.view.fins import Fin, fins
 from evo_cpg.view.meshes import body_colors
+from evo_cpg.view.offscreen import grid_triangles
 from evo_cpg.view.stage import Shot, Stage, Update
 
 # Rings from one body to the next, and points around a ring.
@@ -37,7 +38,7 @@ _RINGS, _POINTS = 5, 16
 _BOX, _FIN, _ROUND, _END = (5.0, 0.93), (2.0, 1.06), (2.0, 1.045), (2.0, 0.97)
 
 
-class Skin(NamedTuple):
+class ChainSkin(NamedTuple):
     """Skin over a chain, in the animal's neutral pose.
 
     Attributes:
@@ -57,7 +58,7 @@ class Skin(NamedTuple):
     weights: np.ndarray
 
 
-def skins(creature: Creature) -> list[Skin]:
+def skins(creature: Creature) -> list[ChainSkin]:
     """Return a skin over every chain of at least three bodies."""
     pose, finned, made = neutral_pose(creature), fins(creature), []
     for chain in slender_chains(creature):
@@ -76,7 +77,7 @@ def _skin(
     finned: dict[int, Fin],
     chain: SlenderChain,
     part: slice,
-) -> Skin:
+) -> ChainSkin:
     """Return the skin over a part of a chain."""
     bodies = np.array(chain.bodies[part])
     tangents = np.asarray(chain.tangents, float)[part]
@@ -116,12 +117,13 @@ def _skin(
     normals = np.cross(around, np.gradient(curve, axis=0)[:, None])
     normals *= np.sign((normals * across).sum(-1, keepdims=True))
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    grid = np.arange(len(along) * _POINTS).reshape(-1, _POINTS)
     colors = body_colors(creature)[bodies]
     mixed = colors[i] * (1 - t) + colors[i + 1] * t
-    return Skin(
+    return ChainSkin(
         points,
         normals.reshape(-1, 3),
-        _faces(len(along)),
+        grid_triangles(np.column_stack([grid, grid[:, 0]])),
         np.repeat(np.round(255 * mixed).astype(np.uint8), _POINTS, 0),
         np.repeat(np.stack([bodies[i], bodies[i + 1]], -1), _POINTS, 0),
         np.repeat(np.concatenate([1 - after, after], -1), _POINTS, 0),
@@ -155,15 +157,6 @@ def _narrowed(
     return np.sqrt(np.maximum(1 - part**2, 0))
 
 
-def _faces(rings: int) -> np.ndarray:
-    """Return the triangles of a tube of rings."""
-    ring = np.arange(rings - 1)[:, None] * _POINTS
-    here, there = np.arange(_POINTS), np.roll(np.arange(_POINTS), -1)
-    corners = np.stack([ring + here, ring + _POINTS + there, ring + there], -1)
-    others = np.stack([ring + here, ring + _POINTS + here, ring + _POINTS + there], -1)
-    return np.concatenate([corners.reshape(-1, 3), others.reshape(-1, 3)])
-
-
 class Draped:
     """A skin in a picture, and its place on the animal.
 
@@ -175,7 +168,7 @@ class Draped:
         mesh: the surface, which `move` changes.
     """
 
-    def __init__(self, creature: Creature, skin: Skin):
+    def __init__(self, creature: Creature, skin: ChainSkin):
         self._skin = skin
         centres, rotations = neutral_pose(creature)
         turn = np.asarray(rotations, float)[skin.bodies]
@@ -201,13 +194,7 @@ class Draped:
 
 
 def drape(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[tuple[Draped, pv.Actor]]:
-    """Draw the skins of an animal in its neutral pose.
-
-    Args:
-        plotter: plotter of the picture.
-        creature: the animal.
-        ambient: fraction of light that comes from everywhere.
-    """
+    """Draw the skins of an animal in its neutral pose, and return them with their actors."""
     made = []
     for skin in skins(creature):
         draped = Draped(creature, skin)

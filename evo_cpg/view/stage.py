@@ -1,7 +1,5 @@
 """A scene in front of a camera: shared data for drawing every part of a picture."""
 
-import dataclasses
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -9,12 +7,10 @@ import numpy as np
 import pyvista as pv
 from jaxtyping import Float
 
-from evo_cpg.view.camera import Bodies, CameraPath, aspect_of, follow, hidden
-from evo_cpg.view.clip import Clip
+from evo_cpg.view.camera import BodyBoxes, CameraPath, aspect_of, follow, hidden
 from evo_cpg.view.look import Look, sun_direction
-from evo_cpg.view.obstacles import obstacle_top
-from evo_cpg.view.scene import Scene
-from evo_cpg.view.terrain import Level, Terrain, heights
+from evo_cpg.view.scene import Clip, Scene
+from evo_cpg.view.terrain import Level, Terrain, heights, obstacle_top
 
 # Elevations of the camera to try in turn if something hides the animal, rad. Least height above the
 # ground, in radii of the animal. Fraction of all bodies and instants that may be hidden, because
@@ -58,73 +54,51 @@ class Shot(NamedTuple):
 Update = Callable[[Shot], None]
 
 
-@dataclasses.dataclass(frozen=True)
 class Stage:
     """A scene and its camera, ready for drawing.
 
-    Attributes:
+    Args:
         plotter: plotter of the picture.
         scene: the animal and its world.
         camera: camera in every frame.
         oversampling: pixels rendered per pixel of the film, along a side.
         wide: whether the camera stands far away from a crowd, so that the ground reaches farther.
+
+    Attributes:
+        look: look of the world.
+        radius: radius of the animal, m.
+        lift: height of things that lie on the ground, m.
+        away: largest distance of the camera from its focus, m.
+        visible: distance at which the ground has faded to a third, m.
+        ground: ground for drawing: level, or a mesh of heights up to the horizon.
+        measured: whether a moving animal's path is measured on the ground that carries it.
+        sight: direction of view in the first frame.
+        sun: unit vector towards the sun.
     """
 
-    plotter: pv.Plotter
-    scene: Scene
-    camera: CameraPath
-    oversampling: float = 1.0
-    wide: bool = False
-
-    @property
-    def look(self) -> Look:
-        """Look of the world."""
-        return self.scene.look
-
-    @property
-    def radius(self) -> float:
-        """Radius of the animal, m."""
-        return self.scene.radius
-
-    @property
-    def lift(self) -> float:
-        """Height of things that lie on the ground, m."""
-        return _LIFT * self.radius
-
-    @property
-    def visible(self) -> float:
-        """Distance at which the ground has faded to a third, m."""
+    def __init__(
+        self,
+        plotter: pv.Plotter,
+        scene: Scene,
+        camera: CameraPath,
+        oversampling: float = 1.0,
+        wide: bool = False,
+    ):
+        self.plotter, self.scene, self.camera = plotter, scene, camera
+        self.oversampling, self.wide = oversampling, wide
+        self.look: Look = scene.look
+        self.radius, self.lift = scene.radius, _LIFT * scene.radius
+        sights = camera.focus - camera.position
+        self.away = float(np.linalg.norm(sights, axis=-1).max())
         near = self.look.visibility * self.radius
-        return max(near, _IN_VIEW * self.away) if self.wide else near
-
-    @functools.cached_property
-    def ground(self) -> Level | Terrain:
-        """Ground for drawing: level ground, or a mesh of heights up to the horizon."""
-        level = self.scene.level
-        return self.scene.terrain(_HORIZON * self.visible) if level is None else Level(level)
-
-    @functools.cached_property
-    def away(self) -> float:
-        """Largest distance of the camera from its focus, m."""
-        return float(np.linalg.norm(self.camera.focus - self.camera.position, axis=-1).max())
-
-    @functools.cached_property
-    def sight(self) -> Float[np.ndarray, "3"]:
-        """Direction of view in the first frame."""
-        sight = self.camera.focus[0] - self.camera.position[0]
-        return sight / np.linalg.norm(sight)
-
-    @functools.cached_property
-    def sun(self) -> Float[np.ndarray, "3"]:
-        """Unit vector towards the sun."""
-        return sun_direction(self.look, self.sight)
-
-    @functools.cached_property
-    def turned(self) -> Float[np.ndarray, " frames"]:
-        """Angle by which the camera has turned since the first frame, rad."""
-        sights = self.camera.focus - self.camera.position
+        self.visible = max(near, _IN_VIEW * self.away) if wide else near
+        far, level = _HORIZON * self.visible, scene.level
+        self.ground: Level | Terrain = scene.terrain(far) if level is None else Level(level)
+        self.measured = scene.stands and len(scene.clip.time) > 1
+        self.sight: Float[np.ndarray, 3] = sights[0] / np.linalg.norm(sights[0])
+        self.sun = sun_direction(self.look, self.sight)
         turned = np.arctan2(sights[:, 1], sights[:, 0]) - np.arctan2(self.sight[1], self.sight[0])
-        return np.where(np.abs(np.sin(turned / 2)) < 1e-9, 0.0, turned)
+        self._turned = np.where(np.abs(np.sin(turned / 2)) < 1e-9, 0.0, turned)
 
     def shot(self, number: int) -> Shot:
         """Return the animal's pose and the camera in a frame."""
@@ -136,7 +110,7 @@ class Stage:
             float(clip.time[number]),
             camera.focus[number],
             camera.position[number],
-            float(self.turned[number]),
+            float(self._turned[number]),
         )
 
 
@@ -157,7 +131,7 @@ def camera_path(scene: Scene, camera: str, aspect: float, close: bool = False) -
     if close and not scene.stands and bends_sideways(clip):
         first = max(first, _FROM_ABOVE)
     goal = np.full(3, np.nan) if scene.goal is None else scene.goal
-    bodies = Bodies(clip.position, clip.rotation, scene.half_extents)
+    bodies = BodyBoxes(clip.position, clip.rotation, scene.half_extents)
 
     def at(elevation: float) -> CameraPath:
         return follow(bodies, goal, clip.rate, aspect, elevation, turn, close)

@@ -6,7 +6,6 @@ follows the champion.
 """
 
 import contextlib
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -15,17 +14,15 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.view.camera import SMOOTHING, CameraPath, between, overview, smooth
-from evo_cpg.view.captions import pointer
-from evo_cpg.view.clip import Clip, sample_at
+from evo_cpg.view.captions import Words, pointer, tags_of, written
 from evo_cpg.view.drawing import set_scene
-from evo_cpg.view.film import Reel, drawing_processes, drawn_frames
+from evo_cpg.view.film import drawing_processes, drawn_frames
 from evo_cpg.view.legible import lettering
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import check_size, film_writer, oversampling
-from evo_cpg.view.scene import Panel, Scene, scene_of
+from evo_cpg.view.scene import Clip, Panel, Scene, sample_at, scene_of
 from evo_cpg.view.stage import Stage, camera_path
-from evo_cpg.view.story_words import Words, tags_of, written
 
 FPS = 30
 """Frames per second of a story."""
@@ -89,17 +86,7 @@ class Take(NamedTuple):
 
 
 class StoryFrames:
-    """Frames of a story, laid out and ready to be drawn in order.
-
-    Args:
-        takes: the takes.
-        size: width and height of the film, pixels.
-
-    Attributes:
-        count: number of frames.
-        size: width and height of a frame in the result, pixels.
-        rendered: width and height of a frame before averaging, pixels.
-    """
+    """Frames of a story, laid out in a size (pixels) and ready to be drawn in order: a `Reel`."""
 
     def __init__(self, takes: Sequence[Take], size: tuple[int, int]):
         self._takes = takes
@@ -179,10 +166,8 @@ class StoryFrames:
 def spans(seconds: Sequence[float]) -> list[tuple[int, int]]:
     """Return the first frame of every take, and the frame after its last one.
 
-    Takes share the frames in which one turns into the next.
-
-    Args:
-        seconds: lengths of the takes. Their sum is the length of the film.
+    Takes share the frames in which one turns into the next. The sum of their lengths (s) is the
+    length of the film.
     """
     ends = np.round(np.cumsum([0.0, *seconds]) * FPS).astype(int)
     half = round(DISSOLVE * FPS / 2)
@@ -207,9 +192,18 @@ def clip_of(take: Take, count: int) -> Clip:
 
 def camera_of(take: Take, scene: Scene, aspect: float) -> CameraPath:
     """Return the camera of a take in all of its frames."""
-    count = len(scene.clip.time)
+    count, paths = len(scene.clip.time), []
     seconds = np.arange(count) / FPS
-    paths = [_path_of(view, scene, aspect) for _, view in take.views]
+    for _, view in take.views:
+        if view is None:
+            paths.append(camera_path(scene, "follow", aspect, close=True))
+            continue
+        path = overview(view.points, view.bearing, view.elevation, aspect, view.titled)
+        if view.follows:
+            centre = smooth(scene.clip.position.mean(1), SMOOTHING * scene.clip.rate)
+            moved = centre - centre[-1]
+            path = path._replace(position=path.position + moved, focus=path.focus + moved)
+        paths.append(path)
     found = paths[0]
     for (start, _), (end, _), after in zip(take.views, take.views[1:], paths[1:], strict=False):
         found = between(found, after, eased((seconds - start) / (end - start)))
@@ -218,18 +212,6 @@ def camera_of(take: Take, scene: Scene, aspect: float) -> CameraPath:
     return CameraPath(
         found.position.repeat(count, 0), found.focus.repeat(count, 0), found.view_angle
     )
-
-
-def _path_of(view: Overview | None, scene: Scene, aspect: float) -> CameraPath:
-    """Return a camera that keeps a view in all frames, or in one frame if it stands still."""
-    if view is None:
-        return camera_path(scene, "follow", aspect, close=True)
-    path = overview(view.points, view.bearing, view.elevation, aspect, view.titled)
-    focus, back = path.focus, path.position - path.focus
-    if view.follows:
-        centre = smooth(scene.clip.position.mean(1), SMOOTHING * scene.clip.rate)
-        focus = focus + centre - centre[-1]
-    return path._replace(position=focus + back, focus=focus)
 
 
 def eased(part: Float[np.ndarray, " *n"]) -> Float[np.ndarray, " *n"]:
@@ -247,11 +229,11 @@ def story_film(
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a story to a film.
+    """Write a story to a film of a size (pixels), with words at times of the film.
 
     Args:
         takes: the takes.
-        words: texts, with times of the film.
+        words: the texts.
         path: path checked by `evo_cpg.view.output.output_path`.
         size: width and height, pixels.
         processes: number of processes that draw.
@@ -262,14 +244,13 @@ def story_film(
         OutputError: the film cannot be written.
     """
     check_size(size)
-    make: Callable[[], Reel] = functools.partial(StoryFrames, takes, size)
-    frames, ends = make(), np.cumsum([take.seconds for take in takes])
+    frames, ends = StoryFrames(takes, size), np.cumsum([take.seconds for take in takes])
     styles = [
         scene_of(take.panel._replace(crowd=None), clip_of(take, round(take.seconds * FPS))).look
         for take in takes
     ]
     with (
-        drawn_frames(frames, make, drawing_processes(frames.count, processes)) as drawn,
+        drawn_frames(frames, drawing_processes(frames.count, processes)) as drawn,
         film_writer(path, frames.size, frames.rendered, FPS) as write,
     ):
         for number, bare in enumerate(drawn):

@@ -11,11 +11,10 @@ import pyvista as pv
 
 from evo_cpg.view.camera import level_axes, turned_about_vertical
 from evo_cpg.view.ground import fading_disc
-from evo_cpg.view.offscreen import add_faded
+from evo_cpg.view.offscreen import add_faded, light_texture, spot_texture, tile_texture
 from evo_cpg.view.shadows import Spots
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Level, Terrain
-from evo_cpg.view.textures import light_texture, spot_texture, tile_texture
 
 _SHALLOW, _DEEP = "#bfeae4", "#4cadd2"
 # Opacity of the lower sheet where the water is shallow and deep. Depth of two thirds of the change,

@@ -4,8 +4,8 @@ import functools
 
 import pytest
 
-from evo_cpg.view import frames, ground, preview
-from evo_cpg.view.textures import floor_texture
+from evo_cpg.view import film, ground, preview
+from evo_cpg.view.offscreen import floor_texture
 
 # Oversampling of a still. The default of 3 only makes edges smoother.
 _OVERSAMPLING = 1.25
@@ -17,6 +17,6 @@ def quick_pictures():
     shared = functools.cache(floor_texture)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ground, "floor_texture", shared)
-        patch.setattr(frames, "_STILL_OVERSAMPLING", _OVERSAMPLING)
+        patch.setattr(film, "_STILL_OVERSAMPLING", _OVERSAMPLING)
         patch.setattr(preview, "_OVERSAMPLING", 1.0)
         yield

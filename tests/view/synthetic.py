@@ -10,7 +10,6 @@ from evo_cpg.creature.creature import (
     Joint,
     LightSensor,
     Material,
-    neutral_pose,
 )
 from evo_cpg.creature.shapes import Box
 from evo_cpg.simulation.recording import Recording
@@ -103,31 +102,6 @@ def swim(seconds: float = 33.0, rate: float = 60.0) -> Recording:
         distance=np.linalg.norm(position[:, 0] - GOAL, axis=-1),
         goal=GOAL,
         dof_names=tuple(f"b{i}.{axis}" for i in joints for axis in "xyz"),
-    )
-
-
-def standing(creature: Creature, seconds: float = 1.0, rate: float = 30.0) -> Recording:
-    """The creature in its neutral pose, resting on the ground z = 0 and not moving."""
-    steps = round(seconds * rate)
-    centres, rotations = neutral_pose(creature)
-    lift = max(
-        (np.abs(turn[2]) * body.shape.half_extents).sum() - centre[2]
-        for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True)
-    )
-    position = np.repeat((centres + np.array([0, 0, lift]))[None], steps, 0)
-    none = np.zeros((steps, 0))
-    goal = np.array([3.0, 1.0, lift])
-    return Recording(
-        time=np.arange(steps) / rate,
-        position=position,
-        rotation=np.repeat(rotations[None], steps, 0),
-        joint_angle=none,
-        target_rate=none,
-        cpg_output=none,
-        torque=none,
-        distance=np.linalg.norm(position[:, 0] - goal, axis=-1),
-        goal=goal,
-        dof_names=(),
     )
 
 

@@ -1,7 +1,6 @@
 """Films: the files decode to the given size and frames, and show the animal."""
 
 import dataclasses
-import functools
 import itertools
 import os
 import re
@@ -21,14 +20,12 @@ from evo_cpg.physics.contact.terrain import Boulder, Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view import film as view_film
 from evo_cpg.view import output
-from evo_cpg.view.camera import Bodies, follow, in_camera, project, smooth
+from evo_cpg.view.camera import BodyBoxes, follow, in_camera, project, smooth
 from evo_cpg.view.captions import edge_places, fitted, heading
-from evo_cpg.view.clip import mean_speed, sample
-from evo_cpg.view.film import DrawingError, side_by_side
-from evo_cpg.view.frames import Film, Frames
+from evo_cpg.view.film import Film, Frames, RenderError, side_by_side
 from evo_cpg.view.legible import font
 from evo_cpg.view.meshes import body_colors
-from evo_cpg.view.scene import Panel, scene_of
+from evo_cpg.view.scene import Panel, sample, scene_of
 from evo_cpg.view.stage import camera_path
 from films import film
 
@@ -89,15 +86,11 @@ def orange(image):
     return (image[..., 0].astype(int) - image[..., 2] > 90) & (image[..., 1] < 165)
 
 
-def test_a_film_has_the_given_size_and_frames(movie):
+def test_a_film_has_the_given_frames_and_the_animal_moves(movie):
     path, told = movie
     frames = decode(path)
     assert [frame.shape for frame in frames] == [(108, 192, 3)] * 10
     assert told == [(i, 10) for i in range(1, 11)]
-
-
-def test_the_animal_moves_from_frame_to_frame(movie):
-    frames = decode(movie[0])
     for one, next_one in itertools.pairwise(frames):
         assert np.abs(one.astype(int) - next_one).max() > 60
     heads = [np.argwhere(orange(frame)).mean(0) for frame in frames]
@@ -116,15 +109,19 @@ def test_the_head_is_where_the_camera_projects_it(creature, recording, tmp_path)
 
 
 @pytest.mark.parametrize("world", ["water", "land"])
-def test_every_body_stays_in_the_frame(creature, recording, world):
+def test_bodies_and_light_stay_in_the_frame_of_a_calm_camera(creature, recording, world):
     clip, camera = seen(creature, recording, world)
     place = project(camera, clip.position, 1280 / 720)
     assert np.abs(place).max() < 0.96
     # The animal fills a third to a half of the width, a little less between the centres of its
     # bodies. The first picture shows the light.
     assert 0.28 < np.median(np.ptp(place, axis=1)[:, 0]) / 2 < 0.5
-    goal = project(camera, np.repeat(recording.goal[None, None], len(place), 0), 1280 / 720)[0, 0]
-    assert np.abs(goal).max() < 0.92
+    goal = project(camera, np.repeat(recording.goal[None, None], len(place), 0), 1280 / 720)
+    assert np.abs(goal[0]).max() < 0.92 and np.abs(goal).max() < 1
+    assert np.linalg.norm(camera.position - recording.goal, axis=1).min() > 2
+    # The camera moves about as fast as the animal, without its tail beat.
+    speed = np.linalg.norm(np.diff(camera.focus, axis=0), axis=1) * 30
+    assert speed.max() < 1.35 * clip.speed.max()
 
 
 def test_an_arrow_points_to_a_light_outside_the_picture(creature, recording, tmp_path):
@@ -151,13 +148,6 @@ def test_an_arrow_points_to_a_light_outside_the_picture(creature, recording, tmp
     assert yellow[0] > yellow[1] + 20
 
 
-def test_the_light_stays_in_the_frame_and_off_the_camera(creature, recording):
-    clip, camera = seen(creature, recording)
-    goals = np.repeat(recording.goal[None, None], len(clip.time), 0)
-    assert np.abs(project(camera, goals, 1280 / 720)).max() < 1
-    assert np.linalg.norm(camera.position - recording.goal, axis=1).min() > 2
-
-
 @pytest.mark.parametrize("world", ["water", "land"])
 @pytest.mark.parametrize("view", ["side", "top"])
 def test_the_animal_crosses_the_picture_from_side_and_top(creature, recording, world, view):
@@ -174,24 +164,6 @@ def test_the_animal_crosses_the_picture_from_side_and_top(creature, recording, w
     assert np.allclose(middle, 0, atol=1e-9)
     assert (ahead[:, 0] > 0.01).all() and np.abs(ahead[:, 1]).max() < 1e-3
     assert (up[:, 1] > 0.02).all() and np.abs(up[:, 0]).max() < 1e-6
-
-
-def test_the_side_camera_looks_over_a_stone(creature, recording):
-    """The low camera rises if a stone would hide the animal. The top camera does not."""
-    middle = recording.position.reshape(-1, 3).mean(0)
-    towards = recording.goal - recording.position[0].mean(0)
-    aside = np.array([towards[1], -towards[0], 0.0]) / np.linalg.norm(towards)
-    stone = Boulder(tuple(middle + 2.5 * aside - [0, 0, 1.0]), 1.6)
-    ground = Ground(floor=Plane(height=-1.0), obstacles=(stone,))
-    elevations = {}
-    for view in ("side", "top"):
-        for name, there in (("bare", None), ("stone", ground)):
-            _, camera = seen(creature, recording, "land", view, there)
-            offset = camera.position[0] - camera.focus[0]
-            elevations[view, name] = np.degrees(np.arcsin(offset[2] / np.linalg.norm(offset)))
-    assert elevations["side", "bare"] == pytest.approx(4)
-    assert elevations["side", "stone"] > 15
-    assert elevations["top", "bare"] == elevations["top", "stone"] == pytest.approx(88)
 
 
 @pytest.mark.parametrize("world", ["water", "land"])
@@ -268,11 +240,10 @@ def test_several_processes_draw_the_same_film(movie, creature, recording, tmp_pa
 
 def test_a_process_that_cannot_draw_is_reported(creature, recording, monkeypatch):
     """A thread replaces the process."""
-    made = Film(SMALL, 10, 0.5, camera="missing")
-    make = functools.partial(Frames, [Panel(creature, recording)], made)
-    monkeypatch.setattr(view_film, "_makers", [make])
+    frames = Frames([Panel(creature, recording)], Film(SMALL, 10, 0.5, camera="missing"))
+    monkeypatch.setattr(view_film, "_laid_out", [frames])
     words = "draws frames failed: camera is 'missing'"
-    with ThreadPoolExecutor(1) as pool, pytest.raises(DrawingError, match=words):
+    with ThreadPoolExecutor(1) as pool, pytest.raises(RenderError, match=words):
         next(view_film._in_order(pool, 5, 2))
 
 
@@ -303,22 +274,14 @@ def test_animals_stand_side_by_side(creature, recording, tmp_path):
         for row in (0, height + gap)
         for column in (0, width + gap)
     ]
-    alone = film(creature, recording, tmp_path / "i.png", size=SMALL, fps=10, seconds=3, title="")
-    assert np.abs(cells[0] - synthetic.read(alone)).mean() < 1.0
+    for cell, motion in zip(cells, (recording, short), strict=False):
+        alone = film(creature, motion, tmp_path / "i.png", size=SMALL, fps=10, seconds=3, title="")
+        assert np.abs(cell - synthetic.read(alone)).mean() < 1.0
     assert np.array_equal(cells[1], cells[3])
-    alone = film(creature, short, tmp_path / "i.png", size=SMALL, fps=10, seconds=3, title="")
-    assert np.abs(cells[1] - synthetic.read(alone)).mean() < 1.0
     # Land: bright, and blue above.
     assert cells[2].mean() > cells[0].mean() + 60
     movie = side_by_side(panels[:3], tmp_path / "all.mp4", Film(SMALL, 10, 0.2))
     assert decode(movie)[0].shape == (height, 3 * width + 2 * gap, 3)
-
-
-def test_the_camera_moves_without_the_tail_beat(creature, recording):
-    """Its speed is close to the speed of the animal."""
-    clip, camera = seen(creature, recording)
-    speed = np.linalg.norm(np.diff(camera.focus, axis=0), axis=1) * 30
-    assert speed.max() < 1.35 * clip.speed.max()
 
 
 def test_the_camera_stays_off_a_light_that_the_animal_overshoots():
@@ -326,7 +289,7 @@ def test_the_camera_stays_off_a_light_that_the_animal_overshoots():
     position = (frames * [40.0, 0.0, 0.0])[:, None]
     goal = np.array([20.0, 0.0, 0.0])
     turn = np.broadcast_to(np.eye(3), (200, 1, 3, 3))
-    bodies = Bodies(position, turn, np.full((1, 3), 1 / np.sqrt(3)))
+    bodies = BodyBoxes(position, turn, np.full((1, 3), 1 / np.sqrt(3)))
     camera = follow(bodies, goal, 30, 16 / 9, 0.0)
     assert np.linalg.norm(camera.position - goal, axis=1).min() > 1.5
 
@@ -346,13 +309,9 @@ def test_head_and_tail_differ_in_colour(creature):
     assert head[0] > 0.8 and head[2] < 0.3
     assert tail[2] > 0.8 and tail[0] < 0.4
     assert len(np.unique(colors, axis=0)) == len(creature.bodies)
-
-
-def test_a_body_may_have_a_colour_of_its_own(creature):
-    painted = dataclasses.replace(
-        creature,
-        bodies=(*creature.bodies[:-1], dataclasses.replace(creature.bodies[-1], color="#00ff00")),
-    )
+    *others, last = creature.bodies
+    own = dataclasses.replace(last, color="#00ff00")
+    painted = dataclasses.replace(creature, bodies=(*others, own))
     assert np.allclose(body_colors(painted)[-1], [0, 1, 0])
 
 
@@ -367,19 +326,20 @@ def test_sampling_interpolates_between_steps(recording):
     assert sample(recording, 30).speed.mean() == pytest.approx(7.7 / 33, rel=0.1)
 
 
-def test_an_animal_that_starts_from_rest_shows_no_speed_at_first():
+def test_an_animal_that_starts_from_rest_shows_no_speed_at_first(recording):
     """It accelerates by 1 m/s^2, so the mean of a second is its speed half a second before."""
-    time = np.arange(0, 4, 1 / 30)
-    path = np.stack([0.5 * time**2, 0 * time, 0 * time], 1)
-    speed = mean_speed(path, 30.0)
+    away = np.outer(0.5 * recording.time**2, [1.0, 0.0, 0.0])
+    moved = recording.position[:1] + away[:, None]
+    clip = sample(recording._replace(position=moved), 30, seconds=4)
+    time, speed = clip.time, clip.speed
     assert speed[0] == 0
     assert np.allclose(speed[:31], time[:31] / 2)
     assert np.allclose(speed[30:], time[30:] - 0.5)
 
 
 @pytest.mark.parametrize("kind", ["gif", "webp"])
-def test_a_small_film_is_animated(creature, recording, tmp_path, kind):
-    path = film(creature, recording, tmp_path / f"swim.{kind}", size=SMALL, fps=10, seconds=0.2)
+def test_a_film_of_an_odd_size_is_animated_in_an_even_size(creature, recording, tmp_path, kind):
+    path = film(creature, recording, tmp_path / f"s.{kind}", size=(193, 109), fps=10, seconds=0.2)
     with Image.open(path) as picture:
         assert (picture.size, picture.n_frames) == (SMALL, 3)
 
@@ -409,11 +369,9 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
 
     def heard(text: str, width: int, height: int) -> np.ndarray:
         said.append(text)
-        made = heading(text, width, height)
-        assert made.shape == (height, width, 3) and (made < 100).any() and (made == 255).any()
-        return made
+        return heading(text, width, height)
 
-    monkeypatch.setattr("evo_cpg.view.frames.heading", heard)
+    monkeypatch.setattr("evo_cpg.view.film.heading", heard)
     settings = {"size": SMALL, "fps": 1, "sheet": (2, 1)}
     panels = [Panel(creature, recording, "")] * 3
     image = synthetic.read(side_by_side(panels, tmp_path / "s.png", Film(**settings)))
@@ -422,9 +380,7 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
     assert image.shape == (tall, 2 * width + apart, 3)
     assert said == ["0.0 s", "32.0 s"]
     assert (image[:, width : width + apart] == 255).all()
-    assert (image[head + height : head + height + gap] == 255).all()
     # Headings are white and black. Below them is the water.
-    assert np.ptp(image[:head].astype(int), axis=2).max() < 12
     assert image[:head, :width].min() < 100 and image[head:, :width].mean() < 120
     alone = film(creature, recording, tmp_path / "a.png", title="", **settings)
     first = synthetic.read(alone)[:, :width].astype(int)
@@ -446,48 +402,23 @@ def test_every_frame_gets_a_picture_of_its_own(creature, recording, tmp_path):
         difference = synthetic.read(folder / f"f{i:03d}.png").astype(int) - frame
         # Loss of the film's compression.
         assert np.abs(difference).mean() < 6
-    with pytest.raises(OutputError, match=r"frames is not empty\. Name a new folder"):
-        film(creature, recording, folder / "%04d.png", **settings)
-    with pytest.raises(OutputError, match=r"there is no folder .*missing\. Create it first"):
-        film(creature, recording, tmp_path / "missing" / "frames" / "%04d.png", **settings)
-
-
-def test_interrupted_frames_leave_no_folder(creature, recording, tmp_path):
-    def interrupt(done, total):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        film(creature, recording, tmp_path / "new" / "%d.png", size=SMALL, progress=interrupt)
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_odd_size_is_rounded_down(creature, recording, tmp_path):
-    path = film(creature, recording, tmp_path / "s.mp4", size=(193, 109), fps=10, seconds=0.1)
-    assert decode(path)[0].shape == (108, 192, 3)
-
-
-def test_a_walker_without_a_light_is_filmed_on_land(creature, tmp_path):
-    standing = synthetic.standing(creature)._replace(goal=np.full(3, np.nan))
-    image = synthetic.read(
-        film(creature, standing, tmp_path / "stand.png", size=SMALL, world="land", title="")
-    )
-    # There is sand all around. On it the head is orange and the tail is blue.
-    assert orange(image).sum() > 60
-    assert (image[..., 2] - image[..., 0] > 60)[SMALL[1] // 3 :].sum() > 60
-    assert np.median(image[-20:, :, 0] - image[-20:, :, 2]) > 20
+    absent = tmp_path / "missing" / "frames"
+    for place, words in ((folder, "frames is not empty"), (absent, "no folder .*missing")):
+        with pytest.raises(OutputError, match=words):
+            film(creature, recording, place / "%04d.png", **settings)
 
 
 def test_the_floor_moves_with_the_world_not_with_the_camera(creature, recording, tmp_path):
     """Shifting the animal and its light by whole floor tiles gives the same picture."""
     shift = np.array([8.0, -4.0, 0.0])
     moved = recording._replace(position=recording.position + shift, goal=recording.goal + shift)
-    half = recording._replace(
-        position=recording.position + shift / 16, goal=recording.goal + shift / 16
-    )
-    pictures = []
-    for i, motion in enumerate((recording, moved, half)):
-        path = film(creature, motion, tmp_path / f"{i}.png", size=SMALL, seconds=1, world="land")
-        pictures.append(synthetic.read(path))
+    part = shift / 16
+    half = recording._replace(position=recording.position + part, goal=recording.goal + part)
+    settings = {"size": SMALL, "seconds": 1, "world": "land"}
+    pictures = [
+        synthetic.read(film(creature, motion, tmp_path / "x.png", **settings))
+        for motion in (recording, moved, half)
+    ]
     assert np.abs(pictures[0] - pictures[1]).mean() < 1.0
     assert np.abs(pictures[0] - pictures[2]).mean() > 3.0
 
@@ -507,12 +438,11 @@ def test_a_path_that_cannot_be_written_is_refused(creature, recording, tmp_path,
         film(creature, recording, tmp_path / name, size=SMALL)
 
 
-def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch):
+@pytest.mark.parametrize("name", ["swim.mp4", "frames/%04d.png"])
+def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch, name):
     monkeypatch.setattr("os.access", lambda *_: False)
     with pytest.raises(OutputError, match="no permission"):
-        film(creature, recording, tmp_path / "swim.mp4", size=SMALL)
-    with pytest.raises(OutputError, match="no permission to write in"):
-        film(creature, recording, tmp_path / "frames" / "%04d.png", size=SMALL)
+        film(creature, recording, tmp_path / name, size=SMALL)
 
 
 def test_a_folder_name_may_have_a_colon(creature, recording, tmp_path, monkeypatch):
@@ -529,7 +459,8 @@ def test_errors_of_ffmpeg_are_reported(creature, recording, tmp_path, monkeypatc
     assert not list(tmp_path.iterdir())
 
 
-def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path):
+@pytest.mark.parametrize("name", ["swim.mp4", "new/%d.png"])
+def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path, name):
     path = tmp_path / "swim.mp4"
     path.write_bytes(b"old")
 
@@ -537,7 +468,7 @@ def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        film(creature, recording, path, size=SMALL, seconds=0.2, progress=interrupt)
+        film(creature, recording, tmp_path / name, size=SMALL, seconds=0.2, progress=interrupt)
     assert path.read_bytes() == b"old"
     assert [file.name for file in tmp_path.iterdir()] == ["swim.mp4"]
 
@@ -546,16 +477,14 @@ def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path):
     ("settings", "words"),
     [
         ({"world": "air"}, r"world is 'air'\. Allowed: water, land"),
+        ({"surface": np.nan}, "surface is nan"),
         ({"camera": "front"}, r"camera is 'front'\. Allowed: follow, side, top, orbit"),
-        ({"sheet": (0, 3)}, "sheet is 0x3, but needs at least 1 column"),
+        ({"sheet": (0, 3)}, "sheet is 0x3"),
         ({"sheet": (4, 3), "seconds": 0.1}, "has 4 frames, fewer than .* of 4x3"),
         ({"size": (8, 8)}, "8 x 8 pixels"),
-        ({"fps": 0}, "fps is 0"),
-        ({"fps": np.nan}, "fps is nan, but must be positive and finite"),
-        ({"speed": np.inf}, "speed is inf, but must be positive and finite"),
+        ({"fps": np.nan}, "fps is nan"),
         ({"speed": -1}, "speed is -1"),
-        ({"seconds": -1}, "seconds is -1"),
-        ({"seconds": np.nan}, "seconds is nan, but must be at least 0"),
+        ({"seconds": np.nan}, "seconds is nan"),
     ],
 )
 def test_settings_out_of_range_are_refused(creature, recording, tmp_path, settings, words):
@@ -567,15 +496,12 @@ def test_settings_out_of_range_are_refused(creature, recording, tmp_path, settin
 def test_recordings_that_cannot_be_shown_are_refused(creature, recording, tmp_path):
     path = tmp_path / "swim.mp4"
     empty = recording._replace(time=recording.time[:0], position=recording.position[:0])
-    with pytest.raises(ValueError, match="holds no instant"):
-        film(creature, empty, path)
     other = recording._replace(position=recording.position[:, :9])
-    with pytest.raises(ValueError, match="9 bodies, but 'swimmer' has 10"):
-        film(creature, other, path)
-    position = recording.position.copy()
-    position[120:] = np.nan
-    with pytest.raises(ValueError, match="diverges at 2 s"):
-        film(creature, recording._replace(position=position), path)
+    lost = recording._replace(position=recording.position.copy())
+    lost.position[120:] = np.nan
+    for motion, words in ((empty, "no instant"), (other, "9 bodies"), (lost, "diverges at 2 s")):
+        with pytest.raises(ValueError, match=words):
+            film(creature, motion, path)
 
 
 def test_importing_the_package_loads_neither_vtk_nor_matplotlib():

@@ -41,14 +41,13 @@ def drawn(text):
     return picture.mean(-1)
 
 
-@pytest.mark.parametrize("text", NAMES)
-def test_a_picture_shows_every_letter(text):
-    """More letters are wider."""
-    shown = [drawn(text[:count]) > 100 for count in (1, len(text))]
-    widths = [np.ptp(np.flatnonzero(image.any(0))) for image in shown]
-    assert widths[0] > 3
-    if len(text) > 1:
-        assert widths[1] > widths[0]
+def test_a_picture_shows_every_letter():
+    """More letters are wider. Missing glyphs would all be drawn as equal boxes."""
+    for text in NAMES:
+        shown = [drawn(text[:count]) > 100 for count in (1, len(text))]
+        widths = [np.ptp(np.flatnonzero(image.any(0))) for image in shown]
+        assert widths[0] > 3 and (widths[1] > widths[0] or len(text) == 1), text
+    assert len({drawn(text).tobytes() for text in NAMES}) == len(NAMES)
 
 
 def test_words_stand_at_their_anchor():
@@ -59,12 +58,6 @@ def test_words_stand_at_their_anchor():
     rows, columns = np.nonzero(picture[..., 0] > 200)
     assert (columns.mean(), rows.mean()) == pytest.approx((120, 30), abs=3)
     assert ((picture[..., 2] > 150) & (picture[..., 0] == 0)).sum() > 100
-
-
-def test_scripts_differ_in_a_picture():
-    """Missing glyphs would all be drawn as equal boxes."""
-    images = [drawn(text).tobytes() for text in ("хвост", "ουρά", "머리", "尾部", "頭部")]
-    assert len(set(images)) == len(images)
 
 
 def test_names_of_an_animal_may_be_in_any_script(tmp_path):
@@ -79,13 +72,9 @@ def test_names_of_an_animal_may_be_in_any_script(tmp_path):
         )
         for body in creature.bodies
     ]
-    eyes = [dataclasses.replace(eye, body=new[eye.body]) for eye in creature.light_sensors]
+    eyes = tuple(dataclasses.replace(eye, body=NAMES[0]) for eye in creature.light_sensors)
     other = dataclasses.replace(
-        creature,
-        name="魚",
-        bodies=tuple(bodies),
-        light_sensors=tuple(eyes),
-        pressure_sensors=tuple(new[name] for name in creature.pressure_sensors),
+        creature, name="魚", bodies=tuple(bodies), light_sensors=eyes, pressure_sensors=()
     )
     plain = preview(creature, tmp_path / "plain.png", (320, 180))
     named = preview(other, tmp_path / "body.png", (320, 180))

@@ -15,13 +15,12 @@ from evo_cpg.analysis.feet import Feet, Phases
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Boulder, Plane
 from evo_cpg.training.crowd import CrowdMotion
-from evo_cpg.view.clip import sample
 from evo_cpg.view.figure import BLUES
 from evo_cpg.view.plots import path_figure
 from evo_cpg.view.run_page.charts import chart, footfall_figure
 from evo_cpg.view.run_page.html import join, long_table, table, tag
 from evo_cpg.view.run_page.viewer_data import RATE, thinned, viewer_data
-from evo_cpg.view.scene import Panel
+from evo_cpg.view.scene import Panel, sample
 
 
 def decoded(made: dict, number: int, kind: str) -> np.ndarray:

@@ -27,6 +27,15 @@ def bright(picture):
     return np.flatnonzero(ink > 0.6)
 
 
+def part_of(recording, names, columns):
+    """The recording with other names of its axes, and only some of them."""
+    return recording._replace(
+        joint_angle=recording.joint_angle[:, columns],
+        cpg_output=recording.cpg_output[:, columns],
+        dof_names=tuple(names[i] for i in columns),
+    )
+
+
 def test_one_axis_of_every_moving_joint_is_shown(recording):
     shown = signals_of(recording, "CPG output")
     assert shown.names == tuple(f"b{i}.z" for i in range(1, 10))
@@ -36,13 +45,7 @@ def test_one_axis_of_every_moving_joint_is_shown(recording):
     still[:, :3] = 0.3
     assert signals_of(recording._replace(joint_angle=still), "").names[0] == "b2.z"
     # One joint lacks the axis about which the others bend.
-    names = ("b1.x", "b1.y", *recording.dof_names[3:])
-    part = [i for i in range(27) if i != 2]
-    other = recording._replace(
-        joint_angle=recording.joint_angle[:, part],
-        cpg_output=recording.cpg_output[:, part],
-        dof_names=names,
-    )
+    other = part_of(recording, recording.dof_names, [0, 1, *range(3, 27)])
     assert signals_of(other, "").names[:2] == ("b1.y", "b2.z")
 
 
@@ -55,13 +58,7 @@ def test_slides_have_a_scale_in_metres(recording):
     slid = recording._replace(joint_angle=angle, dof_names=names)
     shown = signals_of(slid, "CPG output")
     assert shown.names[:2] == ("b2.z", "b3.z") and not shown.slides.any()
-    only = [0, *range(3, 27)]
-    slid = slid._replace(
-        joint_angle=angle[:, only],
-        cpg_output=slid.cpg_output[:, only],
-        dof_names=tuple(names[i] for i in only),
-    )
-    shown = signals_of(slid, "CPG output")
+    shown = signals_of(part_of(slid, names, [0, *range(3, 27)]), "CPG output")
     assert shown.names[:2] == ("b1.slide_x", "b2.z")
     assert shown.slides.tolist() == [True] + [False] * 8
     turning = signals_of(recording, "CPG output").highest[0]

@@ -21,9 +21,9 @@ from evo_cpg.io.trust import is_trusted
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.view.clip import quaternions, sample
 from evo_cpg.view.drawing_page.document import Data, EditError
 from evo_cpg.view.run_page.viewer_data import packed
+from evo_cpg.view.scene import quaternions, sample
 
 How = Literal["rest", "rhythm"]
 

@@ -13,11 +13,11 @@ import numpy as np
 from evo_cpg.creature.creature import NO_LIMIT, length_of, lowest_height, neutral_pose
 from evo_cpg.creature.loft import outline, section_axes
 from evo_cpg.io.schema.shape import LoftConfig
-from evo_cpg.view.clip import quaternions
 from evo_cpg.view.drawing_page.document import Data
 from evo_cpg.view.drawing_page.lookup import Posed, posed
 from evo_cpg.view.meshes import pieces
 from evo_cpg.view.run_page.viewer_data import packed, piece_data, skin_data
+from evo_cpg.view.scene import quaternions
 
 
 def scene(data: Data, source: Path) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view.clip import Clip
+from evo_cpg.view.scene import Clip
 
 
 class Difference(NamedTuple):

@@ -20,13 +20,12 @@ from evo_cpg.physics.contact.terrain import GroundPart
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import smooth
-from evo_cpg.view.clip import Clip, quaternions, sample
 from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.look import Look
-from evo_cpg.view.meshes import Piece, head_index, pieces
-from evo_cpg.view.obstacles import obstacle_mesh
-from evo_cpg.view.scene import Panel, scene_of
+from evo_cpg.view.meshes import BodySurface, head_index, pieces
+from evo_cpg.view.scene import Clip, Panel, quaternions, sample, scene_of
 from evo_cpg.view.skin import skins
+from evo_cpg.view.terrain import obstacle_mesh
 
 # Frames per second. The viewer interpolates between them.
 RATE = 30.0
@@ -156,11 +155,11 @@ def _obstacle(obstacle: GroundPart, arrays: Arrays) -> dict[str, Any]:
     if coarse.n_points > _FINE:
         coarse = coarse.decimate(1 - _FINE / coarse.n_points)
     turned = quaternions(turn[None])[0].tolist()
-    made = piece_data(Piece(cast(pv.PolyData, coarse), _STONE), arrays.add)
+    made = piece_data(BodySurface(cast(pv.PolyData, coarse), _STONE), arrays.add)
     return made | {"place": place.tolist(), "turn": turned}
 
 
-def piece_data(piece: Piece, add: Add) -> dict[str, Any]:
+def piece_data(piece: BodySurface, add: Add) -> dict[str, Any]:
     """Return a surface."""
     mesh = piece.mesh
     if mesh.point_data.active_normals is None:

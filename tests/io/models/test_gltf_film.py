@@ -17,9 +17,8 @@ from evo_cpg.creature.mesh import convex_mesh
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Block, Boulder, Plane, Shore
 from evo_cpg.simulation.recording import Recording, RecordingError
-from evo_cpg.view.clip import quaternions
 from evo_cpg.view.gltf_film import Z_UP, gltf_film
-from evo_cpg.view.scene import Panel
+from evo_cpg.view.scene import Panel, quaternions
 from evo_cpg.view.skin import Draped, skins
 from view import synthetic
 
