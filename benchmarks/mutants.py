@@ -163,7 +163,7 @@ MUTANTS = (
     ),
     Mutant(
         "physics/water/lift.py",
-        "- broadside(self.aspect) * self.sine",
+        "- broadside(aspect) * sine",
         "- 0.9 * broadside(aspect) * sine",
         "physics/test_lift.py",
     ),

@@ -1,9 +1,11 @@
 """Creatures, states and worlds for several tests of the physics."""
 
+import dataclasses
 from importlib.metadata import version
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
@@ -12,6 +14,7 @@ from evo_cpg.creature.creature import Body, Creature, Joint, Material, Motor
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
+from evo_cpg.io.models.mujoco_state import dof_order, load_state
 from evo_cpg.native.jax_internals import quick_jit
 from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.step import step
@@ -20,7 +23,7 @@ from evo_cpg.physics.tree.articulated import solve
 from evo_cpg.physics.tree.generalized import generalized_equations
 from evo_cpg.physics.tree.joint_torque import passive_torque
 from evo_cpg.physics.tree.kinematics import kinematics
-from evo_cpg.physics.tree.state import State
+from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.water.buoyancy import make_cells
 from evo_cpg.physics.water.fluid import Drag, DragLaw, make_patches
@@ -127,17 +130,46 @@ def box_chain(
     reach = (size[0] + gap) / 2
     chain = [Body("b0", Box(size), Material(density))]
     for i in range(1, bodies):
-        joint = Joint(
-            parent=f"b{i - 1}",
-            parent_anchor=(-reach, 0.0, 0.0),
-            child_anchor=(reach, 0.0, 0.0),
-            axes=tuple(AXES[axis] for axis in axes),
-            lower=(-limit,) * len(axes),
-            upper=(limit,) * len(axes),
-            actuator=motor,
-        )
+        ends = (-reach, 0.0, 0.0), (reach, 0.0, 0.0)
+        joint = hinge(f"b{i - 1}", *ends, axes, limit, actuator=motor)
         chain.append(Body(f"b{i}", Box(size), Material(density), joint))
     return Creature("chain", tuple(chain))
+
+
+def hinge(parent: str, at, child_at, axes: str = "z", limit: float = 1.0, **given) -> Joint:
+    """Return a joint about axes of the child's frame, with the same limit in both directions."""
+    turns, most = tuple(AXES[axis] for axis in axes), (limit,) * len(axes)
+    return Joint(parent, at, child_at, turns, tuple(-x for x in most), most, **given)
+
+
+def resting(tree: Tree, batch: tuple[int, ...] = (), height=None, **changed) -> State:
+    """Return a state at rest in float64, with another height of the root (m) or other fields."""
+    state = resting_state(tree, batch, jnp.float64)
+    if height is not None:
+        changed["position"] = state.position.at[2].set(jnp.asarray(height))
+    return dataclasses.replace(state, **{name: jnp.asarray(x) for name, x in changed.items()})
+
+
+def whole(blocks) -> np.ndarray:
+    """Return symmetric matrices ``(6, 6, ...)`` of their angular, mixed and linear blocks."""
+    angular, mixed, linear = map(np.asarray, blocks)
+    rows = (angular, mixed), (mixed.swapaxes(0, 1), linear)
+    return np.concatenate([np.concatenate(row, 1) for row in rows])
+
+
+def mujocos_accelerations(model, data, tree: Tree, state: State, torque=0.0) -> np.ndarray:
+    """Return MuJoCo's accelerations of the root (angular, linear) and of the joints."""
+    order, rotation = 6 + dof_order(model, tree), load_state(model, data, tree, state)
+    data.qfrc_applied[order] = torque
+    mujoco.mj_forward(model, data)
+    return np.concatenate([rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[order]])
+
+
+def slope(function, x, change):
+    """Return the central difference of a function over a change of its argument, per change."""
+    each = np.ravel(change)
+    size = each[np.abs(each).argmax()]
+    return (function(x + change) - function(x - change)) / (2 * size)
 
 
 def in_water(
@@ -197,9 +229,7 @@ def clapper(shape: Shape, axes: str, motor: Motor | None = None) -> Creature:
             ("arm", "trunk", (0.1, side * 0.12, 0.0)),
             ("hand", f"{name}_arm", (0.16, 0.0, 0.0)),
         ):
-            turns, most = tuple(AXES[axis] for axis in axes), (1.2,) * len(axes)
-            least = tuple(-x for x in most)
-            joint = Joint(parent, place, (-0.16, 0.0, 0.0), turns, least, most, actuator=motor)
+            joint = hinge(parent, place, (-0.16, 0.0, 0.0), axes, 1.2, actuator=motor)
             bodies.append(Body(f"{name}_{part}", shape, flesh, joint))
     return Creature("clapper", tuple(bodies))
 

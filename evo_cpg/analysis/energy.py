@@ -40,7 +40,7 @@ from evo_cpg.physics.contact.contact import find_contacts
 from evo_cpg.physics.contact.pair_contacts import find_pair_contacts
 from evo_cpg.physics.step.step import needs_iteration
 from evo_cpg.physics.step.world import World
-from evo_cpg.physics.tree.ball_limit import Angles, ball_laws
+from evo_cpg.physics.tree.ball_limit import ball_laws
 from evo_cpg.physics.tree.joint_torque import (
     Coordinates,
     Limits,
@@ -190,7 +190,7 @@ def _limit_torques(world: World, before: State, after: State, h: float) -> Float
     own = _limits(world, world.tree, before, after, h)
     balls = ball_laws(world.tree.ball_limits, before)
     if balls is not None:
-        last = Angles(balls.angles.q, balls.rate(after.qd))
+        last = Coordinates(balls.angles.q, balls.rate(after.qd))
         stops = _limits(world, balls.limits, balls.angles, last, h)
         own = own + balls.torque_of(stops, len(own))
     if tendons is None:
@@ -200,7 +200,7 @@ def _limit_torques(world: World, before: State, after: State, h: float) -> Float
 
 
 def _limits(
-    world: World, laws: Limits, before: Coordinates, after: Coordinates, h: float
+    world: World, laws: Limits, before: State | Coordinates, after: State | Coordinates, h: float
 ) -> Float[Array, "d t"]:
     if needs_iteration(world):
         return limit_torque(laws, before.q, after.qd, h)[0]

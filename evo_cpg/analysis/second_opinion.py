@@ -37,6 +37,7 @@ from evo_cpg.control.controller import Command
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.laws import ForceLaws
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.io.models.mujoco_state import (
     CarriedInertia,
@@ -53,7 +54,7 @@ from evo_cpg.native.engine import using
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree import root
 from evo_cpg.physics.tree.hanging import Base
-from evo_cpg.physics.tree.joint_torque import Laws, MotorCommand
+from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.muscle import pull_of
 from evo_cpg.physics.tree.state import State, resting_state
@@ -412,7 +413,16 @@ class _Player:
         return jax.tree.unflatten(self._structure, parts)
 
 
+<<<<<<< HEAD
 def _controls(laws: Laws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
+=======
+def _applied(world: World) -> bool:
+    """Return whether the world has forces that MJCF cannot hold."""
+    return world.water is not None or bool(world.forces)
+
+
+def _controls(laws: ForceLaws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
+>>>>>>> r2phys
     """Return MuJoCo's commands that give the force of our motors."""
     target_rate, target_angle = np.asarray(command.target_rate), np.asarray(command.target_angle)
     gain, stiffness = (

@@ -114,9 +114,6 @@ def names_of_dofs(axes: Iterable[tuple[str, AxisKind, Triple]]) -> tuple[str, ..
 
     Such names are ``leg.x``, ``leg.(1,0,0.5)``, ``leg.slide_x`` and ``leg.slide_(1,0,0.5)``. A
     number at the end tells equal axes of a body apart.
-
-    Args:
-        axes: name of the body, kind and direction of each axis.
     """
     names: list[str] = []
     for body, kind, axis in axes:

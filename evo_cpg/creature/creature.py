@@ -7,11 +7,11 @@ body has a frame at its geometric centre. In the neutral pose z is up and the an
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from evo_cpg.creature.algebra.decisions import Condition, chosen
+from evo_cpg.creature.algebra.decisions import Condition, decided
 from evo_cpg.creature.algebra.numerics import Number, Numbers, Triple, as_vector, is_traced, xp
 from evo_cpg.creature.axis_kinds import SPANNING, AxisKind, Turn
 from evo_cpg.creature.shapes import Shape
@@ -249,8 +249,10 @@ class Joint:
     @property
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
         """Degrees of freedom, in the order in which they move the body."""
-        alike = self.stiffness, self.rest, self.damping, self.armature, self.friction_loss
-        columns = self.lower, self.upper, *map(self._each, alike), self._each(self.actuator)
+        given = self.stiffness, self.rest, self.damping, self.armature, self.friction_loss
+        columns = [self.lower, self.upper]
+        for x in (*given, self.actuator):
+            columns.append(x if isinstance(x, tuple) else (x,) * len(self.axes))
         kinds = self.kinds or (Turn(),) * len(self.axes)
         places = self.places or (None,) * len(self.axes)
         shifts = [
@@ -273,15 +275,9 @@ class Joint:
             return "chain"
         if len(self.axes) < SPANNING:
             return "turns"
-
-        def spans() -> Condition:
-            return stay_independent(self.axes, self.lower[1], self.upper[1])
-
-        return "turns" if chosen(lambda: bool(spans()), lambda made: spans() == made) else "chain"
-
-    def _each(self, value: Any) -> tuple[Any, ...]:
-        """Return the value of each axis."""
-        return value if isinstance(value, tuple) else (value,) * len(self.axes)
+        ends = self.lower[1], self.upper[1]
+        spans = decided(lambda: stay_independent(self.axes, *ends))
+        return "turns" if spans else "chain"
 
 
 def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Condition:
@@ -289,10 +285,7 @@ def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Co
 
     The volume that the axes span is a cosine of the angle of the middle axis.
 
-    Args:
-        axes: unit vectors of the three axes.
-        lower: lower limit of the middle axis, rad.
-        upper: upper limit of the middle axis, rad.
+    The limits are those of the middle axis, rad.
     """
     first, middle, last = xp.array(axes, float)
     across = xp.cross(middle, last)
@@ -494,8 +487,7 @@ class Creature:
 def rigid_owners(bodies: Sequence[Body]) -> list[int]:
     """Return the index of the first body of the rigid group of each body, often its own.
 
-    Args:
-        bodies: all bodies of a creature, each after its parent.
+    Each body comes after its parent.
     """
     owners: dict[str, int] = {}
     for i, body in enumerate(bodies):
@@ -568,11 +560,6 @@ def lowest_height(creature: Creature, pose: tuple[Numbers, Numbers] | None = Non
     """Return the height of the creature's lowest point, m.
 
     The height in the neutral pose is relative to the root's centre, and never positive.
-
-    Args:
-        creature: the creature.
-        pose: centres and rotations of its bodies, as `neutral_pose` returns them, or None for the
-            neutral pose.
     """
     return lowest_along(creature, xp.array([0.0, 0.0, 1.0]), pose)
 
@@ -582,10 +569,7 @@ def lowest_along(
 ) -> Number:
     """Return the smallest coordinate of any point of the creature along a direction, m.
 
-    Args:
-        creature: the creature.
-        up: unit vector ``(3,)`` in the axes of the pose.
-        pose: centres and rotations of its bodies, or None for the neutral pose.
+    The pose is that of `neutral_pose`, by default the neutral one.
     """
     centres, rotations = neutral_pose(creature) if pose is None else pose
     heights = [

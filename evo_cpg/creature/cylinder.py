@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from evo_cpg.creature.algebra.decisions import Condition, chosen
+from evo_cpg.creature.algebra.decisions import decided
 from evo_cpg.creature.algebra.numerics import Number, Numbers, as_vector, xp
 from evo_cpg.creature.shapes import (
     LEAST,
@@ -148,11 +148,7 @@ class Cylinder(Shape):
     @override
     def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
         """Return a capsule, or the ellipsoid in a disc, so that a wheel rolls over obstacles."""
-
-        def is_disc() -> Condition:
-            return self.length < 2 * self.radius
-
-        if chosen(lambda: bool(is_disc()), lambda made: is_disc() == made):
+        if decided(lambda: self.length < 2 * self.radius):
             return (ObstaclePart("ellipsoid", np.zeros(3), self.half_extents, 0.0),)
         return (ObstaclePart("line", *self.rounded_box),)
 

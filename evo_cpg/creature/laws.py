@@ -236,10 +236,8 @@ def ball_limits_of(
 ) -> BallLimits | None:
     """Return the limits of all balls, or None if no ball has one.
 
-    Args:
-        dofs: all degrees of freedom.
-        stiffness: stiffness of the soft limit of each, N m/rad.
-        damping: damping of the soft limit of each, N m s/rad.
+    Stiffness (N m/rad) and damping (N m s/rad) are those of the soft limit of each degree of
+    freedom.
     """
     balls = [i for i, dof in enumerate(dofs) if dof.kind.at_once][::SPANNING]
     if not balls:
@@ -266,9 +264,7 @@ def laws_of(
     A limit balances a torque motor like a servo of its full torque at 1 rad/s. A servo damps its
     joint, but a torque motor does not, so the limit has the damping of that servo.
 
-    Args:
-        coordinates: degrees of freedom or tendons.
-        inertia: effective inertia of each, without its rotor, kg m^2.
+    The inertias are the effective ones, without the rotors, kg m^2.
     """
 
     def each(name: str) -> Float[Numbers, " d"]:

@@ -339,9 +339,7 @@ def few_corners_hull(
 def hull(points: np.ndarray, whose: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the vertices ``(v, 3)`` and the faces ``(f, 3)`` of the convex hull of points.
 
-    Args:
-        points: points ``(n, 3)``, m.
-        whose: what the points are, for the error message.
+    ``whose`` names the points in the error message.
 
     Raises:
         MeshError: the points lie in a plane.

@@ -109,9 +109,7 @@ def outlines(
 ) -> tuple[list[BodyOutline], Float[Numbers, "b b"]]:
     """Return the outline of each body, and the weight with which every two bodies are in line.
 
-    Args:
-        creature: the creature.
-        pose: centres and rotations of its bodies.
+    The pose is that of `neutral_pose`.
     """
     links = joint_places(creature, pose)
     barrels = [_barrel(creature, pose, i, links) for i in range(len(creature.bodies))]
@@ -204,15 +202,12 @@ def _in_line(one: _End, two: _End) -> tuple[Number, Number]:
     shorter = xp.maximum(xp.minimum(one.whole, two.whole), _LEAST)
     weight = weight * fade(-apart / shorter, *_OVERLAP)
     for k in (0, 1):
-        ratio = one.widths[k] / _width_along(two, one.across[:, k])
+        # Half width of the other cross-section along a vector that is nearly in its plane.
+        parts, squares = xp.square(one.across[:, k] @ two.across), xp.square(two.widths)
+        width = xp.sqrt((parts @ squares + _SLIGHT * squares.mean()) / (parts.sum() + _SLIGHT))
+        ratio = one.widths[k] / width
         weight = weight * fade(xp.maximum(ratio, 1 / ratio), *_WIDTHS)
     return weight, apart
-
-
-def _width_along(end: _End, direction: Numbers) -> Number:
-    """Return the half width of a cross-section along a vector that is nearly in its plane, m."""
-    parts, squares = xp.square(direction @ end.across), xp.square(end.widths)
-    return xp.sqrt((parts @ squares + _SLIGHT * squares.mean()) / (parts.sum() + _SLIGHT))
 
 
 def _outline(barrel: Barrel, beside: list[tuple[Number, Number, Number]]) -> BodyOutline:

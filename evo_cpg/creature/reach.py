@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from evo_cpg.creature.algebra.decisions import Condition, chosen
+from evo_cpg.creature.algebra.decisions import Condition, decided
 from evo_cpg.creature.algebra.numerics import Numbers, xp
 from evo_cpg.creature.creature import NO_LIMIT
 from evo_cpg.creature.tree import Tree
@@ -92,12 +92,8 @@ def _moved(tree: Tree, axis: int, pieces: int, box: Interval) -> Interval:
     """
     kind, direction = tree.dof_kinds[axis], tree.joint_axes[:, axis]
     lower, upper = tree.lower[axis], tree.upper[axis]
-
-    def free() -> Condition:
-        return upper >= NO_LIMIT
-
     ends = (-NO_LIMIT, NO_LIMIT) if kind.translation else (-np.pi, np.pi)
-    if not chosen(lambda: bool(free()), lambda made: free() == made):
+    if not decided(lambda: upper >= NO_LIMIT):
         give = _GIVE if kind.rotation else _GIVE * (upper - lower)
         ends = lower - give, upper + give
     edges = xp.linspace(*ends, pieces + 1)

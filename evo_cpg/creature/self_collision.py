@@ -66,10 +66,7 @@ def colliding_pairs(
 ) -> list[tuple[int, int]]:
     """Return the pairs of a tree's bodies that must not pass through each other.
 
-    Args:
-        creature: creature with known numbers.
-        tree: tree of the creature.
-        settings: changes of the rule. All names must exist.
+    The creature's numbers must be known, and all names in the settings must exist.
     """
     if settings.only is not None:
         return sorted(_indices(tree.names, settings.only))
@@ -82,11 +79,7 @@ def passing_at_rest(
 ) -> Bool[Numbers, " p"]:
     """Return whether pairs may pass because they touch or overlap in the neutral pose.
 
-    Args:
-        creature: creature, whose numbers may be traced.
-        tree: tree of the creature.
-        settings: changes of the rule. All names must exist.
-        pairs: pairs of the tree's bodies.
+    The creature's numbers may be traced. All names in the settings must exist.
     """
     included = _indices(tree.names, settings.include)
     ruled = np.array([tuple(sorted(pair)) not in included for pair in pairs], bool)
@@ -110,10 +103,7 @@ class LeftOut(NamedTuple):
 def left_out(creature: Creature, tree: Tree, settings: SelfCollision) -> LeftOut:
     """Return the reasons why all pairs except those of ``settings.only`` are left out.
 
-    Args:
-        creature: creature with known numbers.
-        tree: tree of the creature.
-        settings: changes of the rule, with ``only``.
+    The creature's numbers must be known.
     """
     assert settings.only is not None
     every = [

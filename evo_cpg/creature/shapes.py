@@ -466,7 +466,16 @@ class Sphere(Ellipsoid):
 
     @override
     def barrel(self, direction: Numbers) -> Barrel:
-        return Barrel(_frame_along(direction), self.half_extents, 0.0, "ball")
+        """Return the sphere along the direction itself."""
+        length = xp.linalg.norm(direction)
+        first = xp.where(length > 0, direction, np.eye(3)[0]) / xp.where(length > 0, length, 1.0)
+        helper = chosen(
+            lambda: np.argmin(np.abs(first)), lambda axis: xp.abs(first[axis]) < _NEARLY_ALONG
+        )
+        across = xp.cross(first, np.eye(3)[helper])
+        second = across / xp.linalg.norm(across)
+        axes = xp.stack([first, second, xp.cross(first, second)], 1)
+        return Barrel(axes, self.half_extents, 0.0, "ball")
 
     @override
     def floor_parts(self) -> tuple[FloorPart, ...]:
@@ -660,18 +669,6 @@ def _nearest_first(direction: Numbers) -> np.ndarray:
     """Return the coordinate axes as columns, beginning with the nearest to a direction."""
     nearest = chosen(lambda: xp.argmax(xp.abs(direction)))
     return np.roll(np.eye(3), -nearest, 1)
-
-
-def _frame_along(direction: Numbers) -> Numbers:
-    """Return three orthogonal unit vectors as columns, the first along a direction."""
-    length = xp.linalg.norm(direction)
-    first = xp.where(length > 0, direction, np.eye(3)[0]) / xp.where(length > 0, length, 1.0)
-    helper = chosen(
-        lambda: np.argmin(np.abs(first)), lambda axis: xp.abs(first[axis]) < _NEARLY_ALONG
-    )
-    across = xp.cross(first, np.eye(3)[helper])
-    second = across / xp.linalg.norm(across)
-    return xp.stack([first, second, xp.cross(first, second)], 1)
 
 
 def ring(resolution: int) -> Numbers:

@@ -92,11 +92,6 @@ class SlenderChain(NamedTuple):
         """Length of the chain, m."""
         return self.lengths.sum()
 
-    @property
-    def distances(self) -> Float[Numbers, " n"]:
-        """Distance of each body's front end from the nose along the chain, m."""
-        return xp.cumsum(self.lengths) - self.lengths
-
 
 class ChainOutline(NamedTuple):
     """Outline of a chain of bodies.
@@ -106,32 +101,25 @@ class ChainOutline(NamedTuple):
         axes: axes of the outline in each body's frame, as columns. The first is the principal axis
             along the centreline.
         halves: half sizes of each body along its axes, m.
+        lengths: length of each body along the chain, m.
         sizes: length of the chain and its mean widths along the other axes, m.
         volume: volume of the bodies, m^3.
         sharpness: 1 for boxes, 0 for shapes that fill no more of their bounding box than a
             cylinder.
         blunt: whether each body is a cylinder with flat ends.
+        bluntness: fraction of the length in cylinders with their axis along each axis of the
+            outline, or None without cylinders.
     """
 
     chain: SlenderChain
     axes: Float[np.ndarray, "n 3 3"]
     halves: Float[Numbers, "n 3"]
+    lengths: Float[Numbers, " n"]
     sizes: Float[Numbers, " 3"]
     volume: Number
     sharpness: Number
     blunt: tuple[bool, ...]
-
-    @property
-    def bluntness(self) -> Float[Numbers, " 3"] | None:
-        """Fraction of the length in cylinders with their axis along each axis of the outline.
-
-        None if there are no cylinders.
-        """
-        if not any(self.blunt):
-            return None
-        lengths = xp.maximum(self.halves[:, 0], _TINY)
-        along = np.square(self.axes[:, 0]) * np.array(self.blunt)[:, None]
-        return lengths @ along / lengths.sum()
+    bluntness: Float[Numbers, " 3"] | None
 
 
 def slender_chains(creature: Creature) -> tuple[SlenderChain, ...]:
@@ -140,8 +128,17 @@ def slender_chains(creature: Creature) -> tuple[SlenderChain, ...]:
     places = {frozenset(pair): place for pair, place in joint_places(creature, pose).items()}
 
     def choose() -> tuple[tuple[int, ...], ...]:
-        links = _links(creature, pose, places)
-        return tuple(_noses_first(creature, pose, bodies) for bodies in _paths(creature, links))
+        centres, found = pose[0], []
+        for bodies in _paths(creature, _links(creature, pose, places)):
+            backwards = False
+            if len(bodies) > 1:
+                direction = _unit(centres[bodies[0]] - centres[bodies[-1]])
+                backwards = direction[0] <= 0
+                if abs(direction[0]) <= _FORWARD:
+                    order = topological_order(creature)
+                    backwards = order.index(bodies[0]) >= order.index(bodies[-1])
+            found.append(bodies[::-1] if backwards else bodies)
+        return tuple(found)
 
     def still(chains: tuple[tuple[int, ...], ...]) -> Condition:
         made = [frozenset(pair) for bodies in chains for pair in itertools.pairwise(bodies)]
@@ -164,13 +161,7 @@ def _turn(pose: tuple[Numbers, Numbers], link: _Link, place: Numbers) -> Number:
 def _links(
     creature: Creature, pose: tuple[np.ndarray, np.ndarray], places: dict[_Link, np.ndarray]
 ) -> list[_Link]:
-    """Return the joints that continue a chain.
-
-    Args:
-        creature: the creature.
-        pose: centres and rotations of its bodies.
-        places: position of the joint between every two bodies, m.
-    """
+    """Return the joints that continue a chain."""
     centres, rotations = pose
     count = Counter(body for link in places for body in link)
     extents: dict[_Link, list[tuple[float, float, bool]]] = {}
@@ -229,20 +220,6 @@ def _paths(creature: Creature, links: list[_Link]) -> list[tuple[int, ...]]:
     return sorted(paths, key=min)
 
 
-def _noses_first(
-    creature: Creature, pose: tuple[np.ndarray, np.ndarray], bodies: tuple[int, ...]
-) -> tuple[int, ...]:
-    centres, _ = pose
-    if len(bodies) == 1:
-        return bodies
-    direction = _unit(centres[bodies[0]] - centres[bodies[-1]])
-    if abs(direction[0]) > _FORWARD:
-        return bodies if direction[0] > 0 else bodies[::-1]
-    order = topological_order(creature)
-    first, last = (order.index(bodies[i]) for i in (0, -1))
-    return bodies if first < last else bodies[::-1]
-
-
 def _chain(
     creature: Creature,
     pose: tuple[Numbers, Numbers],
@@ -294,9 +271,14 @@ def chain_outline(creature: Creature, chain: SlenderChain) -> ChainOutline:
     fill = volumes / (8 * xp.maximum(xp.prod(halves, 1), _TINY**3))
     boxy = xp.clip((fill - _ROUND_FILL) / (_BOX_FILL - _ROUND_FILL), 0.0, 1.0)
     sharpness = (lengths * boxy).sum() / xp.maximum(lengths.sum(), _TINY)
+    sizes, bluntness = xp.maximum(sizes, _TINY), None
     blunt = tuple(shape.blunt for shape in shapes)
-    sizes = xp.maximum(sizes, _TINY)
-    return ChainOutline(chain, axes, halves, sizes, volumes.sum(), sharpness, blunt)
+    if any(blunt):
+        parts = xp.maximum(halves[:, 0], _TINY)
+        along = np.square(axes[:, 0]) * np.array(blunt)[:, None]
+        bluntness = parts @ along / parts.sum()
+    fullness = volumes.sum(), sharpness, blunt, bluntness
+    return ChainOutline(chain, axes, halves, lengths, sizes, *fullness)
 
 
 def _axes(creature: Creature, chain: SlenderChain, shapes: list[Shape]) -> np.ndarray:

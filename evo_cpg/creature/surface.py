@@ -71,13 +71,10 @@ def outer_surfaces(
     surfaces = _outline(creature, resolution, sheltered, layout)
     if layout == "complete":
         return surfaces
-
-    def with_area() -> list[Numbers]:
-        return [surface.areas > 0 for surface in surfaces]
-
+    with_area = chosen(lambda: [surface.areas > 0 for surface in surfaces])
     return tuple(
         Surface(*(column[kept] for column in surface))
-        for surface, kept in zip(surfaces, chosen(with_area), strict=True)
+        for surface, kept in zip(surfaces, with_area, strict=True)
     )
 
 
@@ -174,11 +171,6 @@ def random_surfaces(
 ) -> tuple[Surface, ...]:
     """Draw random points on surfaces, with probability by area (Iwadate 2010, section 4).
 
-    Args:
-        surfaces: dense quadratures, one per body.
-        count: number of points on each body.
-        rng: the source of randomness.
-
     Returns:
         ``count`` points for each body, with equal areas.
     """
@@ -207,13 +199,7 @@ def _draw(areas: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray
 def _nearness(
     creature: Creature, pose: tuple[Numbers, Numbers], reach: Number
 ) -> Float[Numbers, "b b"]:
-    """Return the distance of every two bodies, relative to the largest at which one covers another.
-
-    Args:
-        creature: the creature.
-        pose: centres and rotations of its bodies.
-        reach: distance at which a body shelters, m.
-    """
+    """Return distances of bodies, relative to the largest at which one covers the other."""
     centres, _ = pose
     radius = xp.array([body.shape.reach for body in creature.bodies])
     distance = xp.sqrt(xp.square(centres[:, None] - centres).sum(-1))
@@ -231,12 +217,8 @@ def _exposed(
 
     A piece of surface that two bodies share belongs to the first body.
 
-    Args:
-        creature: the creature.
-        pose: centres and rotations of its bodies.
-        reach: distance at which a body shelters, m.
-        surfaces: surface points of the bodies.
-        near: table of the bodies that can cover each other.
+    ``near`` is a table of the bodies that can cover each other, ``reach`` the distance (m) at which
+    a body shelters.
     """
     centres, rotations = pose
     found = []

@@ -303,13 +303,7 @@ def _masses(
 
     Bodies that are welded together have given theirs to their owner.
 
-    Args:
-        bodies: all bodies.
-        parents: index of each body's parent.
-        owners: index of each body's owner.
-        offset: joint position in the parent's frame, m.
-        orientation: rotation from child frame to parent frame in the neutral pose.
-        centre: centre of each shape in its body's working frame, m.
+    Offsets and orientations are those of `Tree`, and the centres those of the shapes.
     """
     mass, com = xp.array([body.mass for body in bodies]), centre
     if any(body.inertial is not None for body in bodies):
@@ -347,10 +341,7 @@ def _masses(
 def spatial_inertia(mass: Number, com: Numbers, inertia: Numbers) -> Float[Numbers, "6 6"]:
     """Return the spatial inertia ``(6, 6)`` about a frame's origin, angular part first.
 
-    Args:
-        mass: mass, kg.
-        com: centre of mass in the frame, m.
-        inertia: rotational inertia ``(3, 3)`` about the centre of mass, kg m^2.
+    The rotational inertia ``(3, 3)`` is about the centre of mass, kg m^2.
     """
     x, y, z = com
     cross = xp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -424,9 +424,9 @@ class _Search:
             length = jnp.full_like(mean, radius).at[root.LENGTHS : root.ROOT_DOFS].set(1.0)
             start = state, first_warmstart(world, (), state.q.dtype), mean, 0, 0
             state, _, mean, taken, _ = jax.lax.while_loop(goes_on, advance, start)
-            qd = jnp.where(fixed, 0.0, root.joint_part(mean))
+            qd = jnp.where(fixed, 0.0, mean[root.JOINTS])
             q = jnp.where(fixed, 0.0, state.q)
-            state = dataclasses.replace(state, velocity=root.root_part(mean), q=q, qd=qd)
+            state = dataclasses.replace(state, velocity=mean[root.ROOT], q=q, qd=qd)
             return state.placed(tree), taken
 
         def force(

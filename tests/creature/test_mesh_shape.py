@@ -155,10 +155,6 @@ def test_support_is_the_farthest_vertex(mesh):
         assert mesh.distance(point[None])[0] == pytest.approx(0, abs=1e-12)
 
 
-def test_support_is_in_the_middle_of_a_face():
-    np.testing.assert_allclose(MESHES["box"].support(np.array([0, 0, -2.0])), [0, 0, -0.05])
-
-
 def test_corners_leave_out_points_on_edges_and_faces():
     """A box of 768 triangles has eight corners."""
     fine = trimesh.creation.box(SIZE).subdivide().subdivide().subdivide()
@@ -243,55 +239,20 @@ def of(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
 BOX = trimesh.creation.box(SIZE)
 REFUSED = {
     "empty": (np.zeros((0, 3)), np.zeros((0, 3), int), "it has no faces"),
-    "huge": (
-        *of(trimesh.creation.icosphere(4)),
-        rf"it has 5120 triangles. Allowed: at most {MOST_TRIANGLES}. Simplify it",
-    ),
-    "not a number": (
-        np.array(BOX.vertices) * [1, np.nan, 1],
-        np.array(BOX.faces),
-        "a coordinate of a vertex is not a finite number",
-    ),
-    "no such vertex": (
-        TETRAHEDRON,
-        TETRAHEDRON_FACES + 1,
-        "a face names vertex 4. Allowed: 0 to 3",
-    ),
-    "millimetres": (
-        *of(trimesh.creation.box((300, 200, 100))),
-        r"its longest side is 300 m. Allowed: 0.001 to 100 m. For a drawing in millimetres, "
-        r"set scale: 0.001",
-    ),
+    "huge": (*of(trimesh.creation.icosphere(4)), rf"5120 triangles.*{MOST_TRIANGLES}"),
+    "not a number": (np.array(BOX.vertices) * [1, np.nan, 1], np.array(BOX.faces), "finite"),
+    "no such vertex": (TETRAHEDRON, TETRAHEDRON_FACES + 1, "vertex 4. Allowed: 0 to 3"),
+    "millimetres": (*of(trimesh.creation.box((300, 200, 100))), "300 m.*scale: 0.001"),
     "tiny": (*of(trimesh.creation.box((1e-4, 2e-4, 3e-4))), r"0.0003 m\. .*scale too small?"),
-    "open": (
-        np.array(BOX.vertices),
-        np.array(BOX.faces)[1:],
-        "it is open: 3 of 18 edges do not join two faces. Close its holes",
-    ),
-    "two": (*of(two_boxes(SIZE)), "it consists of 2 separate pieces. Allowed: one"),
-    "tangled": (*flipped(BOX, slice(1)), "opposite orientations. Make their normals consistent"),
-    "inside out": (*flipped(BOX, slice(None)), "it is inside out: .* Flip its normals"),
-    "flat": (
-        TETRAHEDRON * [1, 1, 0],
-        TETRAHEDRON_FACES,
-        r"it is flat: 0.3 m long, it encloses 0 m\^3",
-    ),
-    "overflow": (
-        TETRAHEDRON * 1e300 * [-1, 1, 1] * 1e8,
-        TETRAHEDRON_FACES[:, ::-1],
-        "its longest side is 3e.307 m",
-    ),
-    "whisker": (
-        *of(whisker()),
-        "128 of its 128 triangles are lower than 0.01% of the mesh's longest side. Make the "
-        "mesh thicker",
-    ),
+    "open": (np.array(BOX.vertices), np.array(BOX.faces)[1:], "open: 3 of 18 edges"),
+    "two": (*of(two_boxes(SIZE)), "2 separate pieces"),
+    "tangled": (*flipped(BOX, slice(1)), "opposite orientations"),
+    "inside out": (*flipped(BOX, slice(None)), "inside out"),
+    "flat": (TETRAHEDRON * [1, 1, 0], TETRAHEDRON_FACES, "flat: 0.3 m"),
+    "overflow": (TETRAHEDRON * [-1e308, 1e308, 1e308], TETRAHEDRON_FACES[:, ::-1], "3e.307 m"),
+    "whisker": (*of(whisker()), "128 of its 128 triangles"),
     "lines": (TETRAHEDRON, np.array([[0, 1, 1], [2, 2, 3]]), "it has no faces"),
-    "dent": (
-        *of(l_shape()),
-        r"it is not convex: vertex \d+ lies 0.1 m beyond the plane of face \d+. Allowed: 0.1% of "
-        r"its longest side, 0.0002 m. Split it into convex bodies, or use its convex hull",
-    ),
+    "dent": (*of(l_shape()), r"vertex \d+ lies 0.1 m beyond the plane of face \d+.*0.0002 m"),
 }
 
 

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from evo_cpg.creature.creature import Body, Creature, Joint, Material, neutral_pose
+from creatures import hinge
+from evo_cpg.creature.creature import Body, Creature, Material, neutral_pose
 from evo_cpg.creature.mesh import convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
@@ -30,7 +31,7 @@ def turned(degrees: float) -> tuple:
 
 
 def joined(name, shape, parent, at, child_at, degrees=0.0) -> Body:
-    joint = Joint(parent, at, child_at, ((0.0, 0.0, 1.0),), (-1.0,), (1.0,), turned(degrees))
+    joint = hinge(parent, at, child_at, orientation=turned(degrees))
     return Body(name, shape, Material(1000.0), joint)
 
 
@@ -105,31 +106,17 @@ def hull_drag(creature: Creature, direction) -> float:
 
 @pytest.mark.parametrize("direction", [ALONG, ACROSS, UP], ids=["along", "across", "up"])
 @pytest.mark.parametrize(
-    ("shapes", "gap"),
+    ("shape", "gap"),
     [
-        ([CAPSULE] * 14, -2 * R),
-        ([CAPSULE] * 14, -1.8 * R),
-        ([CAPSULE] * 14, 0.0),
-        ([CAPSULE] * 14, 0.2 * R),
-        ([CAPSULE] * 14, -2.5 * R),
-        ([Sphere(R)] * 14, 0.0),
-        ([Sphere(R)] * 14, -0.5 * R),
-    ],
-    ids=[
-        "end balls coincide",
-        "end balls 0.2 radii apart",
-        "capsules touch",
-        "capsules 0.2 radii apart",
-        "cylinders overlap",
-        "balls touch",
-        "balls overlap",
+        # End balls coincide or nearly so, capsules touch or nearly so, and cylinders overlap.
+        *((CAPSULE, x * R) for x in (-2.0, -1.8, 0.0, 0.2, -2.5)),
+        *((Sphere(R), x * R) for x in (0.0, -0.5)),
     ],
 )
-def test_round_chain_has_the_drag_of_one_capsule(shapes, gap, direction):
+def test_round_chain_has_the_drag_of_one_capsule(shape, gap, direction):
     """The closed form of one capsule as long as the chain."""
-    creature = chain(shapes, gap)
-    size = sum(2 * float(shape.half_extents[0]) for shape in shapes)
-    expected = capsule_drag(size + (len(shapes) - 1) * gap, direction)
+    creature = chain([shape] * 14, gap)
+    expected = capsule_drag(28 * float(shape.half_extents[0]) + 13 * gap, direction)
     assert drag(creature, direction) == pytest.approx(expected, rel=0.02)
 
 

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import box_chain
+from creatures import box_chain, hinge
 from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
-from evo_cpg.creature.creature import Body, Creature, Joint, Material
+from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Shape
 from evo_cpg.creature.slender import slender_chains
 
@@ -16,9 +16,7 @@ FLESH = Material(1000.0)
 
 def limb(name: str, shape: Shape, parent: str, at, child_at) -> Body:
     """A body with a hinge."""
-    return Body(
-        name, shape, FLESH, Joint(parent, at, child_at, ((0.0, 0.0, 1.0),), (-1.0,), (1.0,))
-    )
+    return Body(name, shape, FLESH, hinge(parent, at, child_at))
 
 
 def named(creature: Creature) -> list[list[str]]:
@@ -36,7 +34,7 @@ def test_a_chain_runs_from_nose_to_tail():
     (chain,) = slender_chains(box_chain(5, "z", size=(0.2, 0.1, 0.1), gap=0.02))
     assert chain.bodies == (0, 1, 2, 3, 4)
     assert float(chain.length) == pytest.approx(5 * 0.2 + 4 * 0.02)
-    np.testing.assert_allclose(chain.distances, [0.0, 0.21, 0.43, 0.65, 0.87])
+    np.testing.assert_allclose(chain.lengths, [0.21, 0.22, 0.22, 0.22, 0.21])
     np.testing.assert_allclose(chain.tangents, [[1, 0, 0]] * 5, atol=1e-12)
     np.testing.assert_allclose(chain.front[0], [0.1, 0, 0])
     np.testing.assert_allclose(chain.rear[-1], [-0.1, 0, 0], atol=1e-12)
@@ -62,9 +60,7 @@ def test_fins_start_their_own_chains():
 def test_legs_are_chains_of_their_own():
     """From the hip down, though a leg stands across."""
     down = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
-    thigh = Joint(
-        "trunk", (0.1, 0.05, 0.0), (0.1, 0.0, 0.0), ((0.0, 1.0, 0.0),), (-1.0,), (1.0,), down
-    )
+    thigh = hinge("trunk", (0.1, 0.05, 0.0), (0.1, 0.0, 0.0), "y", orientation=down)
     upright = Body("thigh", Capsule(0.02, 0.16), FLESH, thigh)
     shank = limb("shank", Capsule(0.02, 0.16), "thigh", (-0.1, 0.0, 0.0), (0.1, 0.0, 0.0))
     creature = Creature("walker", (TRUNK, TAIL, shank, upright))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from creatures import box_chain
-from evo_cpg.creature.creature import Body, Creature, Joint, Material
+from creatures import box_chain, hinge
+from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 
@@ -61,7 +61,7 @@ def test_points_inside_another_body_are_dropped():
     The hull loses only the points under the fin.
     """
     hull = Body("hull", Box((0.4, 0.2, 0.2)), Material(1000.0))
-    joint = Joint("hull", (0.0, 0.1, 0.0), (0.0, 0.0, 0.0), ((0.0, 0.0, 1.0),), (-1.0,), (1.0,))
+    joint = hinge("hull", (0.0, 0.1, 0.0), (0.0, 0.0, 0.0))
     fin = Body("fin", Box((0.05, 0.2, 0.05)), Material(1000.0), joint)
     covered, half = outer_surfaces(Creature("fish", (hull, fin)), 40)
     # The fin's outer half: four sides of 0.05 x 0.1 and one end of 0.05 x 0.05.
@@ -90,7 +90,7 @@ def test_random_points_are_proportional_to_area():
 def test_a_covered_body_has_no_random_points():
     """An empty surface stays empty."""
     outer = Body("outer", Box((0.4, 0.4, 0.4)), Material(1000.0))
-    joint = Joint("outer", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ((0.0, 0.0, 1.0),), (-1.0,), (1.0,))
+    joint = hinge("outer", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     inner = Body("inner", Box((0.1, 0.1, 0.1)), Material(1000.0), joint)
     surfaces = outer_surfaces(Creature("nested", (outer, inner)), 2)
     drawn = random_surfaces(surfaces, 5, np.random.default_rng(0))

@@ -12,10 +12,15 @@ import numpy as np
 import pytest
 
 from benchmarks.mujoco_model import mujoco_model
-from creatures import STRUCTURES, quick_jit, random_creature, random_state
+from creatures import (
+    STRUCTURES,
+    mujocos_accelerations,
+    quick_jit,
+    random_creature,
+    random_state,
+)
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.io.models.mujoco_state import dof_order, load_state
 from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
@@ -73,11 +78,7 @@ def relative_errors(number: int, dtype, stiffer: float = 1.0) -> list[float]:
         tau = rng.normal(size=tree.dof_count)
 
         model = mujoco_model(creature)
-        data, order = mujoco.MjData(model), dof_order(model, tree)
-        rotation = load_state(model, data, tree, state)
-        data.qfrc_applied[6 + order] = tau
-        mujoco.mj_forward(model, data)
-        theirs = np.concatenate([rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[6 + order]])
+        theirs = mujocos_accelerations(model, mujoco.MjData(model), tree, state, tau)
 
         tree = eqx.tree_at(lambda t: t.stiffness, tree, stiffer * tree.stiffness)
         ours = accelerations(

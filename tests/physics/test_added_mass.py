@@ -9,7 +9,16 @@ import pytest
 import scipy.integrate
 import scipy.special
 
-from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, random_state, single
+from creatures import (
+    STRUCTURES,
+    coast,
+    in_water,
+    quick_jit,
+    random_creature,
+    random_state,
+    resting,
+    single,
+)
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.creature.tree import build_tree
@@ -89,8 +98,7 @@ def test_tumbling_ellipsoid_follows_kirchhoff():
         return np.linalg.solve(whole, -np.concatenate([moment, force]))
 
     exact = scipy.integrate.solve_ivp(kirchhoff, (0, 1), start, rtol=1e-10, atol=1e-12).y[:, -1]
-    state = resting_state(world.tree, dtype=jnp.float64)
-    state = dataclasses.replace(state, velocity=jnp.asarray(start))
+    state = resting(world.tree, velocity=start)
     errors = []
     for h in (1 / 500, 1 / 1000):
         motion = coast(world, state, 1.0, h)
@@ -149,12 +157,8 @@ def test_a_uniform_stream_is_a_moving_frame():
 def test_water_entry_slows_a_body_and_exit_does_not():
     """If gravity is zero, m v = (m + rho V / 2) v' on entry, and v' is constant on exit."""
     world = ideal(single(Sphere(0.1), 500.0), surface=0.0)
-    state = resting_state(world.tree, (2,), jnp.float64)
-    state = dataclasses.replace(
-        state,
-        position=state.position.at[2].set(jnp.array([0.15, -0.15])),
-        velocity=state.velocity.at[5].set(jnp.array([-1.0, 1.0])),
-    )
+    velocity = np.eye(6)[:, 5:] * np.array([-1.0, 1.0])
+    state = resting(world.tree, (2,), np.array([0.15, -0.15]), velocity=velocity)
     motion = coast(world, state, 0.6, 1 / 1000)
     assert motion.position[-1, 2, 0] < -0.1 and motion.position[-1, 2, 1] > 0.1
     np.testing.assert_allclose(motion.velocity[-1, 5], [-0.5, 1.0], rtol=0.005)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from creatures import in_water, quick_jit, random_state
+from creatures import in_water, mujocos_accelerations, quick_jit, random_state, slope
 from evo_cpg.creature.creature import Creature, lowest_height
 from evo_cpg.creature.limbs import limbs
 from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs
@@ -17,7 +17,6 @@ from evo_cpg.creature.slender import slender_chains
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree, spatial_inertia
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.io.models.mujoco_state import dof_order, load_state
 from evo_cpg.io.schema.creature import CreatureConfig
 from evo_cpg.native.engine import Engine, using
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
@@ -144,12 +143,7 @@ def test_parts_accelerate_as_bodies_of_several_geoms_in_mujoco():
             model = mujoco.MjModel.from_xml_string(mjcf_text(element))
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
             assert model.nbody == (10 if element is root else 6)
-            data, order = mujoco.MjData(model), dof_order(model, tree)
-            rotation = load_state(model, data, tree, state)
-            mujoco.mj_forward(model, data)
-            theirs = np.concatenate(
-                [rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[6 + order]]
-            )
+            theirs = mujocos_accelerations(model, mujoco.MjData(model), tree, state)
             assert np.abs(ours - theirs).max() < 1e-9 * np.abs(theirs).max()
 
 
@@ -293,8 +287,8 @@ def test_gradients_by_the_numbers_of_a_body_equal_finite_differences():
     with jax.numpy_rank_promotion("allow"):
         _, found = run(*at)
         for i, h in enumerate((1e-3, 1e-5)):
-            ahead, behind = (run(*(at + sign * h * np.eye(2)[i]))[0] for sign in (1, -1))
-            assert found[i] == pytest.approx(float((ahead - behind) / (2 * h)), rel=1e-5)
+            difference = slope(lambda x: run(*x)[0], at, h * np.eye(2)[i])
+            assert found[i] == pytest.approx(float(difference), rel=1e-5)
 
 
 def test_mirrored_parts_and_numbers_are_mirror_images():

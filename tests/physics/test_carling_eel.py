@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import in_water, quick_jit
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from creatures import hinge, in_water, quick_jit
+from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.tree.state import resting_state
@@ -41,15 +41,8 @@ def eel(segments: int) -> Creature:
         reach = 0.5 / segments
         joint = None
         if i:
-            joint = Joint(
-                f"b{i - 1}",
-                (-reach, 0.0, 0.0),
-                (reach, 0.0, 0.0),
-                ((0.0, 0.0, 1.0),),
-                (-2.0,),
-                (2.0,),
-                actuator=Actuator(1e3),
-            )
+            ends = (-reach, 0.0, 0.0), (reach, 0.0, 0.0)
+            joint = hinge(f"b{i - 1}", *ends, limit=2.0, actuator=Actuator(1e3))
         shape = Box((1 / segments, np.sqrt(area / ratio), np.sqrt(area * ratio)))
         bodies.append(Body(f"b{i}", shape, Material(1000.0), joint))
     return Creature("eel", tuple(bodies))

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from benchmarks.mujoco_model import mujoco_model
-from creatures import quick_jit
-from evo_cpg.creature.creature import Body, Creature, Joint, Material
+from creatures import hinge, quick_jit, resting
+from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.models.mujoco_state import dof_order, load_state
@@ -22,7 +22,6 @@ from evo_cpg.physics.contact.terrain import Block, Plane
 from evo_cpg.physics.step.step import first_warmstart, step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import kinematics
-from evo_cpg.physics.tree.state import State, resting_state
 from on_ground import GRAVITY
 
 H = 1 / 1000
@@ -33,15 +32,8 @@ def both(creature: Creature, ground: Ground, state: dict, seconds: float, limits
     """Return our states, supports and contact offsets along x, and MuJoCo's model and data."""
     tree = build_tree(creature)
     world = World(tree, GRAVITY, contact_model=make_contact_model(creature, tree, ground))
-    start = resting_state(tree, (1,), jnp.float64, position=state["position"])
-    turn = state.get("orientation", (1.0, 0.0, 0.0, 0.0))
-    start = State(
-        start.position,
-        jnp.asarray(turn, jnp.float64)[:, None],
-        jnp.asarray(state.get("velocity", np.zeros(6)), jnp.float64)[:, None],
-        jnp.asarray(state.get("q", np.zeros(tree.dof_count)), jnp.float64)[:, None],
-        jnp.asarray(state.get("qd", np.zeros(tree.dof_count)), jnp.float64)[:, None],
-    )
+    columns = {name: np.array(x, float)[:, None] for name, x in state.items()}
+    start = resting(tree, (1,), **columns)
 
     @quick_jit
     def run(state):
@@ -98,10 +90,8 @@ def test_a_tall_block_tips_over_at_mujocos_angle(x64, degrees, stands):
 @pytest.mark.slow
 def test_a_stack_carries_its_load_as_in_mujoco(x64):
     """A plate on a block carries a weight on one side. The supports follow the lever law to 1 %."""
-    joint = Joint(
-        "plate", (0.08, 0.0, 0.05), (0.0, 0.0, -0.05), ((0.0, 1.0, 0.0),), (-0.5,), (0.5,),
-        stiffness=2000.0, damping=20.0,
-    )  # fmt: skip
+    stiff = {"stiffness": 2000.0, "damping": 20.0}
+    joint = hinge("plate", (0.08, 0.0, 0.05), (0.0, 0.0, -0.05), "y", 0.5, **stiff)
     bodies = (
         Body("plate", Box((0.3, 0.3, 0.1)), Material(500.0)),
         Body("weight", Box((0.1, 0.1, 0.1)), Material(4000.0), joint),
@@ -129,10 +119,9 @@ def test_a_stack_carries_its_load_as_in_mujoco(x64):
 def test_a_swinging_leg_hits_the_ground_as_in_mujoco(x64):
     """A trunk falls on a swinging leg. After 0.1 s both move as in MuJoCo, within 3 %."""
     material = Material(500.0, 0.0, 0.8, 0.8)
-    joint = Joint(
-        "trunk", (0.1, 0.0, -0.1), (-0.2, 0.0, 0.0), ((0.0, 1.0, 0.0),), (-2.5,), (2.5,),
-        orientation=((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)), damping=0.5,
-    )  # fmt: skip
+    turned = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
+    given = {"orientation": turned, "damping": 0.5}
+    joint = hinge("trunk", (0.1, 0.0, -0.1), (-0.2, 0.0, 0.0), "y", 2.5, **given)
     bodies = (
         Body("trunk", Box((0.5, 0.3, 0.2)), material),
         Body("leg", Capsule(0.03, 0.34), material, joint),
@@ -162,8 +151,8 @@ def test_a_joint_with_a_rotor_stops_at_its_limit_as_in_mujoco(x64):
     The rotor has 1000 times the inertia of the boxes, as in gymnasium's ant. The joint reaches its
     limit in free fall, where both programs use the laws of animals on the ground.
     """
-    centre, axis, speed = (0.0, 0.0, 0.0), ((0.0, 0.0, 1.0),), 6.0
-    joint = Joint("a", centre, centre, axis, (-0.5,), (0.5,), armature=1.0)
+    centre, speed = (0.0, 0.0, 0.0), 6.0
+    joint = hinge("a", centre, centre, limit=0.5, armature=1.0)
     bodies = (
         Body("a", Box((0.2, 0.1, 0.1)), Material(300.0)),
         Body("b", Box((0.2, 0.1, 0.1)), Material(300.0), joint),

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.creature.creature import NO_LIMIT, Body, Creature, Joint, Material, TorqueMotor
+from creatures import hinge
+from evo_cpg.creature.creature import NO_LIMIT, Body, Creature, Material, TorqueMotor
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.native.jax_internals import quick_jit
@@ -25,17 +26,8 @@ LOSS = 0.4
 def wheel(armature: float = 0.0) -> tuple[World, float]:
     """Return a wheel on the centre of a free hub, and the inertia that its motor sees, kg m^2."""
     material, hub, rim = Material(1000.0), Box((0.2, 0.2, 0.2)), Box((0.3, 0.3, 0.02))
-    joint = Joint(
-        "hub",
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, 0.0),
-        axes=((0.0, 0.0, 1.0),),
-        lower=(-NO_LIMIT,),
-        upper=(NO_LIMIT,),
-        armature=armature,
-        actuator=TorqueMotor(),
-        friction_loss=LOSS,
-    )
+    given = {"armature": armature, "actuator": TorqueMotor(), "friction_loss": LOSS}
+    joint = hinge("hub", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), limit=NO_LIMIT, **given)
     bodies = Body("hub", hub, material), Body("wheel", rim, material, joint)
     inertias = [body.shape.inertia(body.mass)[2] for body in bodies]
     alone = 1 / (1 / inertias[0] + 1 / inertias[1])

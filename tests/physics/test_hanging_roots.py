@@ -14,7 +14,15 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from creatures import accelerations, coast, in_water, quick_jit, random_creature, random_state
+from creatures import (
+    accelerations,
+    coast,
+    hinge,
+    in_water,
+    quick_jit,
+    random_creature,
+    random_state,
+)
 from evo_cpg.creature.algebra.rotation import euler_to_matrix, quaternion_to_matrix
 from evo_cpg.creature.axis_kinds import AxisKind, BallComponent, Slide, Turn
 from evo_cpg.creature.creature import NO_MASS, WORLD, Actuator, Body, Creature, Joint, Material
@@ -77,7 +85,7 @@ def random_hanging_state(tree: Tree, rng: np.random.Generator) -> State:
 
 def test_a_massless_fixed_root_stops_limbs():
     """It counts like the limb that touches it."""
-    elbow = Joint("root", (0.3, 0, 0), (-0.3, 0, 0), ((0.0, 0.0, 1.0),), (-3.0,), (3.0,))
+    elbow = hinge("root", (0.3, 0, 0), (-0.3, 0, 0), limit=3.0)
     wrist = dataclasses.replace(elbow, parent="arm")
     limb = Body("arm", Box((0.4, 0.1, 0.1)), Material(1000.0), elbow)
     fixed = Joint(WORLD, (0, 0, 0), (0, 0, 0), (), (), ())
@@ -135,16 +143,8 @@ def test_hanging_trees_accelerate_as_in_mujoco(kinds):
 
 def pendulum(stiffness: float = 0.0, actuator: Actuator | None = None) -> World:
     """Return a box that hangs by its end on a hinge along y."""
-    joint = Joint(
-        WORLD,
-        (0.0, 0.0, 0.0),
-        (LENGTH, 0.0, 0.0),
-        ((0.0, 1.0, 0.0),),
-        (-9.0,),
-        (9.0,),
-        actuator=actuator,
-        stiffness=stiffness,
-    )
+    given = {"actuator": actuator, "stiffness": stiffness}
+    joint = hinge(WORLD, (0.0, 0.0, 0.0), (LENGTH, 0.0, 0.0), "y", 9.0, **given)
     body = Body("bob", Box(SIZE), Material(DENSITY))
     return World(build_tree(Creature("pendulum", (body,), root_joint=joint)), GRAVITY)
 
@@ -199,22 +199,14 @@ def test_a_motor_holds_a_root_that_settles():
 
 def planar(hangs: bool) -> Creature:
     """Return a trunk with two legs that turn about y, free or in the plane y = 0."""
-    y, wide = (0.0, 1.0, 0.0), (-9.0,)
     flesh, bodies = Material(DENSITY), [Body("trunk", Box(SIZE), Material(DENSITY))]
     for name, x in (("fore", 0.15), ("hind", -0.1)):
-        leg = Joint("trunk", (x, 0.0, -0.05), (0.0, 0.0, 0.1), (y,), wide, (9.0,))
+        leg = hinge("trunk", (x, 0.0, -0.05), (0.0, 0.0, 0.1), "y", 9.0)
         bodies.append(Body(name, Box((0.04, 0.1, 0.2)), flesh, leg))
     if not hangs:
         return Creature("free", tuple(bodies))
-    joint = Joint(
-        WORLD,
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, 0.0),
-        ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), y),
-        wide * 3,
-        (9.0,) * 3,
-        kinds=(Slide(), Slide(), Turn()),
-    )
+    centre, kinds = (0.0, 0.0, 0.0), (Slide(), Slide(), Turn())
+    joint = hinge(WORLD, centre, centre, "xzy", 9.0, kinds=kinds)
     return Creature("planar", tuple(bodies), root_joint=joint)
 
 

@@ -9,7 +9,18 @@ import pytest
 import scipy.optimize
 import yaml
 
-from creatures import AXES, coast, in_water, quick_jit, random_state, single, surfaces_of
+from creatures import (
+    coast,
+    hinge,
+    in_water,
+    quick_jit,
+    random_state,
+    resting,
+    single,
+    slope,
+    surfaces_of,
+    whole,
+)
 from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Ellipsoid, Sphere
@@ -115,7 +126,7 @@ def test_force_is_the_stated_formula(lengths, x64):
 def test_derivatives_equal_finite_differences(x64):
     """Of the wrench, and of the two parts of the step: D and the averaged rest."""
     wing = Body("b0", Box((0.1, 0.2, 0.005)), Material(WATER))
-    joint = Joint("b0", (0, 0.1, 0), (0, -0.12, 0), (AXES["x"],), (-9.0,), (9.0,))
+    joint = hinge("b0", (0, 0.1, 0), (0, -0.12, 0), "x", 9.0)
     tip = Body("b1", Ellipsoid((0.1, 0.04, 0.006)), Material(WATER), joint)
     world = lifted(Creature("wing", (wing, tip)))
     law = world.forces[0]
@@ -135,17 +146,13 @@ def test_derivatives_equal_finite_differences(x64):
         (part,) = law.parts(now)
         return law.derivative(now), part.resistance, law.averaged(now, now.moving(other))
 
-    slope, resistance, rest = map(np.asarray, parts(velocity))
-    change = 1e-6
+    derivative, resistance, rest = map(np.asarray, parts(velocity))
     for column in range(6):
-        step = change * np.eye(6)[column][:, None, None]
-        ahead, behind = (np.asarray(wrench(velocity + sign * step)) for sign in (1, -1))
-        difference = (ahead - behind) / (2 * change)
-        np.testing.assert_allclose(slope[:, column], difference, rtol=1e-6, atol=1e-5)
-    angular, mixed, linear = resistance / 0.01
-    rows = [(angular, mixed), (mixed.swapaxes(0, 1), linear)]
-    damping = np.concatenate([np.concatenate(row, 1) for row in rows])
-    expected = np.einsum("ijbn,jbn->ibn", slope + 2 * damping, other)
+        step = 1e-6 * np.eye(6)[column][:, None, None]
+        difference = slope(wrench, velocity, step)
+        np.testing.assert_allclose(derivative[:, column], difference, rtol=1e-6, atol=1e-5)
+    damping = whole(resistance / 0.01)
+    expected = np.einsum("ijbn,jbn->ibn", derivative + 2 * damping, other)
     np.testing.assert_allclose(rest, expected, rtol=1e-9, atol=1e-9)
     least = np.linalg.eigvalsh(np.moveaxis(damping, (0, 1), (-2, -1))).min()
     assert least > -1e-9 * np.abs(damping).max()
@@ -190,7 +197,7 @@ def test_thin_bodies_outside_chains_have_lift(x64):
     def row(count):
         bodies = [Body("b0", Box((0.1, 0.01, 0.08)), Material(WATER))]
         for i in range(1, count):
-            joint = Joint(f"b{i - 1}", (-0.05, 0, 0), (0.05, 0, 0), (AXES["z"],), (-1.0,), (1.0,))
+            joint = hinge(f"b{i - 1}", (-0.05, 0, 0), (0.05, 0, 0))
             bodies.append(Body(f"b{i}", Box((0.1, 0.01, 0.08)), Material(WATER), joint))
         return Creature("row", tuple(bodies))
 
@@ -201,7 +208,7 @@ def test_thin_bodies_outside_chains_have_lift(x64):
 
 def test_bodies_of_a_batch_keep_thick_and_empty_bodies(x64):
     """With the layout "complete" every body has finite numbers and thick ones have no force."""
-    joint = Joint("b0", (0.1, 0, 0), (0, 0.0, 0), (AXES["x"],), (-1.0,), (1.0,))
+    joint = hinge("b0", (0.1, 0, 0), (0, 0.0, 0), "x")
     empty = Body("b1", Box((0.0, 0.0, 0.0)), Material(WATER), joint)
     creature = Creature("two", (Body("b0", Box((0.1, 0.1, 0.1)), Material(WATER)), empty))
     law = make_plate_lift(creature, build_tree(creature), layout="complete")
@@ -249,8 +256,7 @@ def test_a_tilted_plate_glides_at_its_closed_form_speed(x64):
     angle = scipy.optimize.brentq(unbalance, 1e-3, 1.5)
     weight = 500.0 * chord * span * thickness * GRAVITY
     speed = np.sqrt(weight * np.cos(tilt) / (0.5 * WATER * normal(angle)))
-    start = resting_state(world.tree, dtype=jnp.float64)
-    start = dataclasses.replace(start, orientation=jnp.asarray(tilted(tilt)))
+    start = resting(world.tree, orientation=tilted(tilt))
     end = coast(world, start, 20.0, 1 / 60).velocity[-1]
     path = angle + tilt
     np.testing.assert_allclose(end[3], speed * np.cos(path), rtol=1e-6)
@@ -261,8 +267,7 @@ def test_a_tilted_plate_glides_at_its_closed_form_speed(x64):
 def test_the_step_is_of_second_order(x64):
     """Half the step gives a quarter of the error, for a plate that turns its leading edge up."""
     world = lifted(single(Box((0.1, 0.2, 0.02))))
-    state = resting_state(world.tree, dtype=jnp.float64)
-    state = dataclasses.replace(state, velocity=jnp.array([0.0, 0.0, 0.0, 0.3, 0.06, -0.1]))
+    state = resting(world.tree, velocity=jnp.array([0.0, 0.0, 0.0, 0.3, 0.06, -0.1]))
     ends = [coast(world, state, 0.2, 0.2 / n).velocity[-1] for n in (64, 128, 1024)]
     errors = [np.abs(end - ends[-1]).max() for end in ends[:2]]
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15)
@@ -296,8 +301,7 @@ def flight(world: World, steps: int):
             state, _ = step(world, state, rate, h)
             return state, state.velocity[3]
 
-        start = resting_state(world.tree, dtype=jnp.float64)
-        start = dataclasses.replace(start, q=jnp.array([0.0, twist] * 2))
+        start = resting(world.tree, q=jnp.array([0.0, twist] * 2))
         state, speeds = jax.lax.scan(advance, start, jnp.arange(steps))
         return state.position[0], speeds[-120:].mean()
 
@@ -319,9 +323,7 @@ def test_gradient_of_a_flight_equals_differences(x64):
     fly = flight(lifted(flyer(), viscosity=1e-3), 40)
     displacement = quick_jit(lambda stroke: fly(stroke)[0])
     found = quick_jit(jax.grad(lambda stroke: fly(stroke)[0]))(0.7)
-    change = 1e-5
-    expected = (displacement(0.7 + change) - displacement(0.7 - change)) / (2 * change)
-    assert float(found) == pytest.approx(float(expected), rel=1e-6)
+    assert float(found) == pytest.approx(float(slope(displacement, 0.7, 1e-5)), rel=1e-6)
 
 
 ROWER = """

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import clapper, quick_jit
+from creatures import clapper, hinge, quick_jit, resting
 from evo_cpg.api.record import as_record
 from evo_cpg.control.controller import Command
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.creature.tree import build_tree
@@ -207,10 +207,10 @@ def test_a_recording_has_the_mean_force_of_every_pair(x64):
 def test_overlapping_limbs_separate_slowly(x64, shape):
     """The push-out does little work at any depth: the speed stays below 0.5 m/s."""
     world, run = adrift(shape, "z")
-    tree, state = world.tree, resting_state(world.tree, (COUNT,), jnp.float64)
+    tree = world.tree
     arms = inwards(tree) * [name.split(".")[0].endswith("arm") for name in tree.dof_names]
     angle = arms[:, None] * np.linspace(0.16, 0.18, COUNT)
-    start = dataclasses.replace(state, q=jnp.asarray(angle))
+    start = resting(tree, (COUNT,), q=angle)
     states, gap, _, residual = drift(run, start, STEPS)
     assert np.asarray(residual).max() < 1e-9
     assert np.asarray(gap)[0].min() < -0.02
@@ -255,15 +255,8 @@ def test_boxes_that_cannot_touch_are_no_pair(yaw):
     bodies = [Body("trunk", Box((0.3, 0.3, 0.05)), FLESH)]
     for side, name in ((1, "left"), (-1, "right")):
         place = turn @ [-side * 0.075, side * 0.05, 0.0]
-        joint = Joint(
-            "trunk",
-            tuple(place),
-            (0.0, 0.0, 0.1),
-            axes=((0.0, 1.0, 0.0),),
-            lower=(-1.5,),
-            upper=(1.5,),
-            orientation=tuple(map(tuple, turn.tolist())),
-        )
+        turned = tuple(map(tuple, turn.tolist()))
+        joint = hinge("trunk", tuple(place), (0.0, 0.0, 0.1), "y", 1.5, orientation=turned)
         bodies.append(Body(name, Box((0.03, 0.03, 0.2)), FLESH, joint))
     creature = Creature("legs", tuple(bodies))
     pairs = make_pairs(creature, build_tree(creature), SelfCollision(include=(("left", "right"),)))

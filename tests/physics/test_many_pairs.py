@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import clapper, quick_jit
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from creatures import clapper, hinge, quick_jit
+from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.creature.tree import build_tree
@@ -38,8 +38,11 @@ def loops(monkeypatch):
     return lambda yes: monkeypatch.setattr(written_out, "_MOST_WRITTEN_OUT", 0 if yes else 10**6)
 
 
-def folded(tree, dtype):
-    """Return states with limbs that turn inwards, so that some touch. The root rests."""
+def clapping(shape, axes, dtype=jnp.float64):
+    """Return a world, and states with limbs that turn inwards so that some touch."""
+    creature = clapper(LIMBS[shape], axes, Actuator(2.0, torque_limit=5.0))
+    tree = build_tree(creature)
+    world = World(tree, 0.0, pairs=make_pairs(creature, tree, SelfCollision()))
     rng = np.random.default_rng(3)
     inwards = np.array([-1.0 if name.startswith("left") else 1.0 for name in tree.dof_names])
     about_z = np.array([name.endswith("z") for name in tree.dof_names])
@@ -47,7 +50,8 @@ def folded(tree, dtype):
     q = turned + 0.1 * rng.normal(size=turned.shape)
     qd = 4.0 * (inwards * about_z)[:, None] + rng.normal(size=turned.shape)
     state = resting_state(tree, (COUNT,), dtype)
-    return dataclasses.replace(state, q=jnp.asarray(q, dtype), qd=jnp.asarray(qd, dtype))
+    given = {"q": jnp.asarray(q, dtype), "qd": jnp.asarray(qd, dtype)}
+    return world, dataclasses.replace(state, **given)
 
 
 def one_step(world, state):
@@ -60,10 +64,7 @@ def one_step(world, state):
     ("shape", "axes"), [("capsules", "z"), ("boxes", "z"), ("boxes", "yz"), ("ellipsoids", "yz")]
 )
 def test_loops_find_the_same_step(x64, loops, shape, axes):
-    creature = clapper(LIMBS[shape], axes, Actuator(2.0, torque_limit=5.0))
-    tree = build_tree(creature)
-    world = World(tree, 0.0, pairs=make_pairs(creature, tree, SelfCollision()))
-    state = folded(tree, jnp.float64)
+    world, state = clapping(shape, axes)
     loops(False)
     expected, effort = one_step(world, state)
     loops(True)
@@ -79,10 +80,7 @@ def test_loops_find_the_same_step(x64, loops, shape, axes):
 @pytest.mark.slow
 def test_loops_on_plain_jax_find_the_same_step(x64, loops):
     """Mix individuals with and without forces in programs of plain JAX."""
-    creature = clapper(LIMBS["capsules"], "z", Actuator(2.0, torque_limit=5.0))
-    tree = build_tree(creature)
-    world = World(tree, 0.0, pairs=make_pairs(creature, tree, SelfCollision()))
-    state = folded(tree, jnp.float64)
+    world, state = clapping("capsules", "z")
     loops(True)
     expected, effort = one_step(world, state)
     with using(Engine("jax")):
@@ -93,10 +91,8 @@ def test_loops_on_plain_jax_find_the_same_step(x64, loops):
 
 @pytest.mark.parametrize("shape", LIMBS)
 def test_loops_measure_the_same_gaps(x64, loops, shape):
-    creature = clapper(LIMBS[shape], "yz", Actuator(2.0, torque_limit=5.0))
-    tree = build_tree(creature)
-    pairs = make_pairs(creature, tree, SelfCollision())
-    state = folded(tree, jnp.float64)
+    world, state = clapping(shape, "yz")
+    tree, pairs = world.tree, world.pairs
 
     def measure(state):
         return separations(pairs, kinematics(tree, state))
@@ -120,10 +116,8 @@ def test_loops_measure_the_same_gaps(x64, loops, shape):
 
 def test_points_that_are_not_watched_exert_no_force(x64, loops):
     """Points that are not watched in a step are too far away to touch, at any reachable rate."""
-    creature = clapper(LIMBS["capsules"], "z", Actuator(2.0, torque_limit=5.0))
-    tree = build_tree(creature)
-    pairs = make_pairs(creature, tree, SelfCollision())
-    state = folded(tree, jnp.float64)
+    world, state = clapping("capsules", "z")
+    tree, pairs = world.tree, world.pairs
     state = dataclasses.replace(state, qd=8.0 * state.qd)
 
     def watch(state):
@@ -149,10 +143,8 @@ def test_points_that_are_not_watched_exert_no_force(x64, loops):
 @pytest.mark.slow
 def test_points_that_are_left_out_change_no_bit(loops, monkeypatch):
     """Sums over the watched points equal sums over all points, one by one."""
-    creature = clapper(LIMBS["capsules"], "z", Actuator(2.0, torque_limit=5.0))
-    tree = build_tree(creature)
-    pairs = make_pairs(creature, tree, SelfCollision())
-    state = folded(tree, jnp.float32)
+    world, state = clapping("capsules", "z", jnp.float32)
+    tree, pairs = world.tree, world.pairs
     loops(True)
     monkeypatch.setattr(many_pairs, "_TOGETHER", 5)
 
@@ -186,15 +178,8 @@ def snake(count):
     size = Box((0.1, 0.05, 0.05))
     bodies = [Body("head", size, FLESH)]
     for k in range(1, count):
-        joint = Joint(
-            bodies[-1].name,
-            (-0.055, 0.0, 0.0),
-            child_anchor=(0.055, 0.0, 0.0),
-            axes=((0.0, 0.0, 1.0),),
-            lower=(-1.0,),
-            upper=(1.0,),
-            actuator=Actuator(2.0),
-        )
+        ends = (-0.055, 0.0, 0.0), (0.055, 0.0, 0.0)
+        joint = hinge(bodies[-1].name, *ends, actuator=Actuator(2.0))
         bodies.append(Body(f"part{k}", size, FLESH, joint))
     return Creature("snake", tuple(bodies))
 

@@ -8,8 +8,18 @@ import numpy as np
 import pytest
 import scipy.spatial
 
-from creatures import coast, in_water, last, quick_jit, random_state
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material, lowest_height
+from creatures import (
+    coast,
+    hinge,
+    in_water,
+    last,
+    quick_jit,
+    random_state,
+    resting,
+    single,
+    slope,
+)
+from evo_cpg.creature.creature import Actuator, Body, Creature, Material, lowest_height
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
@@ -19,7 +29,6 @@ from evo_cpg.physics.contact.contact_points import clearance
 from evo_cpg.physics.contact.terrain import Block
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.tree.kinematics import kinematics
-from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.physics.water.added_mass import added_inertia
 from evo_cpg.physics.water.buoyancy import displacement, make_cells
 from evo_cpg.physics.water.fluid import Drag, drag
@@ -28,10 +37,6 @@ from polyhedra import ball_mesh, box_mesh, tetrahedron, wedge
 
 SIZE = (0.3, 0.2, 0.1)
 GRAVITY, WATER = 9.81, 1000.0
-
-
-def single(shape: Shape, density: float = 500.0) -> Creature:
-    return Creature("single", (Body("b", shape, Material(density)),))
 
 
 def directions(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -69,11 +74,8 @@ def displaced(creature: Creature, pose):
 
 def resistance(world, velocity) -> list[np.ndarray]:
     """Return the wrench of the drag and its derivative."""
-    return list(
-        map(
-            np.asarray, quick_jit(lambda v: drag(world.law(Drag), world.water.density, v))(velocity)
-        )
-    )
+    run = quick_jit(lambda v: drag(world.law(Drag), world.water.density, v))
+    return list(map(np.asarray, run(velocity)))
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -115,10 +117,7 @@ def test_draught_of_a_box_follows_archimedes(density):
     """The draught is the relative density times the height. Released there, the box stays."""
     world = in_water(single(box_mesh(SIZE), density), surface=0.0)
     height = SIZE[2] * (0.5 - density / WATER)
-    state = resting_state(world.tree, (1,), jnp.float64)
-    state = dataclasses.replace(state, position=state.position.at[2].set(height))
-
-    end = last(coast(world, state, 2.0, 1 / 120))
+    end = last(coast(world, resting(world.tree, (1,), height), 2.0, 1 / 120))
     np.testing.assert_allclose(end.position[:, 0], [0, 0, height], atol=1e-9)
     np.testing.assert_allclose(end.orientation[:, 0], [1, 0, 0, 0], atol=1e-9)
 
@@ -131,9 +130,8 @@ def twist(rng: np.random.Generator, count: int) -> jax.Array:
 def test_drag_of_a_box_mesh_equals_the_box(resolution):
     velocity = twist(np.random.default_rng(1), 20)
     ours, theirs = (in_water(single(shape), resolution) for shape in (box_mesh(SIZE), Box(SIZE)))
-    for found, expected in zip(
-        resistance(ours, velocity), resistance(theirs, velocity), strict=True
-    ):
+    both = (resistance(world, velocity) for world in (ours, theirs))
+    for found, expected in zip(*both, strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
@@ -255,13 +253,9 @@ def test_a_mesh_touches_a_block_and_the_floor():
 
 
 def pair(first: Shape, second: Shape) -> Creature:
-    joint = Joint(
-        "a", (-0.2, 0, 0), (0.2, 0, 0), ((0, 0, 1.0), (0, 1.0, 0)), (-1.0,) * 2, (1.0,) * 2
-    )
-    joint = dataclasses.replace(joint, actuator=Actuator(1.0))
-    return Creature(
-        "pair", (Body("a", first, Material(500.0)), Body("b", second, Material(500.0), joint))
-    )
+    joint = hinge("a", (-0.2, 0, 0), (0.2, 0, 0), "zy", actuator=Actuator(1.0))
+    flesh = Material(500.0)
+    return Creature("pair", (Body("a", first, flesh), Body("b", second, flesh, joint)))
 
 
 @pytest.mark.slow
@@ -291,16 +285,13 @@ def test_a_fused_step_equals_plain_jax():
 @pytest.mark.slow
 def test_gradients_at_the_surface_equal_central_differences():
     """Differentiate the height after two steps by the initial height."""
-    world = in_water(single(wedge()), surface=0.0)
+    world = in_water(single(wedge(), 500.0), surface=0.0)
 
     def height(start):
-        state = resting_state(world.tree, dtype=jnp.float64)
-        state = dataclasses.replace(state, position=state.position.at[2].set(start))
+        state = resting(world.tree, height=start)
         for _ in range(2):
             state = step(world, state, jnp.zeros(0), 1 / 120)[0]
         return state.position[2]
 
     found = quick_jit(jax.grad(height))(0.01)
-    above, below = (quick_jit(height)(0.01 + change) for change in (1e-5, -1e-5))
-    expected = (above - below) / 2e-5
-    assert float(found) == pytest.approx(float(expected), rel=1e-5)
+    assert float(found) == pytest.approx(float(slope(quick_jit(height), 0.01, 1e-5)), rel=1e-5)

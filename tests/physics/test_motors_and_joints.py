@@ -11,10 +11,12 @@ from jaxtyping import Array
 from creatures import (
     STRUCTURES,
     box_chain,
+    hinge,
     in_water,
     quick_jit,
     random_creature,
     random_state,
+    resting,
     rolled,
 )
 from evo_cpg.analysis.energy import mechanical_energy
@@ -23,7 +25,6 @@ from evo_cpg.creature.creature import (
     Actuator,
     Body,
     Creature,
-    Joint,
     Material,
     TorqueMotor,
 )
@@ -108,18 +109,8 @@ def spring_pair(
 ) -> Creature:
     """Return two boxes with a common centre that turn against each other about z."""
     material = Material(1000.0)
-    joint = Joint(
-        parent="a",
-        parent_anchor=(0.0, 0.0, 0.0),
-        child_anchor=(0.0, 0.0, 0.0),
-        axes=((0.0, 0.0, 1.0),),
-        lower=(-limits,),
-        upper=(limits,),
-        stiffness=stiffness,
-        damping=damping,
-        armature=rotor,
-        actuator=motor,
-    )
+    given = {"stiffness": stiffness, "damping": damping, "armature": rotor, "actuator": motor}
+    joint = hinge("a", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), limit=limits, **given)
     bodies = (
         Body("a", Box((0.3, 0.1, 0.1)), material),
         Body("b", Box((0.2, 0.1, 0.05)), material, joint),
@@ -145,8 +136,7 @@ def test_spring_is_the_implicit_euler_oscillator(damping):
     creature = spring_pair(stiffness, damping)
     inertia = reduced_inertia(creature)
     world = World(build_tree(creature), 0.0)
-    state = resting_state(world.tree, dtype=jnp.float64)
-    state = dataclasses.replace(state, q=jnp.array([start]))
+    state = resting(world.tree, q=jnp.array([start]))
     states, _ = rolled(world, state, jnp.zeros((100, 1)), H)
     rate = np.array([[0.0, 1.0], [-stiffness / inertia, -damping / inertia]])
     expected = [np.array([start, 0.0])]
@@ -173,9 +163,7 @@ def test_a_spring_rests_at_its_angle_and_an_axis_without_limits_turns_on():
         assert float(mechanical_energy(still)) < 1e-9
         bodies = [dataclasses.replace(two.bodies[1], joint=dataclasses.replace(spun, parent="b0"))]
         world = World(build_tree(dataclasses.replace(two, bodies=(two.bodies[0], *bodies))), 0.0)
-        start = dataclasses.replace(
-            resting_state(world.tree, (), float), qd=jnp.array([20.0]), velocity=jnp.zeros(6)
-        )
+        start = resting(world.tree, qd=jnp.array([20.0]))
         states, _ = rolled(world, start, jnp.zeros((120, 1)), H)
         np.testing.assert_allclose(states.qd[:, 0], 20.0, rtol=1e-9)
 
@@ -186,8 +174,7 @@ def test_spring_frequency_equals_the_closed_form():
     omega = np.sqrt(0.05 / reduced_inertia(creature))
     world = World(build_tree(creature), 0.0)
     h = 0.025 / omega
-    state = resting_state(world.tree, dtype=jnp.float64)
-    state = dataclasses.replace(state, q=jnp.array([0.3]))
+    state = resting(world.tree, q=jnp.array([0.3]))
     states, _ = rolled(world, state, jnp.zeros((1000, 1)), h)
     q = np.asarray(states.q)[:, 0]
     crossings = np.flatnonzero(np.diff(np.sign(q)))
@@ -212,8 +199,7 @@ def test_soft_limit_holds_a_constant_push(gain):
     np.testing.assert_allclose(world.tree.limit_stiffness, stiffness, rtol=1e-12)
     ratio = np.sqrt(inertia * rate**2 / stiffness)
     overshoot = np.exp(-np.pi * ratio / np.sqrt(1 - ratio**2))
-    state = resting_state(world.tree, dtype=jnp.float64)
-    state = dataclasses.replace(state, q=jnp.array([limits]))
+    state = resting(world.tree, q=jnp.array([limits]))
     states, effort = rolled(world, state, jnp.full((240, 1), 1e6), H)
     np.testing.assert_array_equal(effort.torque, push)
     beyond = np.asarray(states.q)[:, 0] - limits
@@ -270,8 +256,7 @@ def at_the_limit(creature: Creature, speed: float, h: float):
     """Return angles beyond the limit and rates of a joint that reaches its limit at a speed."""
     world = World(build_tree(creature), 0.0)
     limit = float(world.tree.upper[0])
-    state = resting_state(world.tree, dtype=jnp.float64)
-    state = dataclasses.replace(state, q=jnp.array([limit]), qd=jnp.array([speed]))
+    state = resting(world.tree, q=jnp.array([limit]), qd=jnp.array([speed]))
     states, _ = rolled(world, state, jnp.zeros((round(0.1 / h), 1)), h)
     return np.asarray(states.q)[:, 0] - limit, np.asarray(states.qd)[:, 0]
 
@@ -279,7 +264,7 @@ def at_the_limit(creature: Creature, speed: float, h: float):
 def two_boxes(**joint) -> World:
     """Return two equal boxes that turn against each other about z, in vacuum without gravity."""
     box = Box((0.2, 0.1, 0.1))
-    joint = Joint("a", (0.1, 0, 0), (-0.1, 0, 0), ((0.0, 0.0, 1.0),), (-9.0,), (9.0,), **joint)
+    joint = hinge("a", (0.1, 0, 0), (-0.1, 0, 0), limit=9.0, **joint)
     material = Material(500.0)
     creature = Creature("pair", (Body("a", box, material), Body("b", box, material, joint)))
     return World(build_tree(creature), 0.0)
@@ -291,9 +276,7 @@ def test_a_neutral_dashpot_equals_a_passive_spring_and_damper(x64):
     passive = two_boxes(stiffness=3.0, damping=0.05)
 
     def angles(world: World, target: Array | None):
-        state = resting_state(world.tree, dtype=jnp.float64)
-        state = dataclasses.replace(state, q=jnp.array([-0.4]))
-
+        state = resting(world.tree, q=jnp.array([-0.4]))
         command = MotorCommand(jnp.zeros((200, 1)), target)
         return rolled(world, state, command, H)[0].q[:, 0]
 
@@ -331,11 +314,8 @@ def test_a_limited_motor_adds_only_its_work(limit, x64):
     products at that rate would add energy.
     """
     motor = Actuator(0.08 * limit, limit, 3.2 * limit)
-    axes = tuple(map(tuple, np.eye(3)))
     most = np.deg2rad(50)
-    joint = Joint(
-        "hub", (0.12, 0, 0), (-0.17, 0, 0), axes, (-most,) * 3, (most,) * 3, actuator=motor
-    )
+    joint = hinge("hub", (0.12, 0, 0), (-0.17, 0, 0), "xyz", most, actuator=motor)
     wood = Material(400.0)
     bodies = Body("hub", Sphere(0.12), wood), Body("leg", Capsule(0.025, 0.3), wood, joint)
     world = World(build_tree(Creature("one leg", bodies)), 0.0)

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from creatures import hinge
 from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
-from evo_cpg.creature.creature import Body, Creature, Joint, Material
+from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape
 from evo_cpg.creature.slender import slender_chains
 from evo_cpg.creature.tree import build_tree
@@ -21,14 +22,8 @@ def row(*shapes: Shape) -> Creature:
     """Shapes end to end, the first in front."""
     bodies = [Body("b0", shapes[0], Material(WATER))]
     for i, (ahead, own) in enumerate(itertools.pairwise(shapes), start=1):
-        joint = Joint(
-            f"b{i - 1}",
-            (-ahead.half_extents[0], 0.0, 0.0),
-            (own.half_extents[0], 0.0, 0.0),
-            ((0.0, 0.0, 1.0),),
-            (-1.0,),
-            (1.0,),
-        )
+        ends = (-ahead.half_extents[0], 0.0, 0.0), (own.half_extents[0], 0.0, 0.0)
+        joint = hinge(f"b{i - 1}", *ends)
         bodies.append(Body(f"b{i}", own, Material(WATER), joint))
     return Creature("row", tuple(bodies))
 
@@ -95,7 +90,7 @@ def edges(creature: Creature):
 def test_bodies_outside_of_chains_keep_their_own_added_mass():
     """A chain of two bodies is too short, too."""
     long, short = row(*[Capsule(0.05, 0.2)] * 3), row(*[Capsule(0.05, 0.2)] * 2)
-    fin = Joint("b0", (0.0, 0.05, 0.0), (0.0, -0.1, 0.0), ((1.0, 0.0, 0.0),), (-1.0,), (1.0,))
+    fin = hinge("b0", (0.0, 0.05, 0.0), (0.0, -0.1, 0.0), "x")
     creature = Creature(
         "fish", (*long.bodies, Body("fin", Box((0.05, 0.2, 0.01)), Material(WATER), fin))
     )

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import in_water
+from creatures import hinge, in_water
 from evo_cpg.creature.algebra.linear import inverse_symmetric, toward_one
 from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
-from evo_cpg.creature.creature import Body, Creature, Joint, Material
+from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.native.engine import Engine, using
@@ -160,27 +160,12 @@ def angular_momentum(tree, states):
 def test_a_tiny_claw_keeps_spinning(axes, engine):
     """A tiny claw on a free joint keeps its rate, and the pair its angular momentum."""
     large, small = 0.5, 0.0005
-    directions = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))[:axes]
-    joint = Joint(
-        parent="trunk",
-        parent_anchor=(large / 2, 0.0, 0.0),
-        child_anchor=(0.0, 0.0, 0.0),
-        axes=directions,
-        lower=(-99.0,) * axes,
-        upper=(99.0,) * axes,
-    )
-    creature = Creature(
-        "pair",
-        (
-            Body("trunk", Box((large, 0.7 * large, 0.5 * large)), Material(1000.0)),
-            Body("claw", Sphere(small), Material(1000.0), joint),
-        ),
-    )
-    world = World(build_tree(creature), 0.0)
+    joint = hinge("trunk", (large / 2, 0.0, 0.0), (0.0, 0.0, 0.0), "yzx"[:axes], 99.0)
+    trunk = Body("trunk", Box((large, 0.7 * large, 0.5 * large)), Material(1000.0))
+    claw = Body("claw", Sphere(small), Material(1000.0), joint)
+    world = World(build_tree(Creature("pair", (trunk, claw))), 0.0)
     rates = np.array([5.0, 0.0, 0.0])[:axes]
-    states = moved(
-        world, 60, 1 / 240, velocity=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], qd=rates, engine=engine
-    )
+    states = moved(world, 60, 1 / 240, qd=rates, engine=engine)
     # The joint is at the ball's centre, so the ball turns at a constant rate without reaction.
     np.testing.assert_allclose(states.qd[:, 0], 5.0, rtol=1e-3)
     momentum = angular_momentum(world.tree, states)

@@ -10,13 +10,20 @@ import numpy as np
 import pytest
 
 import driven
-from creatures import STRUCTURES, box_chain, quick_jit, random_creature, random_state
+from creatures import (
+    STRUCTURES,
+    box_chain,
+    hinge,
+    quick_jit,
+    random_creature,
+    random_state,
+    slope,
+)
 from evo_cpg.creature.creature import (
     NO_LIMIT,
     Actuator,
     Body,
     Creature,
-    Joint,
     Material,
     Tendon,
     TorqueMotor,
@@ -117,8 +124,8 @@ def test_tendons_accelerate_as_in_mujoco():
 def wheels(tendon: Tendon, motor: TorqueMotor | None = None, **values) -> World:
     """Return two like wheels on the centre of a heavy hub, with a tendon."""
     hub, rim = Box((0.2, 0.2, 0.2)), Box((0.3, 0.3, 0.02))
-    centre, free = (0.0, 0.0, 0.0), ((-NO_LIMIT,), (NO_LIMIT,))
-    joint = Joint("hub", centre, centre, ((0.0, 0.0, 1.0),), *free, actuator=motor, **values)
+    centre = (0.0, 0.0, 0.0)
+    joint = hinge("hub", centre, centre, limit=NO_LIMIT, actuator=motor, **values)
     water = Material(1000.0)
     bodies = [Body(name, rim, water, joint) for name in ("one", "two")]
     whole = Creature("wheels", (Body("hub", hub, water), *bodies), tendons=(tendon,))
@@ -129,13 +136,8 @@ def wheels(tendon: Tendon, motor: TorqueMotor | None = None, **values) -> World:
 def test_a_limit_of_a_tendon_holds_its_motor(limit):
     """Two joints with springs k_i bend by c_i (F - K d) / k_i, d the length beyond the limit."""
     coefficients, stiffness, pull, upper = np.array([1.0, -0.5]), 2.0, 3.0, 0.4
-    tendon = Tendon(
-        "t",
-        (("one.z", 1.0), ("two.z", -0.5)),
-        lower=-1.0,
-        upper=upper,
-        actuator=TorqueMotor(1.0, limit),
-    )
+    given = {"lower": -1.0, "upper": upper, "actuator": TorqueMotor(1.0, limit)}
+    tendon = Tendon("t", (("one.z", 1.0), ("two.z", -0.5)), **given)
     world = wheels(tendon, stiffness=stiffness, damping=0.3)
     command = MotorCommand(jnp.zeros(2), torque=jnp.array([pull, 0.0]))
     angle, *_ = driven.moved(world, command, 600, H)
@@ -227,8 +229,7 @@ def test_gradients_by_the_numbers_of_a_tendon(motor, loss):
     slopes, run = quick_jit(jax.jacrev(moved))(jnp.asarray(numbers)), quick_jit(moved)
     for i, number in enumerate(numbers):
         away = 1e-5 * number * (np.arange(len(numbers)) == i)
-        difference = (run(numbers + away) - run(numbers - away)) / (2e-5 * number)
-        np.testing.assert_allclose(slopes[:, i], difference, rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(slopes[:, i], slope(run, numbers, away), rtol=1e-6, atol=1e-8)
 
 
 @pytest.mark.slow

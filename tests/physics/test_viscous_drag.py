@@ -9,8 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import STRUCTURES, box_chain, coast, quick_jit, random_creature, single, surfaces_of
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from creatures import (
+    STRUCTURES,
+    box_chain,
+    coast,
+    hinge,
+    quick_jit,
+    random_creature,
+    resting,
+    single,
+    slope,
+    surfaces_of,
+    whole,
+)
+from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.step.step import step
@@ -56,15 +68,8 @@ def capsule_chain(count: int, length: float, radius: float, motor: Actuator | No
     one = (length - 2 * radius) / count
     bodies = []
     for i in range(count):
-        joint = Joint(
-            parent=f"b{i - 1}",
-            parent_anchor=(-one / 2, 0.0, 0.0),
-            child_anchor=(one / 2, 0.0, 0.0),
-            axes=((0.0, 0.0, 1.0),),
-            lower=(-2.0,),
-            upper=(2.0,),
-            actuator=motor,
-        )
+        ends = (-one / 2, 0.0, 0.0), (one / 2, 0.0, 0.0)
+        joint = hinge(f"b{i - 1}", *ends, limit=2.0, actuator=motor)
         bodies.append(Body(f"b{i}", Capsule(radius, one), Material(WATER), joint if i else None))
     return Creature("capsules", tuple(bodies))
 
@@ -313,14 +318,7 @@ def test_drag_never_drives(anything):
     law = law_of(world)
     part = quick_jit(lambda v: law.parts(moving(world, v))[0])(velocity)
     assert float((part.wrench * velocity).sum(0).max()) < 0
-    blocks = np.asarray(part.resistance)
-    full = np.concatenate(
-        [
-            np.concatenate([blocks[0], blocks[1]], 1),
-            np.concatenate([blocks[1].swapaxes(0, 1), blocks[2]], 1),
-        ]
-    )
-    matrices = np.moveaxis(full, (0, 1), (2, 3))
+    matrices = np.moveaxis(whole(part.resistance), (0, 1), (2, 3))
     np.testing.assert_allclose(matrices, matrices.swapaxes(2, 3), atol=1e-12)
     assert np.linalg.eigvalsh(matrices).min() > -1e-12
 
@@ -331,23 +329,19 @@ def test_derivative_equals_finite_differences(anything):
     law = law_of(world)
     wrench = quick_jit(lambda v: law.wrench(moving(world, v)))
     found = np.asarray(quick_jit(lambda v: law.derivative(moving(world, v)))(velocity))
-    change = 1e-6
     for column in range(6):
-        shift = change * (np.arange(6) == column)[:, None, None]
-        slope = (wrench(velocity + shift) - wrench(velocity - shift)) / (2 * change)
-        error = np.abs(found[:, column] - slope).max((0, 1))
+        expected = slope(wrench, velocity, 1e-6 * (np.arange(6) == column)[:, None, None])
+        error, size = (np.abs(x).max((0, 1)) for x in (found[:, column] - expected, expected))
         # A point whose normal velocity changes its sign has a kink.
-        assert np.median(error / np.abs(slope).max((0, 1))) < 1e-8
-        assert (error < 1e-6 * np.abs(slope).max((0, 1))).mean() > 0.9
+        assert np.median(error / size) < 1e-8
+        assert (error < 1e-6 * size).mean() > 0.9
 
 
 def test_a_current_is_the_opposite_motion():
     creature = single(Box((0.3, 0.2, 0.1)))
-    state = resting_state(build_tree(creature), (_COLUMNS,), jnp.float64)
     turned = np.random.default_rng(6).normal(size=(4, _COLUMNS))
-    state = dataclasses.replace(
-        state, orientation=jnp.asarray(turned / np.linalg.norm(turned, axis=0))
-    )
+    turned /= np.linalg.norm(turned, axis=0)
+    state = resting(build_tree(creature), (_COLUMNS,), orientation=turned)
     current = (0.3, -0.2, 0.1)
 
     def world_force(world: World, motion: tuple[float, ...]) -> np.ndarray:
@@ -403,8 +397,7 @@ def test_order_of_the_step():
 
     def end(viscosity, speed, steps):
         changed = eqx.tree_at(lambda w: w.law(ViscousDrag).viscosity, world, viscosity)
-        state = resting_state(world.tree, dtype=jnp.float64)
-        state = dataclasses.replace(state, velocity=jnp.array([0, 0, 0, speed, 0, 0]))
+        state = resting(world.tree, velocity=jnp.array([0, 0, 0, speed, 0, 0]))
         h = 0.2 / steps
         return jax.lax.fori_loop(
             0, steps, lambda _, s: step(changed, s, rest, h)[0], state
@@ -436,9 +429,7 @@ def test_gradient_by_viscosity_equals_finite_differences():
         return jax.lax.scan(advance, start, jnp.arange(40))[0].position @ jnp.array([1.0, 0.3, 0.1])
 
     value, gradient = map(float, quick_jit(jax.value_and_grad(swim))(0.1))
-    compiled = quick_jit(swim)
-    change = 1e-5
-    expected = float(compiled(0.1 + change) - compiled(0.1 - change)) / (2 * change)
+    expected = float(slope(quick_jit(swim), 0.1, 1e-5))
     assert abs(value) > 1e-4
     assert gradient == pytest.approx(expected, rel=1e-6)
 

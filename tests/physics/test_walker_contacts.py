@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import coast, jit_as_for_users, quick_jit
+from creatures import coast, hinge, jit_as_for_users, quick_jit
 from evo_cpg.control.controller import Observation
-from evo_cpg.creature.creature import Body, Creature, Joint, Material
+from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.build import build_experiment
@@ -185,9 +185,7 @@ def legged(legs, segments: int) -> World:
     for name, (x, y) in enumerate(legs):
         parent, anchor = "torso", (x, y, -0.08)
         for segment in range(segments):
-            joint = Joint(
-                parent, anchor, (0, 0, 0.12), ((0.0, 1.0, 0.0),), (-99.0,), (99.0,), damping=0.05
-            )
+            joint = hinge(parent, anchor, (0, 0, 0.12), "y", 99.0, damping=0.05)
             parent, anchor = f"{name}-{segment}", (0, 0, -0.12)
             bodies.append(Body(parent, Box((0.08, 0.08, 0.24)), flesh, joint))
     creature = Creature("legged", tuple(bodies))

@@ -7,7 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import STRUCTURES, coast, in_water, last, quick_jit, random_creature, single
+from creatures import (
+    STRUCTURES,
+    coast,
+    in_water,
+    last,
+    quick_jit,
+    random_creature,
+    resting,
+    single,
+    whole,
+)
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.physics.water.fluid import Drag, drag
@@ -126,13 +136,7 @@ def test_drag_takes_energy_from_any_motion(law):
     )
     assert float((wrench * velocity).sum(0).max()) < 0
     # D is symmetric and positive semidefinite, so that the implicit step only damps.
-    blocks = np.asarray(derivative)[..., :5]
-    full = np.block(
-        [
-            [np.moveaxis(blocks[0], (0, 1), (2, 3)), np.moveaxis(blocks[1], (0, 1), (2, 3))],
-            [np.moveaxis(blocks[1], (0, 1), (3, 2)), np.moveaxis(blocks[2], (0, 1), (2, 3))],
-        ]
-    )
+    full = np.moveaxis(whole(np.asarray(derivative)[..., :5]), (0, 1), (2, 3))
     np.testing.assert_allclose(full, np.swapaxes(full, 2, 3), rtol=1e-12, atol=1e-9)
     assert np.linalg.eigvalsh(full).min() > -1e-9
 
@@ -150,9 +154,8 @@ def test_implicit_derivative_is_half_the_exact_derivative():
         )(v)
         return derivative[..., 0], jacobian
 
-    (angular, mixed, linear), jacobian = map(np.asarray, both(velocity))
-    full = np.block([[angular, mixed], [mixed.T, linear]])
-    np.testing.assert_allclose(full, -jacobian / 2, rtol=1e-10, atol=1e-12)
+    blocks, jacobian = both(velocity)
+    np.testing.assert_allclose(whole(blocks), -jacobian / 2, rtol=1e-10, atol=1e-12)
 
 
 def test_drag_of_a_turning_sphere_is_friction_alone():
@@ -226,9 +229,6 @@ def test_neutral_spheres_reach_the_local_velocity():
     shear = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
     world = in_water(single(Sphere(0.05)), skin_drag=0.05, current=(0.0, 0.1, 0.0), gradient=shear)
     heights = np.array([-1.0, 0.0, 2.0])
-    state = resting_state(world.tree, (3,), jnp.float64)
-    position = state.position.at[2].set(jnp.asarray(heights))
-    state = dataclasses.replace(state, position=position)
-    end = last(coast(world, state, 20.0, H))
+    end = last(coast(world, resting(world.tree, (3,), heights), 20.0, H))
     np.testing.assert_allclose(end.velocity[4], 0.1 + 0.5 * heights, atol=0.01)
     np.testing.assert_allclose(end.position[2], heights, atol=1e-9)

@@ -115,13 +115,15 @@ def chosen(choose: Callable[[], _T], holds: Callable[[_T], Condition] | None = N
     return made
 
 
+def decided(condition: Callable[[], Condition]) -> bool:
+    """Return whether a condition holds, which is right as long as its truth value stays."""
+    return chosen(lambda: bool(condition()), lambda made: condition() == made)
+
+
 def some_hold(conditions: Callable[[], Condition]) -> bool:
     """Return whether any of some conditions holds, to decide whether a model gets a part.
 
     The part stays right if all conditions cease to hold.
-
-    Args:
-        conditions: function that returns an array of truth values, which may be traced.
     """
     return chosen(lambda: bool(conditions().any()), lambda made: made | ~conditions().any())
 
@@ -150,9 +152,7 @@ def _recorded_or_replayed(kind: str, make: Callable[[], _T]) -> _T:
 
     Decisions made inside the function are not recorded.
 
-    Args:
-        kind: name of the record's list, "made" or "searched".
-        make: function of known numbers.
+    The kind is the name of the record's list, "made" or "searched".
     """
     present = _present.get()
     if present.replays:

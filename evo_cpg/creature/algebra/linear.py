@@ -150,9 +150,6 @@ def toward_one(size: Any) -> Any:
 
     After multiplication by the square, a product of three numbers stays within float32. Rounding
     does not change: a product with a power of two is exact.
-
-    Args:
-        size: NumPy or JAX array of numbers from 1e-28 to 1e28.
     """
     return xp.where(size < _SMALL, _LARGE, xp.where(size > _LARGE, _SMALL, 1.0))
 

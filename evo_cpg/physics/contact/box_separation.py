@@ -52,10 +52,7 @@ _FLOOR = 1e-12
 def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> list[Separation]:
     """Return the separations of boxes without radius.
 
-    Args:
-        a: first boxes.
-        b: second boxes.
-        corners: number of contact points of a face on a face, 3 or 4.
+    A face on a face has 3 or 4 contact points, as ``corners`` says.
     """
     gap, normal, of_b = _best_face(a, b)
     clearly = jnp.minimum(_CLEARLY, _CLEAR_FRACTION * smaller(a, b))
@@ -165,11 +162,8 @@ def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: A
 def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) -> Separation:
     """Return the contact at the far end of edges from the corner, moved over the face.
 
-    Args:
-        face: the face and the box over it.
-        gap: gap of the corner, m.
-        least: least distance of a contact point from the corner, m.
-        which: indices of the edges, counted without the steepest edge.
+    The edges ``which`` are counted without the steepest one. A contact nearer to the corner than
+    ``least`` (m) is missing.
     """
     axes = face.over.axes
     rise = matvec_t(axes, face.normal)
@@ -222,13 +216,7 @@ def _nearest_on_edges(
 ) -> tuple[Array, Array]:
     """Return the nearest points of two edges, at most an edge's length from its corner.
 
-    Args:
-        first: a corner on the first edge, m.
-        second: a corner on the second edge, m.
-        d: direction of the first edge.
-        e: direction of the second edge.
-        most: half the length of the first edge, m.
-        farthest: half the length of the second edge, m.
+    Each edge has a corner (m), a direction and half a length (m).
     """
     away = first - second
     both, own, other = dot(d, e), dot(d, away), dot(e, away)

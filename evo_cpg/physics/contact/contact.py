@@ -51,7 +51,7 @@ from evo_cpg.physics.contact.contact_model import STIFFNESS, ContactModel
 from evo_cpg.physics.contact.contact_points import contact_points
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.per_body import PerBody, take
-from evo_cpg.physics.tree.spatial_algebra import Inertia, Motion, Wrench
+from evo_cpg.physics.tree.spatial_algebra import Inertia, Wrench
 
 # Baumgarte stabilisation: fraction of a penetration that is undone in a step, and the fastest exit
 # (m/s).
@@ -151,14 +151,7 @@ class Contacts(NamedTuple):
         force = matvec_t(self.frame, force)
         bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), force.ndim - 2)
         on_bodies = Wrench(cross(self.offset, force), force)
-        return bodies.plus(self.model.bodies, on_bodies).stacked()
-
-    def change_of_velocity(self, accelerations: Motion) -> Float[Array, "3 p *n"]:
-        """Return the velocity changes of the points by accelerations of all bodies."""
-        bodies = np.array(self.model.bodies)
-        angular = take(accelerations.angular, bodies)
-        change = take(accelerations.linear, bodies) + cross(angular, self.offset)
-        return self.h * matvec(self.frame, change)
+        return bodies.plus(self.model.bodies, on_bodies)[:]
 
 
 class ContactLinearization(NamedTuple):
@@ -194,7 +187,7 @@ class ContactLinearization(NamedTuple):
         mixed = matmul(shift, translation)
         blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, translation)
         bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), translation.ndim - 3)
-        return bodies.plus(contacts.model.bodies, blocks).stacked()
+        return bodies.plus(contacts.model.bodies, blocks)[:]
 
 
 def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Contacts:

@@ -270,12 +270,8 @@ def _lowest_of_rims(
     more on the lower rim. The lowest point of a rim stays below the axis of a lying cylinder, and
     turns with an upright one.
 
-    Args:
-        rotation: axes of the cylinders, as columns.
-        centre: vectors from the bodies' origins to the centres, m.
-        size: half lengths and radii ``(2, c, *n)``, m.
-        up: normals of the ground.
-        turn: rotation of the bodies until the end of the step, rad.
+    The size is half length and radius, ``(2, c, *n)``, m, and ``turn`` the rotation of the bodies
+    until the end of the step, rad.
     """
     half, radius = size
     axis = rotation[:, 0]

@@ -513,14 +513,8 @@ def _nearest(
 ) -> _Points:
     """Find the points of the pairs of a run.
 
-    Args:
-        run: the kind of the pairs.
-        first: first body of each pair.
-        second: second body of each pair.
-        placed: boxes of all bodies (`Alike.boxes`), radii of bounding balls (m), distances that
-            bodies move in this step (m), and margins (m).
-        twists: twists of all bodies at the start of the step (`ManyPairContacts.twists`).
-        h: step, s.
+    ``placed`` is the boxes of all bodies (`Alike.boxes`), radii of bounding balls, distances that
+    bodies move in this step, and margins, m. The twists are those at the start of the step.
     """
     boxes, size, approach, margin = placed
     spin, linear = twists

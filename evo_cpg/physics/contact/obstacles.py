@@ -65,11 +65,7 @@ def obstacle_points(
 ) -> list[ContactPoints]:
     """Return the points at which parts may touch obstacles, in the order of `Solids.bodies`.
 
-    Args:
-        solids: the parts.
-        ground: ground with one obstacle at least.
-        kin: kinematics of the creature.
-        h: step, s. Fast parts meet the obstacles in their way instead of passing through them.
+    Fast parts meet the obstacles in their way instead of passing through them.
     """
     found = []
     for kind, parts, most in zip(Solids._fields[:4], solids[:4], solids.points, strict=True):
@@ -283,13 +279,8 @@ def nearest_to_ball(
 ) -> tuple[Array, Array]:
     """Return the gap to balls, m, and the unit vector from a ball to the ellipsoid.
 
-    Args:
-        centre: centres of the ellipsoids, m.
-        axes: axes of the ellipsoids, as columns.
-        semi_axes: semi-axes of the ellipsoids, m.
-        ball: centres of the balls, m. A centre inside an ellipsoid leaves along the gradient of the
-            ellipsoid's equation, to first order.
-        radius: radii of the balls, m.
+    A ball's centre inside an ellipsoid leaves along the gradient of the ellipsoid's equation, to
+    first order.
     """
     own = matvec_t(axes, ball - centre)
     square = semi_axes * semi_axes

@@ -50,7 +50,7 @@ from evo_cpg.physics.contact.pairs import (
     separations,
 )
 from evo_cpg.physics.contact.separation import Separation
-from evo_cpg.physics.tree import joints, root
+from evo_cpg.physics.tree import root
 from evo_cpg.physics.tree.kinematics import Kinematics, motion_of_bodies
 from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
@@ -213,6 +213,11 @@ def _jacobian(
     for point, own, others in zip(points, chains, reversed(chains), strict=True):
         each = zip(own, others, strict=True)
         moves = [[body in one - other for body in tree.dof_bodies] for one, other in each]
-        along = joints.speed_along(kin.axes, point[:, :, None] - origins[:, None], normal)
-        speeds.append(expand_dims_like(np.array(moves, float), along) * along)
+        # Speed of the points along their normals, per rate of each degree of freedom.
+        offset, S = point[:, :, None] - origins[:, None], kin.axes
+        along = jnp.broadcast_to(normal[:, :, None], offset.shape)
+        speed = dot(S.angular[:, None], cross(offset, along))
+        if S.linear is not None:
+            speed = speed + dot(S.linear[:, None], along)
+        speeds.append(expand_dims_like(np.array(moves, float), speed) * speed)
     return speeds[1] - speeds[0]

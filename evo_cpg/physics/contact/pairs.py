@@ -88,10 +88,8 @@ class Alike(NamedTuple):
     def boxes(self, placed: tuple[Array, ...], pick: Callable, side: int) -> RoundedBoxes:
         """Return the boxes of the first (side 0) or the second bodies (side 1) of some pairs.
 
-        Args:
-            placed: centres, axes as columns, half extents and radii of all bodies' boxes, m.
-            pick: function that picks bodies from an array along an axis.
-            side: place of the bodies in their pairs.
+        ``placed`` is centres, axes as columns, half extents and radii of all bodies' boxes, m.
+        ``pick`` takes bodies from an array along an axis.
         """
         order = np.array(self.turned[side])
         axes = zip(placed, (1, 2, 1, 0), strict=True)

@@ -113,16 +113,15 @@ def times_of_contact(
     The time of slow parts is 0. The second result is the distance (m) that a fast part moves until
     it touches the obstacle.
 
-    Args:
-        parts: parts of the creature.
-        outline: shapes of the parts.
-        obstacles: k blocks without radius and boulders without extent, on the first axes of the
-            arrays.
-        margin: margin of the ground, m.
-        h: step, s.
+    The obstacles, on the first axes of the arrays, are blocks without radius and boulders without
+    extent.
     """
     parts, outline, obstacles = _held((parts, outline, obstacles))
-    size = _reach(parts, outline)
+    # Distance from a part's centre to its farthest point, without its radius.
+    half = parts.at.half_extents
+    size = half.max(0) if outline.ellipsoids else _length(half)
+    if outline.ellipsoids and outline.corners is not None:
+        size = jnp.maximum(size, jnp.sqrt(dot(outline.corners, outline.corners)).max(0))
     least = fast_from(margin, size + parts.at.radius)
     # The offset of a ball at its body's origin is 0, so turning does not make it fast.
     offset = parts.at.centre - parts.origin
@@ -168,14 +167,8 @@ def time_of_crossing(
 ) -> Float[Array, "p *n"]:
     """Return the time at which points on straight paths get deeper into a floor, s, or 0.
 
-    Args:
-        floor: parts of the floor.
-        points: initial positions, m.
-        velocity: velocities, m/s.
-        radius: radii of balls around the points, m.
-        least: displacement in a step from which a point is fast, m.
-        h: step, s.
-        beyond: length of the path that is sampled beyond the step, m.
+    Points have radii (m) and are fast from the displacement ``least`` (m) in a step on. The path is
+    sampled ``beyond`` (m) the step.
     """
     floor, points, velocity, radius, least = _held((floor, points, velocity, radius, least))
 
@@ -206,17 +199,6 @@ def time_of_crossing(
 def _held(values: Any) -> Any:
     """Return values without derivatives, because loops of unknown length have none."""
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if is_traced(x) else x, values)
-
-
-def _reach(parts: Moving, outline: PartShapes) -> Float[Array, "p *n"]:
-    """Return the distance from a part's centre to its farthest point, without its radius, m."""
-    half = parts.at.half_extents
-    if not outline.ellipsoids:
-        return _length(half)
-    reach = half.max(0)
-    if outline.corners is None:
-        return reach
-    return jnp.maximum(reach, jnp.sqrt(dot(outline.corners, outline.corners)).max(0))
 
 
 def _apart_along(

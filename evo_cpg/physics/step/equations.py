@@ -35,11 +35,7 @@ from evo_cpg.physics.tree.joint_torque import (
     passive_torque,
 )
 from evo_cpg.physics.tree.kinematics import Kinematics, kinematics, motion_of_bodies
-from evo_cpg.physics.tree.root import (
-    JOINTS,
-    joint_part,
-    root_part,
-)
+from evo_cpg.physics.tree.root import JOINTS, ROOT
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion, Inertia, Wrench, make_inertia, plus
 from evo_cpg.physics.tree.state import State
 from evo_cpg.physics.tree.tendon import TendonLaws, tendon_laws
@@ -192,10 +188,10 @@ def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations
     if equations.balls is not None:
         matrix, force = equations.balls.expected(h).added_to(matrix, force)
     if world.held:
-        qdd = solve_symmetric(matrix[JOINTS, JOINTS], joint_part(force))
-        return Accelerations(jnp.zeros_like(root_part(force)), qdd)
+        qdd = solve_symmetric(matrix[JOINTS, JOINTS], force[JOINTS])
+        return Accelerations(jnp.zeros_like(force[ROOT]), qdd)
     y = solve_symmetric(matrix, force)
-    return Accelerations(root_part(y), joint_part(y))
+    return Accelerations(y[ROOT], y[JOINTS])
 
 
 # Radius of gyration below which rounding would turn a body that falls, m.

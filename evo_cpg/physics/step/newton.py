@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 from evo_cpg.creature.algebra.linear import dot, matvec
 from evo_cpg.native.fuse import while_each
 from evo_cpg.physics.step.step_problem import Linearization, StepProblem
-from evo_cpg.physics.tree.root import joint_part
+from evo_cpg.physics.tree.root import JOINTS
 
 # Largest residual (`StepProblem.residual`) of a solution. The second serves while the friction
 # cones still change. In float64, in which derivatives are checked, the third serves for both.
@@ -80,7 +80,7 @@ def full_step(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
 ) -> Float[Array, "v *n"]:
     """Return the accelerations under the force laws linearized at an iterate."""
-    return problem.motion(problem.linearized(radius, joint_part(y), problem.velocity(y)))
+    return problem.motion(problem.linearized(radius, y[JOINTS], problem.velocity(y)))
 
 
 def damped_step(
@@ -88,7 +88,7 @@ def damped_step(
 ) -> Iterate:
     """Return the next iterate."""
     velocity = problem.velocity(y)
-    linear = problem.linearized(radius, joint_part(y), velocity)
+    linear = problem.linearized(radius, y[JOINTS], velocity)
     end = problem.motion(linear)
     # If the potential falls more slowly than this, rounding would determine the step's length.
     tolerance, _ = tolerances(y)
@@ -107,17 +107,12 @@ def line_search(
 ) -> Iterate:
     """Return the iterate with the least potential on a line.
 
-    Args:
-        problem: problem with the potential.
-        radius: radii of the friction cones, N.
-        start: accelerations at the start of the line.
-        velocity: velocities of the contact points at the start of the line, m/s.
-        linear: laws linearized at the start of the line.
-        end: accelerations at its end, under these laws.
-        least: decrease per length (W) below which there is no search and the end is returned.
+    The line leads from the accelerations ``start``, at which the laws are linearized, to ``end``.
+    If the potential decreases by less than ``least`` (W) per length, the end is returned without a
+    search.
     """
     direction, h = end - start, problem.h
-    turning, pairs = joint_part(direction), problem.equations.pairs
+    turning, pairs = direction[JOINTS], problem.equations.pairs
     change = None if velocity is None else problem.change_of_velocity(direction)
     parting = None if pairs is None else pairs.change(turning)
     linear_part = dot(direction, problem.resistance(start))
@@ -134,7 +129,7 @@ def line_search(
         """Return phi' at a length, W, and the sums of the pairs there."""
         y, point_velocity = at(length)
         if laws is None:
-            laws = problem.linearized(radius, joint_part(y), point_velocity)
+            laws = problem.linearized(radius, y[JOINTS], point_velocity)
         total = h * (linear_part + length * curvature - dot(turning, problem.torque(y, laws)))
         if change is not None and laws.contact is not None:
             total = total - (change * laws.contact.force).sum((0, 1))

@@ -14,7 +14,7 @@ from evo_cpg.creature.algebra.linear import where_each
 from evo_cpg.physics.step.newton import Iterate, tolerances
 from evo_cpg.physics.step.step_problem import StepProblem
 from evo_cpg.physics.step.world import World
-from evo_cpg.physics.tree.root import joint_part
+from evo_cpg.physics.tree.root import JOINTS
 
 # Most rounds of friction cones, and most values of the pair bias, in a step.
 _CONE_ROUNDS, _PAIR_BIASES = 8, 3
@@ -89,7 +89,7 @@ def next_update(
         The parameters, whether the iterate is the step's solution, and whether the cones changed.
     """
     y, velocity, pair_sums = iterate
-    (rounds, biases), qdd, cone = most_updates(problem.world), joint_part(y), outer.cone
+    (rounds, biases), qdd, cone = most_updates(problem.world), y[JOINTS], outer.cone
     linear = problem.linearized(cone.radius, qdd, velocity, pair_sums)
 
     # Solved?

@@ -31,10 +31,10 @@ from evo_cpg.physics.step.step_solver import coldstart, solve_step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import Accelerations
 from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force
-from evo_cpg.physics.tree.joint_torque import Laws, MotorCommand
+from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.muscle import metabolic_power
-from evo_cpg.physics.tree.root import root_part
+from evo_cpg.physics.tree.root import ROOT
 from evo_cpg.physics.tree.spatial_algebra import Inertia, Wrench, inertial_wrench, plus
 from evo_cpg.physics.tree.state import State, integrate
 from evo_cpg.physics.tree.tendon import length_of, torque_of
@@ -108,8 +108,20 @@ def needs_iteration(world: World) -> bool:
     """Return whether steps of a world need iteration, because the force laws have kinks."""
     if world.contact_model is not None or world.pairs is not None:
         return True
-    each = world.tree, world.tree.tendons
-    return any(x is not None and (x.dry_friction is not None or _can_overload(x)) for x in each)
+    for laws in (world.tree, world.tree.tendons):
+        if laws is None:
+            continue
+        limit, gains = laws.torque_limit, (laws.servo_gain, laws.servo_stiffness)
+        if laws.dry_friction is not None or not isinstance(limit, np.ndarray):
+            # Traced limits count as limits.
+            return True
+        # A joint without a motor has the limit 0.
+        driven = limit > 0
+        if all(isinstance(gain, np.ndarray) for gain in gains):
+            driven = (gains[0] > 0) | (gains[1] > 0)
+        if np.isfinite(limit[driven]).any():
+            return True
+    return False
 
 
 def _step(
@@ -183,16 +195,4 @@ def holding_wrench(
     """
     accelerations = body_accelerations(tree, kin, jnp.concatenate(found))
     total = plus(inertial_wrench(inertia, accelerations), bias)
-    return root_part(generalized_force(tree, kin, total))
-
-
-def _can_overload(tree: Laws) -> bool:
-    """Return whether any motor may have a torque limit. Traced limits count as limits."""
-    gains = tree.servo_gain, tree.servo_stiffness
-    if not isinstance(tree.torque_limit, np.ndarray):
-        return True
-    if not all(isinstance(gain, np.ndarray) for gain in gains):
-        # A joint without a motor has the limit 0.
-        return bool((np.isfinite(tree.torque_limit) & (tree.torque_limit > 0)).any())
-    driven = (gains[0] > 0) | (gains[1] > 0)
-    return bool(np.isfinite(tree.torque_limit[driven]).any())
+    return generalized_force(tree, kin, total)[ROOT]

@@ -16,7 +16,7 @@ from evo_cpg.creature.algebra.linear import where_each
 from evo_cpg.physics.step.newton import full_step
 from evo_cpg.physics.step.outer_updates import Cone, Outer, most_updates
 from evo_cpg.physics.step.step_problem import StepProblem
-from evo_cpg.physics.tree.root import joint_part
+from evo_cpg.physics.tree.root import JOINTS
 
 
 class SolvedStep(NamedTuple):
@@ -93,7 +93,7 @@ def replay(problem: StepProblem, radius: Float[Array, "p *n"], record: SearchRec
     bias, pairs = problem.pair_bias, problem.equations.pairs
     for k, point in enumerate(record.biases, 1):
         assert pairs is not None
-        new = pairs.bias_at(joint_part(y))
+        new = pairs.bias_at(y[JOINTS])
         there = full_step(problem.under(record.restitution, new), cone.radius, point)
         y, bias = where_each(record.bias_updates >= k, (there, new), (y, bias))
     return SolvedStep(y, cone.radius, record.restitution, bias)

@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from evo_cpg.creature.algebra.linear import dot, matvec, where_each
+from evo_cpg.creature.algebra.linear import cross, dot, matvec, where_each
 from evo_cpg.creature.algebra.numerics import xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import solve_symmetric
@@ -47,7 +47,8 @@ from evo_cpg.physics.tree.generalized import (
     mass_matrix,
 )
 from evo_cpg.physics.tree.joint_torque import changes_overload, linearized_torque
-from evo_cpg.physics.tree.root import JOINTS, joint_part, plus_joint_diagonal, plus_torque
+from evo_cpg.physics.tree.per_body import take
+from evo_cpg.physics.tree.root import JOINTS, plus_joint_diagonal
 from evo_cpg.physics.tree.tendon import TendonForce
 
 # Fraction of the other forces (drag, springs, velocity products) in the norm of all forces. It
@@ -137,7 +138,8 @@ class StepProblem(NamedTuple):
         contacts = self.equations.contacts
         assert contacts is not None
         accelerations = body_accelerations(self.world.tree, self.equations.kin, y)
-        return contacts.change_of_velocity(accelerations)
+        angular, linear = (take(x, np.array(contacts.model.bodies)) for x in accelerations)
+        return self.h * matvec(contacts.frame, linear + cross(angular, contacts.offset))
 
     def linearized(
         self,
@@ -197,7 +199,7 @@ class StepProblem(NamedTuple):
             matrix, force = linear.tendons.added_to(matrix, force)
         if linear.balls is not None:
             matrix, force = linear.balls.added_to(matrix, force)
-        return solve_symmetric(matrix, plus_torque(force, torque))
+        return solve_symmetric(matrix, force.at[JOINTS].add(torque))
 
     def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
         """Return the accelerations without pairs, by the articulated-body algorithm."""
@@ -219,11 +221,11 @@ class StepProblem(NamedTuple):
         Both are norms of generalized forces. Each force is divided by the root of its inertia, the
         diagonal of M. The norm is therefore one of accelerations, weighted with masses.
         """
-        law = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
+        law = jnp.zeros_like(self.force).at[JOINTS].add(self.torque(y, linear))
         if linear.contact is not None:
             law = law + self._ground(linear.contact.force)
         if linear.pairs is not None:
-            law = plus_torque(law, linear.pairs.torque)
+            law = law.at[JOINTS].add(linear.pairs.torque)
         missed = self._square(self.resistance(y) - law)
         return jnp.sqrt(missed / self.square_of_forces(y, linear))
 
@@ -235,7 +237,7 @@ class StepProblem(NamedTuple):
         The norm has three parts: the load (`load`) on the whole mass, the torques of motors and
         limits of joints, and a thousandth of the other forces.
         """
-        torque = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
+        torque = jnp.zeros_like(self.force).at[JOINTS].add(self.torque(y, linear))
         mass = xp.sum(self.world.tree.mass)
         total = self.load(linear) ** 2 / mass + self._square(torque)
         return total + _OTHER_FORCES**2 * self._square(self.force)
@@ -246,10 +248,10 @@ class StepProblem(NamedTuple):
 
     def torque(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "d *n"]:
         """Return the torque of motors and limits of joints and tendons, linearized, N m."""
-        torque = linear.torque - self.h * linear.derivative * joint_part(y)
+        torque = linear.torque - self.h * linear.derivative * y[JOINTS]
         if linear.tendons is not None:
-            torque = torque + linear.tendons.torque(joint_part(y))
-        return torque if linear.balls is None else torque + linear.balls.at(joint_part(y))
+            torque = torque + linear.tendons.torque(y[JOINTS])
+        return torque if linear.balls is None else torque + linear.balls.at(y[JOINTS])
 
     def coulomb_error(
         self,
@@ -260,11 +262,8 @@ class StepProblem(NamedTuple):
     ) -> Float[Array, "*n"]:
         """Return the Coulomb error of the friction forces, relative to the total normal load.
 
-        Args:
-            radius: radii of the cones in the solved problem, N.
-            allowed: radii from the normal forces of its solution, N.
-            velocity: velocities of the contact points in the solution, m/s.
-            linear: laws linearized at the solution.
+        ``radius`` are the radii of the cones in the solved problem, ``allowed`` those from the
+        normal forces of its solution, N.
         """
         contacts = self.equations.contacts
         if contacts is None or velocity is None:
@@ -305,7 +304,7 @@ class StepProblem(NamedTuple):
         mean = state.rates + 0.5 * self.h * y
         lifting = jnp.maximum(contacts.rest_velocity * force[2], 0.0).sum(0)
         power = dot(mean, self._ground(force)) - lifting
-        whirls = (self.h * jnp.abs(state.qd + self.h * joint_part(y)) > _LARGEST_TURN).any(0)
+        whirls = (self.h * jnp.abs(state.qd + self.h * y[JOINTS]) > _LARGEST_TURN).any(0)
         return ((power > 0) | whirls) & (contacts.bounce > 0).any(0)
 
     def needs_contact_or_other_limits(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
@@ -314,7 +313,7 @@ class StepProblem(NamedTuple):
         `step_solver.free_motion` has no contact forces. It holds motors at their limits, and joints
         at sticking or sliding, as at zero acceleration.
         """
-        equations, qdd, h, velocity = self.equations, joint_part(y), self.h, self.velocity(y)
+        equations, qdd, h, velocity = self.equations, y[JOINTS], self.h, self.velocity(y)
         found = changes_overload(self.world.tree, equations.motor, equations.state, qdd, h)
         if equations.contacts is not None and velocity is not None:
             found = found | (equations.contacts.target_velocity > velocity[2]).any(0)

@@ -48,7 +48,7 @@ from evo_cpg.physics.step.step_derivative import SearchRecord, SolvedStep, Visit
 from evo_cpg.physics.step.step_problem import StepProblem
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.joint_torque import MotorCommand, clamp_torque
-from evo_cpg.physics.tree.root import joint_part, root_part
+from evo_cpg.physics.tree.root import JOINTS, ROOT
 from evo_cpg.physics.tree.state import State
 
 # Most Newton iterations in a step.
@@ -102,7 +102,7 @@ def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
     therefore wrong if there is contact, or if a motor leaves its limit. A light limb, for example,
     reaches 1000 rad/s although its motor leaves the limit at 50.
     """
-    still = jnp.zeros_like(joint_part(problem.force))
+    still = jnp.zeros_like(problem.force[JOINTS])
     linear = problem.linearized(problem.force[:0], still, None)
     return problem.motion(linear._replace(pairs=None))
 
@@ -126,7 +126,7 @@ def _with_velocity_products(
     equations = prepare(world, h, state, command)
     problem = StepProblem.of(world, h, equations)
     free = free_motion(problem)
-    later = with_mean_products(world, h, equations, root_part(free), joint_part(free))
+    later = with_mean_products(world, h, equations, free[ROOT], free[JOINTS])
     unlike = problem.needs_contact_or_other_limits(free)
     bias = where_each(unlike, equations.bias, later.bias)
     return StepProblem.of(world, h, equations._replace(bias=bias))
@@ -161,7 +161,7 @@ def _solution(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
 ) -> StepSolution:
     """Return accelerations, with the forces of the laws at them."""
-    qdd, velocity = joint_part(y), problem.velocity(y)
+    qdd, velocity = y[JOINTS], problem.velocity(y)
     linear, allowed = problem.linearized(radius, qdd, velocity), problem.cone_radius(velocity)
     contacts, local, force = problem.equations.contacts, None, None
     if contacts is not None and linear.contact is not None:
@@ -171,7 +171,7 @@ def _solution(
     friction = jax.lax.stop_gradient(problem.coulomb_error(radius, allowed, velocity, linear))
     tree, h, tendons = problem.world.tree, problem.h, problem.equations.tendons
     return StepSolution(
-        root=root_part(y),
+        root=y[ROOT],
         qdd=qdd,
         torque=clamp_torque(tree, problem.equations.motor.at(tree, qdd, h)),
         contact_frame_force=local,

@@ -16,25 +16,13 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.linear import dot, expand_dims_like
 from evo_cpg.creature.axis_kinds import SPANNING
 from evo_cpg.creature.laws import BallLimits
-from evo_cpg.physics.tree.joint_torque import expected_limit_torque, limit_torque
+from evo_cpg.physics.tree.joint_torque import Coordinates, expected_limit_torque, limit_torque
 from evo_cpg.physics.tree.per_body import take
-from evo_cpg.physics.tree.root import joint_part, joint_rows, plus_torque
+from evo_cpg.physics.tree.root import JOINTS, ROOT_DOFS
 from evo_cpg.physics.tree.state import State
 
 # Square of the angle (rad) below which its direction does not matter.
 _NO_ANGLE = 1e-12
-
-
-class Angles(NamedTuple):
-    """Angles of balls and their rates, `evo_cpg.physics.tree.joint_torque.Coordinates`.
-
-    Attributes:
-        q: angles, rad.
-        qd: rates of the angles, rad/s.
-    """
-
-    q: Float[Array, "b *n"]
-    qd: Float[Array, "b *n"]
 
 
 class BallLaws(NamedTuple):
@@ -48,7 +36,7 @@ class BallLaws(NamedTuple):
 
     limits: BallLimits
     direction: Float[Array, "3 b *n"]
-    angles: Angles
+    angles: Coordinates
 
     def linearized(self, qdd: Float[Array, "d *n"], h: float) -> "BallForce":
         """Return the limits, linearized at joint accelerations."""
@@ -93,11 +81,11 @@ class BallForce(NamedTuple):
         self, matrix: Float[Array, "v v *n"], force: Float[Array, "v *n"]
     ) -> tuple[Float[Array, "v v *n"], Float[Array, "v *n"]]:
         """Return the matrix plus ``n T n^T``, and the generalized force plus the torque."""
-        n, rows = self.laws.direction, joint_rows(_rows(self.laws.limits))
+        n, rows = self.laws.direction, ROOT_DOFS + _rows(self.laws.limits)
         block = n[:, None] * n[None] * self.resistance[None, None]
         one, other = np.broadcast_arrays(rows[:, None], rows[None])
         matrix = matrix.at[one, other].add(block)
-        return matrix, plus_torque(force, self.laws.torque_of(self.torque, len(joint_part(force))))
+        return matrix, force.at[JOINTS].add(self.laws.torque_of(self.torque, len(force[JOINTS])))
 
 
 def ball_laws(limits: BallLimits | None, state: State) -> BallLaws | None:
@@ -110,7 +98,7 @@ def ball_laws(limits: BallLimits | None, state: State) -> BallLaws | None:
     angle = jnp.where(some, jnp.sqrt(jnp.where(some, squared, 1.0)), 0.0)
     direction = jnp.where(some[None], q / jnp.where(some, angle, 1.0)[None], 0.0)
     rate = dot(direction, _of_balls(limits, state.qd))
-    return BallLaws(limits, direction, Angles(angle, rate))
+    return BallLaws(limits, direction, Coordinates(angle, rate))
 
 
 def within(limits: BallLimits | None, q: Float[Array, "d *n"]) -> Float[Array, "d *n"]:

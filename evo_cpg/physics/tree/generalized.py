@@ -38,7 +38,7 @@ from evo_cpg.physics.tree.spatial_algebra import (
 
 def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
     """Return the accelerations ``(3, b, *n)`` of all bodies, without those of `Kinematics`."""
-    batch_ndim, qdd = y.ndim - 1, root.joint_part(y)
+    batch_ndim, qdd = y.ndim - 1, y[root.JOINTS]
     a = PerBody([Motion(y[:3], y[3 : root.ROOT_DOFS])], batch_ndim)
     if tree.hanging is not None:
         still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
@@ -49,7 +49,7 @@ def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> 
         a_i = motion_at_child(a[i.parents], kin.offset[:, i.bodies])
         S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
         a = a.followed_by(joints.accelerated(a_i, S, x))
-    return a.stacked()
+    return a[:]
 
 
 def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Array, "v *n"]:
@@ -80,7 +80,7 @@ def generalized_equations(
     """Return the matrix and the force of the equation that `articulated.solve` solves."""
     matrix = root.plus_joint_diagonal(mass_matrix(tree, kin, inertia), resistance)
     force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
-    return matrix, root.plus_torque(force, torque)
+    return matrix, force.at[root.JOINTS].add(torque)
 
 
 def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "v v *n"]:
@@ -98,7 +98,7 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
     H = H.at[: len(block), : len(block)].set(block)
     if not tree.dof_count:
         return H
-    places, values = _joint_elements(tree, kin, I_c.stacked())
+    places, values = _joint_elements(tree, kin, I_c[:])
     rows, columns = places.T
     return H.at[rows, columns].set(values).at[columns, rows].set(values)
 
@@ -118,7 +118,9 @@ def _joint_elements(
         Rows and columns, ``(m, 2)``, and the elements.
     """
     body = np.array(tree.dof_bodies, int)
-    f = joints.momentum_of_each(jax.tree.map(lambda x: take(x, body, 2), composite), kin.axes)
+    inertia = jax.tree.map(lambda x: take(x, body, 2), composite)
+    columns = joints.momentum(inertia, jax.tree.map(lambda x: x[:, None], kin.axes))
+    f = Wrench(columns.moment[:, 0], columns.force[:, 0])
     dofs = np.arange(tree.dof_count)
     places, values = [], []
     while len(dofs):

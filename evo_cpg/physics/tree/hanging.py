@@ -40,14 +40,7 @@ def fixed_link(base: Base) -> Link:
 def pose(
     tree: Tree, base: Base, q: Float[Array, "d *n"], qd: Float[Array, "d *n"]
 ) -> tuple[Float[Array, "3 *n"], Float[Array, "4 *n"], Float[Array, "6 *n"]]:
-    """Return position, orientation and velocity of the root, as in `state.State`.
-
-    Args:
-        tree: the creature.
-        base: frame on which its root hangs.
-        q: joint angles, rad.
-        qd: joint rates, rad/s.
-    """
+    """Return position, orientation and velocity of the root, as in `state.State`."""
     group = tree.hanging
     assert group is not None
     local = local_frames(tree, q)[group.bodies]
@@ -64,12 +57,6 @@ def pushed(
     """Return the changes of the rates of the root's slides by a change of its velocity, m/s.
 
     Each slide takes the part along itself. The other axes take none.
-
-    Args:
-        tree: the creature.
-        base: frame on which its root hangs.
-        q: joint angles, rad.
-        change: change of the root's velocity, m/s.
     """
     group = tree.hanging
     assert group is not None
@@ -77,14 +64,3 @@ def pushed(
     _, _, S = linked(tree, group, fixed_link(base), local, jnp.zeros_like(q))
     assert S.linear is not None
     return matvec_t(S.linear[:, np.array(tree.root_slides), 0], change)
-
-
-def base_of(base: Base | None) -> Base:
-    """Return the base of a state.
-
-    Raises:
-        ValueError: it has none, as the state of another creature with a free root.
-    """
-    if base is None:
-        raise ValueError("the root hangs on the world, so its state needs a base")
-    return base

@@ -94,10 +94,6 @@ class AtOnce(NamedTuple):
 
         If S is 1, U consists of the blocks (A, B^T) of I^A, and G is A + T. Then
         ``P = T G^-1 = 1 - A G^-1`` gives I^a a form without cancellation for a free joint.
-
-        Args:
-            inertia: I^A of the bodies.
-            bias: p^A of the bodies.
         """
         axes = self.S.angular
         U = momentum(inertia, self.S)
@@ -120,9 +116,7 @@ class AtOnce(NamedTuple):
     def accelerations(self, condensed: Condensed, motion: Motion) -> tuple[Motion, Array]:
         """Return the accelerations of the bodies, and of the joints in q, ``(k, bodies, ...)``.
 
-        Args:
-            condensed: result of the elimination.
-            motion: accelerations of the bodies with locked joints.
+        The motion is that of the bodies with locked joints.
         """
         K = condensed.yielding
         x = condensed.free - matvec(K.angular, motion.angular) - matvec(K.linear, motion.linear)
@@ -226,29 +220,22 @@ class Turns:
     ) -> tuple[Float[Array, "3 3 b *n"], Float[Array, "3 b *n"], Subspace]:
         """Return rotations, offsets from the parents' origins, and S of the bodies of a group.
 
-        Args:
-            tree: the creature.
-            group: the group of bodies.
-            parent_rotation: rotations of their parents.
-            local: their `columns`.
+        ``local`` are their `columns`.
         """
         offset = expand_dims_like(tree.joint_offset[:, group.bodies], local[:, 0])
         offset, frame = matvec(parent_rotation, offset), matmul(parent_rotation, local)
         return frame[:, :3], offset, Subspace(frame[:, 3:], None, group.at_once)
 
     def elimination(self, S: Subspace, torque: Array, diagonal: Array) -> AtOnce | OneByOne:
-        """Return the joints of a group in the form that eliminates them.
-
-        Args:
-            S: motion per rate of their degrees of freedom.
-            torque: tau.
-            diagonal: the diagonal T.
-        """
+        """Return the joints of a group in the form that eliminates them."""
         axes = len(torque)
         identity = expand_dims_like(np.eye(axes), torque, torque.ndim + 1)
         if axes != SPANNING:
             return AtOnce(S, torque, identity * diagonal[None], None)
-        to_q = _inverse_columns(S.angular)
+        # The inverse of the axes has cross products of its columns as rows.
+        a, b, c = S.angular[:, 0], S.angular[:, 1], S.angular[:, 2]
+        rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
+        to_q = rows * (1.0 / dot(a, rows[0]))[None, None]
         derivative = symmetric(t_matmul(to_q, diagonal[:, None] * to_q))
         return AtOnce(Subspace(identity), matvec_t(to_q, torque), derivative, to_q)
 
@@ -326,13 +313,6 @@ class AxisChain(Weld):
 
 
 _KINDS = {"weld": Weld(), "turns": Turns(), "ball": Ball(), "chain": AxisChain()}
-
-
-def moved(
-    tree: Tree, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
-) -> Float[Array, "d *n"]:
-    """Return the coordinates after h seconds (negative: before) at constant rates."""
-    return displaced(tree, q, h * rate)
 
 
 def displaced(tree: Tree, q: Float[Array, "d *n"], x: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
@@ -428,12 +408,7 @@ def linked(
 ) -> tuple[Link, Float[Array, "3 b *n"], Subspace]:
     """Return the bodies of a group, their offsets from their parents (m), and S.
 
-    Args:
-        tree: the creature.
-        group: the bodies.
-        parent: their parents.
-        local: their frames from `local_frames`.
-        qd: joint rates of the tree, rad/s.
+    ``local`` is their part of `local_frames`.
     """
     rotation, offset, S = _KINDS[group.kind].placed(tree, group, parent.rotation, local)
     motion = carried(parent, offset, S, of_joints(qd, group, qd.ndim - 1))
@@ -448,19 +423,8 @@ def joints_of(
 ) -> AtOnce | OneByOne:
     """Return the joints of a group (see `evo_cpg.physics.tree.articulated.solve`).
 
-    Args:
-        group: the group.
-        S: motion per rate of all degrees of freedom, ``(3, d, *n)``.
-        torque: tau of all degrees of freedom.
-        torque_derivative: the diagonal T.
+    S, tau and the diagonal T are those of all degrees of freedom.
     """
     own = S.of(group, torque.ndim - 1)
     tau, diagonal = (of_joints(x, group, torque.ndim - 1) for x in (torque, torque_derivative))
     return _KINDS[group.kind].elimination(own, tau, diagonal)
-
-
-def _inverse_columns(m: Float[Array, "3 3 *rest"]) -> Float[Array, "3 3 *rest"]:
-    """Return the inverse of a matrix, with cross products of its columns as rows."""
-    a, b, c = m[:, 0], m[:, 1], m[:, 2]
-    rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
-    return rows * (1.0 / dot(a, rows[0]))[None, None]

@@ -22,17 +22,18 @@ Each law gives its torque at the present rates and its derivative. The implicit 
 - Muscles: `evo_cpg.physics.tree.muscle`, without a limit.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
-from evo_cpg.creature.laws import BallLimits, Tendons
+from evo_cpg.creature.laws import BallLimits, ForceLaws
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.muscle import pull_of
 from evo_cpg.physics.tree.per_body import take
+from evo_cpg.physics.tree.state import State
 
 # Resistance of a joint that sticks by dry friction, times the step, relative to its inertia.
 _STICKING = 1000.0
@@ -44,25 +45,15 @@ _SAME_TORQUE = 1e-3
 _NONE = 1e-12
 
 
-# Numbers of the laws of joint axes or tendons.
-Laws = Tree | Tendons
-
 # Numbers of limits of joint axes, tendons or balls.
-Limits = Laws | BallLimits
+Limits = ForceLaws | BallLimits
 
 
-class Coordinates(Protocol):
-    """Angles and rates of joints (`evo_cpg.physics.tree.state.State`), or lengths of tendons."""
+class Coordinates(NamedTuple):
+    """Lengths of tendons or angles of balls (rad), and their rates (rad/s)."""
 
-    @property
-    def q(self) -> Float[Array, "d *n"]:
-        """Angles, rad, or lengths."""
-        ...
-
-    @property
-    def qd(self) -> Float[Array, "d *n"]:
-        """Rates of angles, rad/s, or of lengths."""
-        ...
+    q: Float[Array, "d *n"]
+    qd: Float[Array, "d *n"]
 
 
 class MotorCommand(NamedTuple):
@@ -114,7 +105,7 @@ class MotorTorque(NamedTuple):
     start: Float[Array, "d *n"]
     of_muscles: Float[Array, "d *n"] | None = None
 
-    def derivative(self, tree: Laws, h: float) -> Float[Array, "d *n"]:
+    def derivative(self, tree: ForceLaws, h: float) -> Float[Array, "d *n"]:
         """Return the torque decrease per final rate (N m s/rad), always positive.
 
         A servo's decrease is ``g + h k_m``.
@@ -123,13 +114,13 @@ class MotorTorque(NamedTuple):
         every = servo if self.of_muscles is None else servo + self.of_muscles
         return jnp.maximum(every, jnp.finfo(self.start.dtype).tiny)
 
-    def at(self, tree: Laws, qdd: Float[Array, "d *n"], h: float) -> Float[Array, "d *n"]:
+    def at(self, tree: ForceLaws, qdd: Float[Array, "d *n"], h: float) -> Float[Array, "d *n"]:
         """Return the torque at the end of a step of h (s) with joint accelerations qdd, N m."""
         return self.start - h * self.derivative(tree, h) * qdd
 
 
 def passive_torque(
-    tree: Tree, state: Coordinates, h: float
+    tree: Tree, state: State | Coordinates, h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *#n"]]:
     """Return the torque (N m) and T (kg m^2) of springs and dampers over a step of h (s)."""
     stiffness, damping = (expand_dims_like(x, state.q) for x in (tree.stiffness, tree.damping))
@@ -144,11 +135,8 @@ def limit_torque(
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of the soft limits (N m), and its decrease per rate (N m s/rad).
 
-    Args:
-        tree: the creature.
-        q: joint angles at the start of the step, rad.
-        rate: joint rates at the end of the step, rad/s.
-        h: step, s, or 0 for the law itself, without a step.
+    The angles are those at the start of the step, the rates (rad/s) those at its end. A step of 0
+    gives the law itself.
     """
     stiffness, damping, lower, upper = (
         expand_dims_like(x, q)
@@ -167,7 +155,7 @@ def limit_torque(
 
 
 def friction_torque(
-    tree: Laws, rate: Float[Array, "d *n"], h: float
+    tree: ForceLaws, rate: Float[Array, "d *n"], h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of dry friction (N m), and its decrease per rate (N m s/rad)."""
     assert tree.dry_friction is not None
@@ -179,7 +167,11 @@ def friction_torque(
 
 
 def linearized_torque(
-    tree: Laws, motor: MotorTorque, state: Coordinates, qdd: Float[Array, "d *n"], h: float
+    tree: ForceLaws,
+    motor: MotorTorque,
+    state: State | Coordinates,
+    qdd: Float[Array, "d *n"],
+    h: float,
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of motors, limits and friction, linearized at accelerations.
 
@@ -200,7 +192,11 @@ def linearized_torque(
 
 
 def changes_overload(
-    tree: Laws, motor: MotorTorque, state: Coordinates, qdd: Float[Array, "d *n"], h: float
+    tree: ForceLaws,
+    motor: MotorTorque,
+    state: State | Coordinates,
+    qdd: Float[Array, "d *n"],
+    h: float,
 ) -> Bool[Array, "*n"]:
     """Return for which individuals accelerations overload other motors than zero acceleration.
 
@@ -222,7 +218,7 @@ def changes_overload(
 
 
 def expected_limit_torque(
-    tree: Limits, state: Coordinates, h: float
+    tree: Limits, state: State | Coordinates, h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of the limits and its decrease per rate, for a step of one solve."""
     q, rate = state.q, state.qd
@@ -236,7 +232,9 @@ def expected_limit_torque(
     return torque, jnp.where(beyond, damping + h * stiffness, 0.0)
 
 
-def motor_torque(tree: Laws, state: Coordinates, command: MotorCommand, h: float) -> MotorTorque:
+def motor_torque(
+    tree: ForceLaws, state: State | Coordinates, command: MotorCommand, h: float
+) -> MotorTorque:
     """Return the commanded torque of motors and muscles."""
     rates = state.qd
     torque = expand_dims_like(tree.servo_gain, rates) * (command.target_rate - rates)
@@ -255,12 +253,12 @@ def motor_torque(tree: Laws, state: Coordinates, command: MotorCommand, h: float
     return MotorTorque(torque + pull.torque(state.q, rates), pull.derivative(h))
 
 
-def overloaded(tree: Laws, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:
+def overloaded(tree: ForceLaws, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:
     """Return which axes have a commanded torque above its limit."""
     return jnp.abs(torque) > expand_dims_like(tree.torque_limit, torque)
 
 
-def clamp_torque(tree: Laws, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+def clamp_torque(tree: ForceLaws, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
     """Return the motors' torque clamped to its limit, N m."""
     limit = expand_dims_like(tree.torque_limit, torque)
     return jnp.clip(torque, -limit, limit)

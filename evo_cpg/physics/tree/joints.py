@@ -54,9 +54,7 @@ class Subspace(eqx.Module):
 def subspace(parts: Sequence[Subspace], like: Float[Array, "3 *n"]) -> Subspace:
     """Return S of all degrees of freedom, ``(3, d, *n)``, from the parts of the groups.
 
-    Args:
-        parts: S of each group, in the order of the tree.
-        like: vector with the shape of one column.
+    ``like`` has the shape of one column.
     """
     none, batch_ndim = jnp.zeros((3, 0, *like.shape[1:]), like.dtype), like.ndim - 1
     angular = [in_dof_order(S.angular, batch_ndim) for S in parts]
@@ -75,11 +73,7 @@ def carried(parent: Any, offset: Float[Array, "3 b *n"], S: Subspace, rates: Arr
     The axes of a joint move the body one after the other. Each adds ``v x S_k qd_k`` to the
     acceleration, with the motion v before it.
 
-    Args:
-        parent: motion of each body's parent, with the attributes of `BodyMotion`.
-        offset: vectors from the parents' origins to the bodies' origins, m.
-        S: motion per rate of each degree of freedom.
-        rates: rates of the k degrees of freedom of each of b bodies, ``(k, b, *n)``.
+    The offsets lead from the parents' origins to the bodies', m. The rates are ``(k, b, *n)``.
     """
     if S.linear is not None or S.at_once or not S.angular.shape[1]:
         bias = Motion(parent.bias_angular, parent.bias_linear)
@@ -114,10 +108,7 @@ def carried(parent: Any, offset: Float[Array, "3 b *n"], S: Subspace, rates: Arr
 def accelerated(motion: Motion, S: Subspace, x: Array) -> Motion:
     """Return the accelerations ``a + S x`` of bodies whose joints accelerate by x.
 
-    Args:
-        motion: a, accelerations of the bodies with locked joints.
-        S: motion per rate of each degree of freedom.
-        x: accelerations of the degrees of freedom, ``(k, b, *n)``.
+    ``a`` is the accelerations of the bodies with locked joints.
     """
     angular, linear = motion.angular + matvec(S.angular, x), motion.linear
     return Motion(angular, linear if S.linear is None else linear + matvec(S.linear, x))
@@ -134,10 +125,7 @@ def torque_on_each(
 ) -> Float[Array, "k *n"]:
     """Return ``S^T f``, with a wrench for each degree of freedom.
 
-    Args:
-        S: motion per rate of each degree of freedom, ``(3, k, *n)``.
-        wrench: wrenches about the origin of the joint's body.
-        which: indices of the wrenches, or None for all in order.
+    S is ``(3, k, *n)``. ``which`` is the index of each wrench, by default all in order.
     """
     if which is not None:
         wrench = Wrench(*(take(x, which) for x in wrench))
@@ -155,35 +143,12 @@ def momentum(inertia: Inertia, S: Subspace) -> Wrench:
     )
 
 
-def momentum_of_each(inertia: Inertia, S: Subspace) -> Wrench:
-    """Return ``I S``, with an inertia for each degree of freedom: d wrenches."""
-    found = momentum(inertia, jax.tree.map(lambda x: x[:, None], S))
-    return Wrench(found.moment[:, 0], found.force[:, 0])
-
-
-def speed_along(
-    S: Subspace, offset: Float[Array, "3 p d *n"], normal: Float[Array, "3 p *n"]
-) -> Float[Array, "p d *n"]:
-    """Return the speed of points along their normals, per rate of each degree of freedom.
-
-    Args:
-        S: motion per rate of each degree of freedom, ``(3, d, *n)``.
-        offset: vectors from the origins of the joints' bodies to the points, m.
-        normal: unit normals.
-    """
-    along = jnp.broadcast_to(normal[:, :, None], offset.shape)
-    speed = dot(S.angular[:, None], cross(offset, along))
-    return speed if S.linear is None else speed + dot(S.linear[:, None], along)
-
-
 def about(
     S: Subspace, origins: Float[Array, "3 d *n"]
 ) -> tuple[Float[Array, "3 d *n"], Float[Array, "3 d *n"]]:
     """Return the motion S about a common point: angular parts, and minus the linear parts.
 
-    Args:
-        S: motion per rate of each degree of freedom, ``(3, d, *n)``.
-        origins: vectors from the common point to the origins of the joints' bodies, m.
+    The origins of the joints' bodies count from the common point, m.
     """
     moments = cross(S.angular, origins)
     return S.angular, moments if S.linear is None else moments - S.linear

@@ -48,6 +48,9 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
     """Return the forward kinematics: positions, and the first pass of Featherstone, table 7.1.
 
     Each line holds for one body and for a group of like limbs side by side (`PerBody`).
+
+    Raises:
+        ValueError: the root hangs on the world, but the state is one of a free root.
     """
     batch_ndim = state.q.ndim - 1
     if tree.hanging is None:
@@ -57,8 +60,10 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         bodies, local = PerBody([first], batch_ndim), local_frames(tree, state.q)
         offsets, axes = [rest[:, None]], []
     else:
+        if state.base is None:
+            raise ValueError("the root hangs on the world, so its state needs a base")
         local = local_frames(tree, state.q)
-        i, world = tree.hanging, hanging.fixed_link(hanging.base_of(state.base))
+        i, world = tree.hanging, hanging.fixed_link(state.base)
         first, offset, S = linked(tree, i, world, local[i.bodies], state.qd)
         bodies = PerBody[Link]([], batch_ndim).followed_by(first)
         offsets, axes = [offset], [S]
@@ -67,7 +72,7 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         bodies = bodies.followed_by(body)
         offsets.append(offset)
         axes.append(S)
-    rotation, origin, *motion = bodies.stacked()
+    rotation, origin, *motion = bodies[:]
     return Kinematics(
         rotation,
         origin,
@@ -94,4 +99,4 @@ def motion_of_bodies(
         parent, offset = bodies[i.parents], kin.offset[:, i.bodies]
         S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
         bodies = bodies.followed_by(joints.carried(parent, offset, S, rates))
-    return bodies.stacked()
+    return bodies[:]

@@ -84,12 +84,8 @@ def pull_of(
 ) -> Pull:
     """Return the torque of the muscles as a function of angle and rate, near the present ones.
 
-    Args:
-        muscles: the muscles of the creature.
-        activation: activation of the muscle that pulls to positive angles, then of the other one,
-            0 to 1, or None for relaxed muscles.
-        q: joint angles, rad.
-        rate: joint rates, rad/s.
+    The first activation is that of the muscles that pull to positive angles. Activations are 0 to
+    1, or None for relaxed muscles.
     """
     rest, damping = (expand_dims_like(x, q) for x in (muscles.rest_stiffness, muscles.damping))
     if activation is None:
@@ -115,12 +111,7 @@ def pull_of(
 
 
 def resistance(speed: Array, curvature: Array) -> Array:
-    """Return c, the fraction of the force that a muscle loses per speed: fv(q) = 1 - c(q) q.
-
-    Args:
-        speed: q, speed of shortening over the largest speed.
-        curvature: k, 0.15 to 0.35 in animals.
-    """
+    """Return c, the fraction of the force that a muscle loses per speed: fv(q) = 1 - c(q) q."""
     bend = 1.0 / curvature
     shortens, fast = speed > 0, jnp.abs(speed)
     slope = jnp.where(shortens, 1.0 + bend, (_STRETCHED - 1.0) * (1.0 + _STEEPNESS * bend))
@@ -136,11 +127,6 @@ def metabolic_power(
 
     ``P = a F0 vmax Phi(q)``, with q clipped to plus and minus 1. Phi is positive everywhere, so an
     active muscle always costs energy, even if it is stretched.
-
-    Args:
-        muscles: the muscles of the creature.
-        activation: activations as in `pull_of`, or None for relaxed muscles, which cost nothing.
-        rate: joint rates, rad/s.
     """
     if activation is None:
         return jnp.zeros_like(rate)

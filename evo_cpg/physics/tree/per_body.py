@@ -44,15 +44,12 @@ class PerBody(Generic[Value]):
 
     def __getitem__(self, bodies: slice | Sequence[int]) -> Value:
         chosen = range(len(self._values))[bodies] if isinstance(bodies, slice) else bodies
-        return self._stacked([self._values[body] for body in chosen])
+        values, axis = [self._values[body] for body in chosen], -self._batch_ndim - 1
+        return jax.tree.map(lambda *parts: jnp.stack(parts, axis), *values)
 
     def root(self) -> Value:
         """Return the value of the first body, without an axis of bodies."""
         return self._values[0]
-
-    def stacked(self) -> Value:
-        """Return the values of all bodies, stacked."""
-        return self._stacked(self._values)
 
     def followed_by(self, stacked: Value) -> "PerBody[Value]":
         """Append the values of further bodies."""
@@ -62,9 +59,7 @@ class PerBody(Generic[Value]):
     def plus(self, bodies: Sequence[int], stacked: Value) -> "PerBody[Value]":
         """Add values to some bodies, like ``x.at[bodies].add(stacked)`` for an array.
 
-        Args:
-            bodies: body of each value. A body may occur more than once.
-            stacked: the values.
+        A body may occur more than once.
         """
         axis, structure = -self._batch_ndim - 1, jax.tree.structure(stacked)
         columns = []
@@ -90,18 +85,11 @@ class PerBody(Generic[Value]):
         values = [structure.unflatten(leaves) for leaves in zip(*columns, strict=True)]
         return PerBody(values, self._batch_ndim)
 
-    def _stacked(self, values: Sequence[Value]) -> Value:
-        axis = -self._batch_ndim - 1
-        return jax.tree.map(lambda *parts: jnp.stack(parts, axis), *values)
-
 
 def of_joints(x: Array, group: Group, batch_ndim: int) -> Array:
     """Return a group's part of a quantity of all degrees of freedom.
 
-    Args:
-        x: the quantity, ``(..., d, *n)``.
-        group: the group of joints.
-        batch_ndim: number of axes of individuals.
+    The individuals are the last ``batch_ndim`` axes.
 
     Returns:
         ``(..., axes of a joint, bodies, *n)``.
@@ -131,11 +119,7 @@ def take(x: Array, indices: np.ndarray, axis: int = 1) -> Array:
 def spread(parts: Array, bodies: Sequence[int], count: int, axis: int = 1) -> Array:
     """Return parts of some bodies as a quantity of all bodies, with 0 for the others.
 
-    Args:
-        parts: one part for each entry of ``bodies``, stacked on the axis.
-        bodies: body of each part. The parts of a body that occurs more than once are added.
-        count: number of bodies.
-        axis: axis of the bodies.
+    The parts of a body that occurs more than once are added.
     """
     each: dict[int, Array] = {}
     for body, part in zip(bodies, jnp.unstack(parts, axis=axis), strict=True):

@@ -66,27 +66,10 @@ def moved(
 # Generalized vectors.
 
 
-def root_part(vector: Float[Array, "v *n"]) -> Float[Array, "6 *n"]:
-    """Return the root's components."""
-    return vector[ROOT]
-
-
-def joint_part(vector: Float[Array, "v *n"]) -> Float[Array, "d *n"]:
-    """Return the components of the joints."""
-    return vector[JOINTS]
-
-
-def joint_rows(dofs: np.ndarray) -> np.ndarray:
-    """Return the indices of the joints' degrees of freedom in a generalized vector."""
-    return ROOT_DOFS + dofs
-
-
 def solved(inertia: Inertia, bias: Wrench) -> Motion:
     """Return the root's acceleration ``-I^-1 p``, by eliminating the linear part.
 
-    Args:
-        inertia: I, the articulated inertia of the whole tree at the root.
-        bias: p, the bias wrench.
+    ``I`` and ``p`` are the articulated inertia and bias of the whole tree at the root.
     """
     linear_inverse = inverse_symmetric(inertia.linear)
     coupling = matmul(inertia.mixed, linear_inverse)
@@ -94,11 +77,6 @@ def solved(inertia: Inertia, bias: Wrench) -> Motion:
     turning = matvec(inverse_symmetric(schur), matvec(coupling, bias.force) - bias.moment)
     moving = matvec(linear_inverse, -bias.force - matvec_t(inertia.mixed, turning))
     return Motion(turning, moving)
-
-
-def plus_torque(force: Float[Array, "v *n"], torque: Float[Array, "d *n"]) -> Float[Array, "v *n"]:
-    """Add joint torques to a generalized force."""
-    return force.at[JOINTS].add(torque)
 
 
 def plus_joint_diagonal(

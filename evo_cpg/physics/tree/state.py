@@ -58,7 +58,7 @@ class State(eqx.Module):
 
     def moved(self, tree: Tree, h: float) -> "State":
         """Return the state after h seconds (negative: before) at constant velocities."""
-        q = joint_kinds.moved(tree, self.q, self.qd, h)
+        q = joint_kinds.displaced(tree, self.q, h * self.qd)
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
         pose = root.moved(self.position, self.orientation, self.velocity, h)
@@ -66,7 +66,7 @@ class State(eqx.Module):
 
     def displaced(self, tree: Tree, x: Float[Array, " v"]) -> "State":
         """Return the state at static coordinates from this pose (`step.statics`)."""
-        q = joint_kinds.displaced(tree, self.q, root.joint_part(x))
+        q = joint_kinds.displaced(tree, self.q, x[root.JOINTS])
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
         turned = integrate_quaternion(self.orientation, x[root.LENGTHS : root.ROOT_DOFS], 1.0)

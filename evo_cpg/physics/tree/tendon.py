@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.laws import Tendons
 from evo_cpg.physics.tree.joint_torque import (
+    Coordinates,
     MotorCommand,
     MotorTorque,
     changes_overload,
@@ -33,20 +34,8 @@ from evo_cpg.physics.tree.joint_torque import (
     motor_torque,
 )
 from evo_cpg.physics.tree.per_body import spread, take
-from evo_cpg.physics.tree.root import ROOT_DOFS, joint_part, plus_torque
+from evo_cpg.physics.tree.root import JOINTS, ROOT_DOFS
 from evo_cpg.physics.tree.state import State
-
-
-class Lengths(NamedTuple):
-    """Lengths of the tendons and their rates, `evo_cpg.physics.tree.joint_torque.Coordinates`.
-
-    Attributes:
-        q: lengths.
-        qd: rates of the lengths, per s.
-    """
-
-    q: Float[Array, "t *n"]
-    qd: Float[Array, "t *n"]
 
 
 class TendonLaws(NamedTuple):
@@ -58,7 +47,7 @@ class TendonLaws(NamedTuple):
     """
 
     tendons: Tendons
-    lengths: Lengths
+    lengths: Coordinates
     passive: Float[Array, "t *n"]
     derivative: Float[Array, "t *#n"]
     motor: MotorTorque
@@ -123,8 +112,8 @@ class TendonForce(NamedTuple):
         product = take(coefficients, one, 0) * take(coefficients, other, 0)
         values = product * take(self.resistance, owners[one], 0)
         matrix = matrix.at[ROOT_DOFS + dofs[one], ROOT_DOFS + dofs[other]].add(values)
-        torque = torque_of(tendons, self.force, len(joint_part(force)))
-        return matrix, plus_torque(force, torque)
+        torque = torque_of(tendons, self.force, len(force[JOINTS]))
+        return matrix, force.at[JOINTS].add(torque)
 
 
 def tendon_laws(
@@ -142,15 +131,15 @@ def tendon_laws(
 
 
 def passive_force(
-    tendons: Tendons, lengths: Lengths, h: float
+    tendons: Tendons, lengths: Coordinates, h: float
 ) -> tuple[Float[Array, "t *n"], Float[Array, "t *n"]]:
     """Return the force and T of springs and dampers over a step of h (s)."""
     stiffness, damping = (
         expand_dims_like(x, lengths.q) for x in (tendons.stiffness, tendons.damping)
     )
     ahead = lengths.q + h * lengths.qd
-    stretch, (shortest, longest) = stretch_of(tendons, ahead), _rest(tendons, ahead)
-    stiffness = jnp.where((ahead > shortest) & (ahead < longest), 0.0, stiffness)
+    stretch, slack = stretch_of(tendons, ahead)
+    stiffness = jnp.where(slack, 0.0, stiffness)
     return -stiffness * stretch - damping * lengths.qd, h * (damping + h * stiffness)
 
 
@@ -162,7 +151,7 @@ def static_force(tendons: Tendons, q: Float[Array, " d"]) -> Float[Array, " t"]:
     """
     length = length_of(tendons, q)
     zero = jnp.zeros_like(length)
-    lengths = Lengths(length, zero)
+    lengths = Coordinates(length, zero)
     motor = motor_torque(tendons, lengths, MotorCommand(zero), 0.0).start
     rigid = (tendons.servo_gain > 0) & (tendons.servo_stiffness == 0)
     hold = jnp.where(rigid, expand_dims_like(tendons.limit_stiffness, length), 0.0)
@@ -174,16 +163,16 @@ def static_force(tendons: Tendons, q: Float[Array, " d"]) -> Float[Array, " t"]:
 def tendon_energy(tendons: Tendons, state: State) -> Float[Array, "*n"]:
     """Return the energy of the tendons' springs and armature, J."""
     length, rate = lengths_of(tendons, state)
-    stretch = stretch_of(tendons, length)
+    stretch, _ = stretch_of(tendons, length)
     stiffness, armature = (
         expand_dims_like(x, length) for x in (tendons.stiffness, tendons.armature)
     )
     return 0.5 * (armature * rate**2 + stiffness * stretch**2).sum(0)
 
 
-def lengths_of(tendons: Tendons, state: State) -> Lengths:
+def lengths_of(tendons: Tendons, state: State) -> Coordinates:
     """Return the lengths of the tendons and their rates in a state."""
-    return Lengths(length_of(tendons, state.q), length_of(tendons, state.qd))
+    return Coordinates(length_of(tendons, state.q), length_of(tendons, state.qd))
 
 
 def length_of(tendons: Tendons, q: Float[Array, "d *n"]) -> Float[Array, "t *n"]:
@@ -198,15 +187,11 @@ def torque_of(tendons: Tendons, force: Float[Array, "t *n"], dofs: int) -> Float
     return spread(parts, tendons.dofs, dofs, 0)
 
 
-def stretch_of(tendons: Tendons, length: Float[Array, "t *n"]) -> Float[Array, "t *n"]:
-    """Return how far lengths are outside the lengths at which the springs are slack."""
-    shortest, longest = _rest(tendons, length)
-    return length - jnp.clip(length, shortest, longest)
-
-
-def _rest(
+def stretch_of(
     tendons: Tendons, length: Float[Array, "t *n"]
-) -> tuple[Float[Array, "t *#n"], Float[Array, "t *#n"]]:
+) -> tuple[Float[Array, "t *n"], Bool[Array, "t *n"]]:
+    """Return how far the springs are stretched at some lengths, and whether they are slack."""
     rest = tendons.shortest_rest, tendons.longest_rest
     shortest, longest = (expand_dims_like(x, length) for x in rest)
-    return shortest, longest
+    slack = (length > shortest) & (length < longest)
+    return length - jnp.clip(length, shortest, longest), slack

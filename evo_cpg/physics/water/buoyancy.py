@@ -261,9 +261,15 @@ def _cylinder(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
     along = jnp.sqrt((1 - least) * squares[0] + least * every)
     across = jnp.sqrt((1 - least) * (squares[1] + squares[2]) + least * every)
     depth = jnp.clip(depth, -along - across, along + across)
-    (e1, g1, h1), (e2, g2, h2) = (
-        _disc_integrals((depth + sign * along) / across) for sign in (1.0, -1.0)
-    )
+    parts = []
+    for sign in (1.0, -1.0):
+        # e and g of the disc at a depth over its reach, and ``2 g - s e``.
+        s = (depth + sign * along) / across
+        inner, beyond = jnp.clip(s, -1.0, 1.0), jnp.maximum(s - 1.0, 0.0)
+        e, g = _horner(_DISC_E, inner), _horner(_DISC_G, inner)
+        e, g = e + beyond, g + beyond * (1.0 + 0.5 * beyond)
+        parts.append((e, g, 2.0 * g - s * e))
+    (e1, g1, h1), (e2, g2, h2) = parts
     scale = 0.5 / along
     fraction = scale * across * (e1 - e2)
     energy = scale * across * across * (g1 - g2)
@@ -273,15 +279,6 @@ def _cylinder(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
     each = jnp.stack([by_along, by_across, by_across])
     moment = -stretched * ((1 - least) * each + least * (by_along + by_across)[None])
     return fraction, moment
-
-
-def _disc_integrals(s: Array) -> tuple[Array, Array, Array]:
-    """Return e and g of a disc at a depth over its reach, and ``2 g - s e``."""
-    inner = jnp.clip(s, -1.0, 1.0)
-    beyond = jnp.maximum(s - 1.0, 0.0)
-    e, g = _horner(_DISC_E, inner), _horner(_DISC_G, inner)
-    e, g = e + beyond, g + beyond * (1.0 + 0.5 * beyond)
-    return e, g, 2.0 * g - s * e
 
 
 def _polyhedron(cells: Cells, up: Array, depth: Array) -> tuple[Array, Array]:

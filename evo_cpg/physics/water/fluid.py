@@ -287,11 +287,7 @@ def drag(
 ) -> tuple[Float[Array, "6 b *n"], Float[Array, "3 3 3 b *n"]]:
     """Return the drag wrench on every body and D, in body axes.
 
-    Args:
-        law: coefficients and surface points.
-        density: density of the water, kg/m^3.
-        velocity: velocity of every body relative to the water: angular, then linear.
-        pose: pose of every body (`Bodies`), or None for water without a surface.
+    The velocities are relative to the water: angular, then linear.
 
     Returns:
         The wrench (moment, force) and the blocks (angular-angular, angular-linear,

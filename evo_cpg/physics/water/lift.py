@@ -106,6 +106,7 @@ class _Flow(NamedTuple):
         aspect: aspect ratio.
         per_sine: C_N over the sine.
         pressure: ``1/2 rho S`` of the parts under water, kg/m.
+        resistance: additional force against the normal velocity, over this velocity, N s/m.
     """
 
     centre: Float[Array, "3 p *#n"]
@@ -117,11 +118,7 @@ class _Flow(NamedTuple):
     aspect: Float[Array, "p *n"]
     per_sine: Float[Array, "p *n"]
     pressure: Float[Array, "p *n"]
-
-    @property
-    def resistance(self) -> Float[Array, "p *n"]:
-        """Additional force against the normal velocity, over this velocity, N s/m."""
-        return self.pressure * self.speed * (self.per_sine - broadside(self.aspect) * self.sine)
+    resistance: Float[Array, "p *n"]
 
 
 class PlateLift(ForceLaw):
@@ -178,11 +175,8 @@ class PlateLift(ForceLaw):
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench of the derivatives that D leaves out (`ForceLaw.averaged`)."""
-
-        def wrench(velocity: Float[Array, "6 b *n"]) -> Float[Array, "6 b *n"]:
-            return self.wrench(start.moving(velocity))
-
-        whole = jax.jvp(wrench, (start.velocity,), (moving.velocity,))[1]
+        velocities = (start.velocity,), (moving.velocity,)
+        whole = jax.jvp(lambda v: self.wrench(start.moving(v)), *velocities)[1]
         row, c = self._resistance(start)
         own = 2.0 * c * dot(row, take(moving.velocity, np.array(self.bodies)))
         return whole + self._spread(start, row * own[None])
@@ -212,6 +206,10 @@ class PlateLift(ForceLaw):
         assert bodies.water is not None
         wet = take(bodies.under_water, own, 0)
         area = expand_dims_like(self.weight * self.area, normal)
+        pressure, whole = (
+            0.5 * bodies.water.density * area * wet,
+            per_sine(sine, slip / speed, aspect),
+        )
         return _Flow(
             centre=expand_dims_like(bodies.tree.centre[:, own], bodies.velocity),
             frame=frame,
@@ -220,8 +218,9 @@ class PlateLift(ForceLaw):
             slip=slip,
             sine=sine,
             aspect=aspect,
-            per_sine=per_sine(sine, slip / speed, aspect),
-            pressure=0.5 * bodies.water.density * area * wet,
+            per_sine=whole,
+            pressure=pressure,
+            resistance=pressure * speed * (whole - broadside(aspect) * sine),
         )
 
 
@@ -247,11 +246,7 @@ def make_plate_lift(
 ) -> PlateLift | None:
     """Return the lift of the thin bodies outside slender chains, or None if there are none.
 
-    Args:
-        creature: the creature.
-        tree: tree of the creature.
-        has_moment: whether the force acts ahead of the centre (`PlateLift`).
-        layout: "complete" keeps thick bodies, with a weight of 0.
+    The layout "complete" keeps thick bodies, with a weight of 0.
     """
     chained = {
         creature.bodies[body].name

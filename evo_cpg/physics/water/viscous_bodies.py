@@ -46,7 +46,7 @@ compares them with measurements.
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.creature.algebra.decisions import chosen
+from evo_cpg.creature.algebra.decisions import decided
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Surface
@@ -167,11 +167,8 @@ def _form_points(
     The coefficients give the chain the drag of its outline. Where the points of a round body are
     too few for that, such as at the edge of a thin disc, points at the body's centre add the rest.
 
-    Args:
-        shape: outline of the chain.
-        surfaces: points of its bodies.
-        fine: many points of the first body. The few points of a thin ellipsoid have up to six times
-            its area, and a single body meets hardly more flow than its silhouette.
+    ``fine`` are many points of the first body: a thin ellipsoid's few points have up to six times
+    its area, and a single body meets hardly more flow than its silhouette.
     """
     normals = [surface.normals @ turn for surface, turn in zip(surfaces, shape.axes, strict=True)]
     every, areas = xp.concatenate(normals), xp.concatenate([s.areas for s in surfaces])
@@ -186,9 +183,7 @@ def _form_points(
     k = point_coefficients(every, areas, coefficients)
     splits = np.cumsum([len(s.areas) for s in surfaces])[:-1].tolist()
     own = xp.split(k, splits)
-    if chosen(
-        lambda: bool(shape.sharpness > _SHARP), lambda was: (shape.sharpness > _SHARP) == was
-    ):
+    if decided(lambda: shape.sharpness > _SHARP):
         return list(zip(surfaces, own, strict=True))
     given = (k * areas) @ xp.abs(every) ** 3
     missing = xp.maximum(coefficients - given / xp.maximum(total, _TINY**2), 0.0)
@@ -210,14 +205,10 @@ def _creep(shape: ChainOutline) -> Float[Numbers, "n 6"]:
     half = shape.sizes / 2
     scale = (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
     force, torque = ellipsoid_resistance(xp.maximum(half * scale, _TINY))
-    lengths = _lengths(shape)
+    lengths = shape.lengths
     part = (lengths / xp.maximum(lengths.sum(), _TINY))[:, None]
     about = xp.concatenate([part * torque[None, :1], part**3 * torque[None, 1:]], 1)
     return xp.concatenate([about, part * force[None]], 1)
-
-
-def _lengths(shape: ChainOutline) -> Float[Numbers, " n"]:
-    return shape.chain.lengths if len(shape.axes) > 1 else 2 * shape.halves[:, 0]
 
 
 def _path(depth: Number, one: Number, other: Number) -> Number:
@@ -231,7 +222,7 @@ def _runs_along(shape: ChainOutline) -> Float[Numbers, "n 2"]:
 
     The mean of ``x^-1/2`` over a body from x_0 to x_1 is ``2 / (sqrt(x_0) + sqrt(x_1))``.
     """
-    lengths = _lengths(shape)
+    lengths = shape.lengths
     ends = xp.cumsum(lengths)
     total = xp.maximum(ends[-1], _TINY)
     starts = ends - lengths
@@ -335,10 +326,8 @@ def form_drag_coefficients(
 ) -> Float[Numbers, " 3"]:
     """Return C for flow along each axis of a shape.
 
-    Args:
-        sizes: lengths of the shape along its axes, m.
-        sharpness: 0 for round shapes, 1 for boxes. Values between mix the two coefficients.
-        bluntness: fraction that consists of cylinders along each axis, or None without cylinders.
+    The sharpness is 0 for round shapes and 1 for boxes. The bluntness is the fraction that consists
+    of cylinders along each axis.
     """
     found = []
     for axis in range(3):
