@@ -47,9 +47,7 @@ class Verdict(NamedTuple):
 
 
 def compare(
-    then: tuple[dict[str, Any], list[Row]],
-    now: tuple[dict[str, Any], list[Row]],
-    tolerance: float,
+    then: tuple[dict[str, Any], list[Row]], now: tuple[dict[str, Any], list[Row]], tolerance: float
 ) -> Verdict:
     """Compare all rows that both runs have.
 

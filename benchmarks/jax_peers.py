@@ -71,10 +71,7 @@ WET = (
     JaxPeer("Brax, inertia box", "brax", Kind("", ""), "Euler"),
     JaxPeer("Brax, no fluid", "brax", Kind("", dense=False), "Euler"),
 )
-GROUNDED = (
-    JaxPeer("MJX", "mjx", DRY[0], "implicitfast"),
-    JaxPeer("Brax", "brax", DRY[0], "Euler"),
-)
+GROUNDED = (JaxPeer("MJX", "mjx", DRY[0], "implicitfast"), JaxPeer("Brax", "brax", DRY[0], "Euler"))
 _MODULES = {"mjx": "mujoco.mjx", "brax": "brax"}
 
 

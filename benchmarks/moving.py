@@ -243,10 +243,7 @@ def _row(
         return row
     low, ratio, high = ratio_quartiles(rates, our.part, their.name)
     return dataclasses.replace(
-        row,
-        peer_rate=statistics.median(rates[their.name]),
-        ratio=ratio,
-        ratio_spread=(low, high),
+        row, peer_rate=statistics.median(rates[their.name]), ratio=ratio, ratio_spread=(low, high)
     )
 
 

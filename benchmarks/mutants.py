@@ -47,12 +47,7 @@ MUTANTS = (
         "jax.tree.map(jnp.zeros_like, found)",
         "native/test_loops.py physics/test_gradients.py",
     ),
-    Mutant(
-        "native/fuse.py",
-        "jnp.any(goes_on(x))",
-        "jnp.all(goes_on(x))",
-        "native/test_loops.py",
-    ),
+    Mutant("native/fuse.py", "jnp.any(goes_on(x))", "jnp.all(goes_on(x))", "native/test_loops.py"),
     Mutant(
         "creature/algebra/numerics.py",
         "args, options = jax.tree.map(_whole, (args, options))",
@@ -167,12 +162,7 @@ MUTANTS = (
         "- 0.9 * broadside(aspect) * sine",
         "physics/test_lift.py",
     ),
-    Mutant(
-        "physics/water/lift.py",
-        "own = 2.0 * c",
-        "own = c",
-        "physics/test_lift.py",
-    ),
+    Mutant("physics/water/lift.py", "own = 2.0 * c", "own = c", "physics/test_lift.py"),
     Mutant(
         "physics/water/lift.py",
         "across = other * other * first",
@@ -396,10 +386,7 @@ MUTANTS = (
         "simulation/test_sensors.py",
     ),
     Mutant(
-        "simulation/tasks.py",
-        "final / tally.start_distance",
-        "final",
-        "simulation/test_trials.py",
+        "simulation/tasks.py", "final / tally.start_distance", "final", "simulation/test_trials.py"
     ),
     Mutant(
         "simulation/tasks.py",
@@ -419,12 +406,7 @@ MUTANTS = (
         "tally.squared_rise / steps",
         "simulation/test_walk.py",
     ),
-    Mutant(
-        "simulation/noise.py",
-        "np.sqrt(duration)",
-        "duration",
-        "simulation/test_noise.py",
-    ),
+    Mutant("simulation/noise.py", "np.sqrt(duration)", "duration", "simulation/test_noise.py"),
     Mutant(
         "simulation/noise.py",
         "1.0 + noise.friction * draw",

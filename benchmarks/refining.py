@@ -50,10 +50,7 @@ def main() -> None:
     started = train(experiment, start, _tell)
     before = [champion.fitness for champion in started.champions if champion]
     refined, seconds = _refine(experiment, started, chosen.rounds)
-    methods = {
-        "refined": refined,
-        "evolved": _evolve(experiment, start, out / "evolved", seconds),
-    }
+    methods = {"refined": refined, "evolved": _evolve(experiment, start, out / "evolved", seconds)}
     if not chosen.skip_learning:
         learner = experiment._replace(learning=LEARNING)
         methods["learned"] = _evolve(learner, start, out / "learned", seconds)

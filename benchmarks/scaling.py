@@ -27,11 +27,7 @@ from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
 
 # Control steps of a trial, by config. One core computes a population's trials in about a second.
-_CASES = {
-    "iwadate2010_swimmer": 4000,
-    "fukui2003_model1": 2400,
-    "iwadate2010_salamander_land": 600,
-}
+_CASES = {"iwadate2010_swimmer": 4000, "fukui2003_model1": 2400, "iwadate2010_salamander_land": 600}
 _QUICK = 60
 # Number of individuals, which gives each core whole vectors of individuals.
 _SIZE = 256

@@ -11,13 +11,7 @@ author = "The evo_cpg authors"
 project_copyright = author
 release = version = installed_version("evo-cpg")
 
-extensions = [
-    "myst_parser",
-    "sphinx_copybutton",
-    "mathml",
-    "animal_pages",
-    "notebook_pages",
-]
+extensions = ["myst_parser", "sphinx_copybutton", "mathml", "animal_pages", "notebook_pages"]
 # The pages of the studies contain the tables in these folders, see `generate.py`.
 exclude_patterns = ["_build", "paper", "reproduction/*/*"]
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath", "substitution"]

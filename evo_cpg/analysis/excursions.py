@@ -74,10 +74,7 @@ class Excursions(NamedTuple):
 
 
 def excursions(
-    simulation: Simulation,
-    creature: Creature,
-    steps: PhysicsSteps,
-    situation: int = 0,
+    simulation: Simulation, creature: Creature, steps: PhysicsSteps, situation: int = 0
 ) -> Excursions:
     """Measure the extremes of a trial in one of the simulation's situations."""
     world, light = simulation.world, simulation.lights[situation]

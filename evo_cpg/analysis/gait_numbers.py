@@ -17,12 +17,7 @@ from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.feet import Feet, contacts
 from evo_cpg.analysis.gait import PhaseLags, phase_lags
 from evo_cpg.analysis.gait_quantities import Measurement, Quantity, quantities
-from evo_cpg.analysis.midline import (
-    MidlineMotion,
-    midline_chain,
-    midline_motion,
-    midline_points,
-)
+from evo_cpg.analysis.midline import MidlineMotion, midline_chain, midline_motion, midline_points
 from evo_cpg.analysis.stride import stride_frequency
 from evo_cpg.creature.axis_kinds import body_and_axis
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose

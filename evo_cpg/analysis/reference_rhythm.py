@@ -25,12 +25,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.chains import OscillatorChain
-from evo_cpg.analysis.limit_cycle import (
-    LimitCycle,
-    NoRhythmError,
-    RhythmSearchError,
-    limit_cycle,
-)
+from evo_cpg.analysis.limit_cycle import LimitCycle, NoRhythmError, RhythmSearchError, limit_cycle
 from evo_cpg.control.matsuoka import CpgSettings, build_network
 from evo_cpg.creature.tree import Tree
 

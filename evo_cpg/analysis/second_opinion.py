@@ -413,16 +413,7 @@ class _Player:
         return jax.tree.unflatten(self._structure, parts)
 
 
-<<<<<<< HEAD
-def _controls(laws: Laws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
-=======
-def _applied(world: World) -> bool:
-    """Return whether the world has forces that MJCF cannot hold."""
-    return world.water is not None or bool(world.forces)
-
-
 def _controls(laws: ForceLaws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
->>>>>>> r2phys
     """Return MuJoCo's commands that give the force of our motors."""
     target_rate, target_angle = np.asarray(command.target_rate), np.asarray(command.target_angle)
     gain, stiffness = (

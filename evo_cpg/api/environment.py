@@ -82,11 +82,7 @@ class Environment:
     """
 
     def __init__(
-        self,
-        simulation: Simulation,
-        scales: dict[str, Float[Array, ""]],
-        actions: str,
-        trial: int,
+        self, simulation: Simulation, scales: dict[str, Float[Array, ""]], actions: str, trial: int
     ):
         tree = simulation.world.tree
         if actions not in ("rates", "angles", "activations", "torques"):

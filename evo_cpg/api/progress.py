@@ -282,11 +282,7 @@ def _display(what: str, counted: bool, stays: bool) -> Iterator[Work]:
 
 @contextlib.contextmanager
 def progress(
-    step: str,
-    total: int,
-    completed: int = 0,
-    first: str = "compiling",
-    last: str = "",
+    step: str, total: int, completed: int = 0, first: str = "compiling", last: str = ""
 ) -> Iterator[Callable[..., None]]:
     """Show the progress of work in steps.
 

@@ -5,17 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from evo_cpg.analysis.chains import OscillatorChain, chains
-from evo_cpg.analysis.limit_cycle import (
-    LimitCycle,
-    NoRhythmError,
-    RhythmSearchError,
-    limit_cycle,
-)
-from evo_cpg.analysis.reference_rhythm import (
-    Rhythm,
-    UnreachableRhythmError,
-    reference_rhythm,
-)
+from evo_cpg.analysis.limit_cycle import LimitCycle, NoRhythmError, RhythmSearchError, limit_cycle
+from evo_cpg.analysis.reference_rhythm import Rhythm, UnreachableRhythmError, reference_rhythm
 from evo_cpg.analysis.reference_rhythm import rhythm as rhythm_of_chain
 from evo_cpg.api.experiment import Experiment
 from evo_cpg.control.couplings import ring_members

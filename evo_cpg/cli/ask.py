@@ -57,8 +57,7 @@ _MOST = 10_000
 def analyse(
     run: Run,
     output: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="A .html file (default: RUN/analysis.html)."),
+        Path | None, typer.Option("--out", "-o", help="A .html file (default: RUN/analysis.html).")
     ] = None,
     number: Number = None,
     trial: Trial = 0,
@@ -266,8 +265,7 @@ def probe(
     reach: Annotated[
         float,
         typer.Option(
-            min=0,
-            help="Largest fraction of the distance that may be left to a reached light.",
+            min=0, help="Largest fraction of the distance that may be left to a reached light."
         ),
     ] = 0.2,
     number: Number = None,

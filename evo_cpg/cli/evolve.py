@@ -280,13 +280,7 @@ def refine(
 
 
 def watch(
-    run: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RUN",
-            help="A run folder made by `train`.",
-        ),
-    ],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by `train`.")],
     once: Annotated[
         bool, typer.Option("--once", help="Print the present state, then exit.")
     ] = False,

@@ -25,9 +25,7 @@ from evo_cpg.cli.terminal import show_table, tell, warn
 from evo_cpg.errors import UsageError
 
 configs = typer.Typer(
-    help="List and copy shipped configurations.",
-    add_completion=False,
-    rich_markup_mode=None,
+    help="List and copy shipped configurations.", add_completion=False, rich_markup_mode=None
 )
 
 

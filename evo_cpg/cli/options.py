@@ -127,19 +127,12 @@ Config = Annotated[
     ),
 ]
 Run = Annotated[
-    Path,
-    typer.Argument(
-        metavar="RUN",
-        help="A run folder made by `train`.",
-        callback=run_folder,
-    ),
+    Path, typer.Argument(metavar="RUN", help="A run folder made by `train`.", callback=run_folder)
 ]
 Overrides = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="KEY=VALUE",
-        help="Settings to change, such as seed=3.",
-        callback=name_replaced,
+        metavar="KEY=VALUE", help="Settings to change, such as seed=3.", callback=name_replaced
     ),
 ]
 Port = Annotated[
@@ -156,8 +149,7 @@ Number = Annotated[
     ),
 ]
 Trial = Annotated[
-    int,
-    typer.Option("--trial", min=0, help="Trial of the champion, counted from 0."),
+    int, typer.Option("--trial", min=0, help="Trial of the champion, counted from 0.")
 ]
 Cell = Annotated[
     str | None,

@@ -28,8 +28,7 @@ def reproduce(
         ),
     ] = None,
     parts: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="PART", help="Parts of the study (default: all)."),
+        list[str] | None, typer.Argument(metavar="PART", help="Parts of the study (default: all).")
     ] = None,
     out: Annotated[
         Path | None,

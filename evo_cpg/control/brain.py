@@ -130,11 +130,7 @@ def think(brain: Brain, weights: Weights, inputs: Float[Array, "i *n"]) -> Float
 
 
 def random_weights(
-    key: Array,
-    brain: Brain,
-    batch: tuple[int, ...],
-    dtype: jnp.dtype | type,
-    init_range: float,
+    key: Array, brain: Brain, batch: tuple[int, ...], dtype: jnp.dtype | type, init_range: float
 ) -> Float[Array, "g *n"]:
     """Return weights of the first generation, uniform within plus and minus ``init_range``."""
     shape = (brain.gene_count, *batch)

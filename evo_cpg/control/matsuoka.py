@@ -311,9 +311,7 @@ def diagonal(matrix: Float[Numbers, "o o"], offset: int) -> Float[Numbers, " o"]
 
 
 def initial_state(
-    network: MatsuokaNetwork,
-    batch: tuple[int, ...] = (),
-    dtype: jnp.dtype | type = jnp.float32,
+    network: MatsuokaNetwork, batch: tuple[int, ...] = (), dtype: jnp.dtype | type = jnp.float32
 ) -> MatsuokaState:
     """Return neurons at their initial potentials, with all adaptations z at 0."""
     rest = jnp.zeros((2, network.oscillator_count, *batch), dtype)

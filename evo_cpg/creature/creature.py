@@ -232,11 +232,7 @@ class Joint:
     axes: tuple[Triple, ...]
     lower: tuple[Number, ...]
     upper: tuple[Number, ...]
-    orientation: tuple[Triple, ...] = (
-        (1.0, 0.0, 0.0),
-        (0.0, 1.0, 0.0),
-        (0.0, 0.0, 1.0),
-    )
+    orientation: tuple[Triple, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     stiffness: Number | tuple[Number, ...] = 0.0
     damping: Number | tuple[Number, ...] = 0.0
     armature: Number | tuple[Number, ...] = 0.0

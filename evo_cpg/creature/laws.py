@@ -230,9 +230,7 @@ def muscles_of(motors: Sequence[Muscle | None]) -> Muscles | None:
 
 
 def ball_limits_of(
-    dofs: Sequence[DegreeOfFreedom],
-    stiffness: Float[Numbers, " d"],
-    damping: Float[Numbers, " d"],
+    dofs: Sequence[DegreeOfFreedom], stiffness: Float[Numbers, " d"], damping: Float[Numbers, " d"]
 ) -> BallLimits | None:
     """Return the limits of all balls, or None if no ball has one.
 

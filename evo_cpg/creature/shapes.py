@@ -332,9 +332,7 @@ class Box(Shape):
         axis = np.abs(normals).argmax(-1)
         half = self.half_extents
         return Surface(
-            places * half,
-            normals,
-            weights * 4 * half[(axis + 1) % 3] * half[(axis + 2) % 3],
+            places * half, normals, weights * 4 * half[(axis + 1) % 3] * half[(axis + 2) % 3]
         )
 
     @override

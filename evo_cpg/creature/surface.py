@@ -49,10 +49,7 @@ _SAME_SKIN, _OUTWARDS = 1e-9, 1e-6
 
 
 def outer_surfaces(
-    creature: Creature,
-    resolution: int,
-    sheltered: bool = True,
-    layout: PointLayout = "merged",
+    creature: Creature, resolution: int, sheltered: bool = True, layout: PointLayout = "merged"
 ) -> tuple[Surface, ...]:
     """Return quadrature points on the outer surface of each body, in its geometric frame.
 

@@ -346,10 +346,7 @@ def spatial_inertia(mass: Number, com: Numbers, inertia: Numbers) -> Float[Numbe
     x, y, z = com
     cross = xp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return xp.block(
-        [
-            [inertia - mass * cross @ cross, mass * cross],
-            [-mass * cross, mass * np.eye(3)],
-        ]
+        [[inertia - mass * cross @ cross, mass * cross], [-mass * cross, mass * np.eye(3)]]
     )
 
 

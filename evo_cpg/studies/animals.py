@@ -9,14 +9,7 @@ from functools import partial
 from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.api.lab import lab
 from evo_cpg.studies import card_rows
-from evo_cpg.studies.card import (
-    Absent,
-    Question,
-    Row,
-    Verdict,
-    absent_table,
-    card_tables,
-)
+from evo_cpg.studies.card import Absent, Question, Row, Verdict, absent_table, card_tables
 from evo_cpg.studies.study import Part, Runs, Study, Table
 from evo_cpg.studies.workshop import Workshop
 

@@ -20,12 +20,7 @@ from evo_cpg.simulation.recording import Recorder, Recording
 from evo_cpg.training.checkpoint import history_columns
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
-from evo_cpg.training.experiment import (
-    ExperimentParts,
-    begin,
-    situation_numbers,
-    trial_keys,
-)
+from evo_cpg.training.experiment import ExperimentParts, begin, situation_numbers, trial_keys
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.train import Running
 

@@ -303,9 +303,7 @@ def side_by_side(
 
 
 def picture(
-    panels: Sequence[Panel],
-    film: Film,
-    progress: Callable[[int, int], None] | None = None,
+    panels: Sequence[Panel], film: Film, progress: Callable[[int, int], None] | None = None
 ) -> Image.Image:
     """Return a still or, if the film has a sheet, a sheet of moments. See `side_by_side`.
 

@@ -7,13 +7,7 @@ import numpy as np
 import pyvista as pv
 from jaxtyping import Float
 
-from evo_cpg.view.camera import (
-    VIEW_ANGLE,
-    CameraPath,
-    level_axes,
-    project,
-    turned_about_vertical,
-)
+from evo_cpg.view.camera import VIEW_ANGLE, CameraPath, level_axes, project, turned_about_vertical
 from evo_cpg.view.offscreen import add_faded, floor_texture, write_depth
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Terrain

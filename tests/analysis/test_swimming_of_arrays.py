@@ -7,12 +7,7 @@ import pytest
 
 from evo_cpg.analysis.body_wave import body_wave, travelling_index
 from evo_cpg.analysis.midline import bending_lag, envelope, sway, swimming
-from evo_cpg.analysis.stride import (
-    froude_efficiency,
-    reynolds_number,
-    slip,
-    swimming_number,
-)
+from evo_cpg.analysis.stride import froude_efficiency, reynolds_number, slip, swimming_number
 
 STEP = 1 / 60
 TIME = STEP * np.arange(600)

@@ -8,12 +8,7 @@ from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import Tree, build_tree
 
 # A capital letter is the axis in the opposite direction.
-UNIT = {
-    "x": (1.0, 0.0, 0.0),
-    "y": (0.0, 1.0, 0.0),
-    "z": (0.0, 0.0, 1.0),
-    "Z": (0.0, 0.0, -1.0),
-}
+UNIT = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0), "Z": (0.0, 0.0, -1.0)}
 
 
 @pytest.fixture(autouse=True)

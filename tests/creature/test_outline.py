@@ -212,10 +212,7 @@ CHANGES = {
         ),
         (0.0, 90.0),
     ),
-    "width": (
-        lambda x: pair(CAPSULE, Capsule(x, L), (-0.05, 0, 0), (0.05, 0, 0)),
-        (0.01, 0.15),
-    ),
+    "width": (lambda x: pair(CAPSULE, Capsule(x, L), (-0.05, 0, 0), (0.05, 0, 0)), (0.01, 0.15)),
     "offset": (lambda x: pair(CAPSULE, CAPSULE, (-0.05, x, 0), (0.05, 0, 0)), (0.0, 0.15)),
     "limb that sinks in": (
         lambda x: pair(Capsule(R, 0.6), Capsule(0.018, 0.09), (0.03, x, 0), (-0.055, 0, 0), 90.0),

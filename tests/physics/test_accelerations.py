@@ -12,13 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.mujoco_model import mujoco_model
-from creatures import (
-    STRUCTURES,
-    mujocos_accelerations,
-    quick_jit,
-    random_creature,
-    random_state,
-)
+from creatures import STRUCTURES, mujocos_accelerations, quick_jit, random_creature, random_state
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.physics.step.equations import body_equations

@@ -8,17 +8,7 @@ import numpy as np
 import pytest
 import scipy.spatial
 
-from creatures import (
-    coast,
-    hinge,
-    in_water,
-    last,
-    quick_jit,
-    random_state,
-    resting,
-    single,
-    slope,
-)
+from creatures import coast, hinge, in_water, last, quick_jit, random_state, resting, single, slope
 from evo_cpg.creature.creature import Actuator, Body, Creature, Material, lowest_height
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Shape, Sphere

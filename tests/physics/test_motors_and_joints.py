@@ -20,14 +20,7 @@ from creatures import (
     rolled,
 )
 from evo_cpg.analysis.energy import mechanical_energy
-from evo_cpg.creature.creature import (
-    NO_LIMIT,
-    Actuator,
-    Body,
-    Creature,
-    Material,
-    TorqueMotor,
-)
+from evo_cpg.creature.creature import NO_LIMIT, Actuator, Body, Creature, Material, TorqueMotor
 from evo_cpg.creature.laws import LIMIT_FREQUENCY
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import build_tree

@@ -10,15 +10,7 @@ import numpy as np
 import pytest
 
 import driven
-from creatures import (
-    STRUCTURES,
-    box_chain,
-    hinge,
-    quick_jit,
-    random_creature,
-    random_state,
-    slope,
-)
+from creatures import STRUCTURES, box_chain, hinge, quick_jit, random_creature, random_state, slope
 from evo_cpg.creature.creature import (
     NO_LIMIT,
     Actuator,

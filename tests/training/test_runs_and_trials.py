@@ -16,14 +16,7 @@ from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.evaluate import compile_replay, compile_trials
-from evo_cpg.training.experiment import (
-    begin,
-    breed,
-    generation_keys,
-    judge,
-    judge_each,
-    trial_keys,
-)
+from evo_cpg.training.experiment import begin, breed, generation_keys, judge, judge_each, trial_keys
 from trials import OneTerm, SineController, evolve, experiment, untimed
 
 SEED, SIZE, GENERATIONS = 5, 6, 3

@@ -3,14 +3,7 @@
 import numpy as np
 from PIL import Image
 
-from evo_cpg.creature.creature import (
-    Actuator,
-    Body,
-    Creature,
-    Joint,
-    LightSensor,
-    Material,
-)
+from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.simulation.recording import Recording
 

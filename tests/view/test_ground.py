@@ -40,12 +40,7 @@ def stills(creature, recording, tmp_path_factory):
     painted = {}
 
     def still(motion=recording, without="", **settings):
-        settings = {
-            "world": "land",
-            "ground": Ground(),
-            "title": "",
-            "seconds": INSTANT,
-        } | settings
+        settings = {"world": "land", "ground": Ground(), "title": "", "seconds": INSTANT} | settings
         key = motion.position.tobytes(), without, repr(settings)
         if key not in painted:
             path = folder / "still.png"

@@ -400,11 +400,7 @@ class Link(NamedTuple):
 
 
 def linked(
-    tree: Tree,
-    group: Group,
-    parent: Link,
-    local: Any,
-    qd: Float[Array, "d *n"],
+    tree: Tree, group: Group, parent: Link, local: Any, qd: Float[Array, "d *n"]
 ) -> tuple[Link, Float[Array, "3 b *n"], Subspace]:
     """Return the bodies of a group, their offsets from their parents (m), and S.
 

@@ -234,12 +234,7 @@ def set_pressure(data: Data, part: str, on: bool) -> None:
 
 
 def _place(
-    data: Data,
-    source: Path,
-    part: str,
-    place: Vector,
-    axis: Vector,
-    each: bool,
+    data: Data, source: Path, part: str, place: Vector, axis: Vector, each: bool
 ) -> tuple[str, np.ndarray, np.ndarray]:
     """Return the name of the carrier, and place and direction in the frame of its entry."""
     here = posed(data, source)

@@ -203,12 +203,7 @@ def half_extents(shape: Data | None) -> tuple[float, float, float]:
 
 
 def add_shape(
-    data: Data,
-    source: Path,
-    part: str,
-    place: Vector,
-    normal: Vector,
-    shape: Data | None = None,
+    data: Data, source: Path, part: str, place: Vector, normal: Vector, shape: Data | None = None
 ) -> None:
     """Add a further shape to a body and its copies, rigidly joined to it on its surface.
 
