@@ -40,7 +40,7 @@ class Beginning(NamedTuple):
     genes: Float[Array, "g n"]
 
 
-class Variation(eqx.Module):
+class VaryParents(eqx.Module):
     """Variation of parents on the map to children."""
 
     @property
@@ -59,7 +59,7 @@ class Variation(eqx.Module):
         """Return the genomes, each with a small random change."""
 
 
-class AlongTheLine(Variation):
+class AlongTheLine(VaryParents):
     """Variation of real-valued genomes: noise, and a step along the line to the other parent.
 
     Attributes:
@@ -75,19 +75,19 @@ class AlongTheLine(Variation):
     def __call__(
         self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
     ) -> Float[Array, "g n"]:
-        """See `Variation`."""
+        """See `VaryParents`."""
         iso_key, line_key = jax.random.split(key)
         a, b = genes[:, parents[0]], genes[:, parents[1]]
         along = self.line_sigma * jax.random.normal(line_key, (1, a.shape[1]), a.dtype)
         return self.copies(iso_key, a + along * (b - a))
 
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """See `Variation`."""
+        """See `VaryParents`."""
         noise = self.iso_sigma * jax.random.normal(key, genes.shape, genes.dtype)
         return jnp.clip(genes + noise, -self.gene_bound, self.gene_bound)
 
 
-class OfBits(Variation):
+class OfBits(VaryParents):
     """Variation of genomes of bits: crossover of the two parents, and mutation.
 
     Attributes:
@@ -106,7 +106,7 @@ class OfBits(Variation):
     def __call__(
         self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
     ) -> Float[Array, "g n"]:
-        """See `Variation`."""
+        """See `VaryParents`."""
         cross_key, mutate_key = jax.random.split(key)
         first, second = parents
         # Take the child of each pair that begins as the first parent.
@@ -116,7 +116,7 @@ class OfBits(Variation):
         )
 
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """See `Variation`."""
+        """See `VaryParents`."""
         return bit_mutation(key, genes, 1.0, *self.mutated_genes, self.mutation)
 
 
@@ -227,7 +227,7 @@ class MapElites(MapStrategy):
 
     population: int = eqx.field(static=True)
     axes: tuple[Axis, ...] = eqx.field(static=True)
-    vary: Variation = AlongTheLine()
+    vary: VaryParents = AlongTheLine()
 
     @property
     def gene_bound(self) -> float | None:

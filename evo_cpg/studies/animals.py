@@ -9,7 +9,7 @@ from functools import partial
 from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.api.lab import lab
 from evo_cpg.studies import card_rows
-from evo_cpg.studies.card import Absent, Question, Row, Verdict, absent_table, card_tables
+from evo_cpg.studies.card import Absent, AnsweredRow, Question, Row, absent_table, card_tables
 from evo_cpg.studies.study import Part, Runs, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
@@ -28,7 +28,7 @@ def card(workshop: Workshop, rows: Sequence[Row]) -> list[Table]:
 
     questions = list({id(row.question): row.question for row in rows}.values())
     answers = {id(question): _ask(workshop, question) for question in questions}
-    verdicts = [Verdict(row, list(row.measure(answers[id(row.question)]))) for row in rows]
+    verdicts = [AnsweredRow(row, list(row.measure(answers[id(row.question)]))) for row in rows]
     bars = [
         Bar(row.name, *row.rule, values, bool(row.rule.holds(values))) for row, values in verdicts
     ]

@@ -144,7 +144,7 @@ class Row(NamedTuple):
     digits: int = 2
 
 
-class Verdict(NamedTuple):
+class AnsweredRow(NamedTuple):
     """A row with its answer.
 
     Attributes:
@@ -161,14 +161,14 @@ class Verdict(NamedTuple):
         return {True: "yes", False: "no", None: "not measured"}[self.row.rule.holds(self.values)]
 
 
-def card_tables(verdicts: Sequence[Verdict], places: Mapping[str, str]) -> list[Table]:
+def card_tables(verdicts: Sequence[AnsweredRow], places: Mapping[str, str]) -> list[Table]:
     """Return the card: a table for each question, below the command that answers it.
 
     Args:
         verdicts: the rows with their answers.
         places: configuration or run folder of each animal, as the command takes it.
     """
-    groups: dict[str, list[Verdict]] = {}
+    groups: dict[str, list[AnsweredRow]] = {}
     for one in verdicts:
         question = one.row.question
         groups.setdefault(question.command(places[question.animal]), []).append(one)
@@ -181,7 +181,7 @@ def card_tables(verdicts: Sequence[Verdict], places: Mapping[str, str]) -> list[
 _HEAD = ("animal", "its figure", "reproduced if", "ours: median (range)", "reproduced", "missing")
 
 
-def _cells(verdict: Verdict) -> list[str]:
+def _cells(verdict: AnsweredRow) -> list[str]:
     row = verdict.row
     return [
         row.name,

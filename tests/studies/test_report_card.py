@@ -13,9 +13,9 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import card_measures, card_rows
 from evo_cpg.studies.animals import STUDY
 from evo_cpg.studies.card import (
+    AnsweredRow,
     Question,
     Row,
-    Verdict,
     above,
     below,
     card_tables,
@@ -61,7 +61,11 @@ def test_a_card_has_a_table_for_each_command():
     one = Question("eel", {"u": (0.2, 0.4), "cut": ("none", "tail1")}, 5.0)
     row = Row("eel", "1", "nobody", third(1.0), one, lambda _: [], "seeds", "a tail")
     other = row._replace(name="worm", question=one._replace(seconds=6.0))
-    verdicts = [Verdict(row, [0.9, 1.1]), Verdict(other, [2.0]), Verdict(row, [math.nan])]
+    verdicts = [
+        AnsweredRow(row, [0.9, 1.1]),
+        AnsweredRow(other, [2.0]),
+        AnsweredRow(row, [math.nan]),
+    ]
     first, second = card_tables(verdicts, {"eel": "eel"})
     assert first.title == "`evo-cpg lab eel u=0.2,0.4 cut=none,tail1 --seconds 5`"
     range_of_third = "0.667 to 1.33"
