@@ -105,7 +105,7 @@ def contacts(
     Args:
         simulation: the trial.
         creature: the animal.
-        frames: frames of one individual, see `evo_cpg.simulation.rollout.record`.
+        frames: frames of one individual, see `evo_cpg.simulation.recording.Recorder`.
         recording: recording of the same trial, in the order of the creature.
         first: first sample of the part in which strides are measured.
         frequency: stride frequency, Hz, or NaN.

@@ -107,7 +107,7 @@ def gait_numbers(
     Args:
         simulation: the trial.
         creature: the animal.
-        frames: frames of one individual, see `evo_cpg.simulation.rollout.record`.
+        frames: frames of one individual, see `evo_cpg.simulation.recording.Recorder`.
         recording: recording of the same trial, in the order of the creature.
     """
     step = 1.0 / simulation.control_rate

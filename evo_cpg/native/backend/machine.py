@@ -46,11 +46,6 @@ def keep_code_in(folder: Path | None) -> None:
     _folder = folder
 
 
-def code_folder() -> Path | None:
-    """Return the folder in which machine code is kept, or None if it is not kept."""
-    return _folder
-
-
 def llvm_version() -> str:
     """Return the version of the LLVM that compiles the code."""
     return ".".join(map(str, _llvm().llvm_version_info))
