@@ -37,6 +37,8 @@ _ON_TIME = 0.05
 
 # Ends of column names in the table that `evo-cpg export` writes.
 _ANGLE, _COMMAND, _ROTATION = ".angle", ".target_rate", ".rotation_xx"
+# Units of a table of measurements that would pass for s, m and rad.
+_FOREIGN = frozenset(("ms", "min", "mm", "cm", "km", "in", "ft", "deg", "deg/s", "rpm", "°", "°/s"))
 
 
 class MeasuredMotion(NamedTuple):
@@ -92,6 +94,9 @@ def read_motion(path: Path) -> MeasuredMotion:
         raise UserError(f"{path}: cannot be read as a table of numbers ({error})") from None
     # A unit may follow a name: `time [s]`.
     names = [head.partition("[")[0].strip() for head in heads]
+    for head in heads:
+        if head.partition("[")[2].rstrip("] ") in _FOREIGN:
+            raise UserError(f"{path}: {head.strip()!r}: columns must be in SI units: s, m and rad")
     if len(set(names)) < len(names) or "time" not in names or not len(table):
         raise UserError(f"{path}: needs rows of numbers, and different columns, one of them time")
     given = dict(zip(names, table.T, strict=True))

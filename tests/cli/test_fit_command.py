@@ -182,6 +182,8 @@ def test_a_forbidden_estimate_is_an_error(cli, config, tmp_path):
         (["time", "x", "tail.z.target_rate"], [[0.1, 1, 1]], "unknown command tail.z"),
         (["time", "x"], [[0.1, 1]], "too few"),
         (["time", "head.rotation_xx"], [[0, 1]], "'head.x'"),
+        (["time [ms]", "x [m]"], [[0, 1]], "'time [ms]'"),
+        (["time [s]", "x [cm]"], [[0, 1]], "'x [cm]'"),
     ],
 )
 def test_wrong_recordings_are_refused(cli, config, tmp_path, header, rows, word):
