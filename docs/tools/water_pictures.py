@@ -28,15 +28,7 @@ import test_viscous_drag as viscous  # noqa: E402
 import measured_water as measured  # noqa: E402
 from creatures import box_chain  # noqa: E402
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere  # noqa: E402
-from evo_cpg.view.figure import (  # noqa: E402
-    BLUE,
-    GREEN,
-    GREY,
-    RED,
-    framed,
-    new_figure,
-    save_figure,
-)
+from evo_cpg.view.figure import BLUE, GREEN, GREY, RED, framed, new_figure, save_figure  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 D = viscous.D
