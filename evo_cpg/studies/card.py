@@ -1,16 +1,15 @@
 """Report card: figures of real animals beside ours, each with a rule that was set beforehand.
 
-A rule is a range. A figure is reproduced if the median of ours lies in its range. There are
-these kinds of rules:
+A rule is a range. A figure is reproduced if the median of ours lies in its range. `Rule` takes the
+animals' own range, and `rule` makes the other kinds:
 
-| rule | range |
+| kind | range |
 |---|---|
-| `within` | the animals' own range |
-| `third` | a figure, a third less to a third more |
-| `points` | a change in percent, 10 percentage points less to 10 more |
-| `exponent` | an exponent, 0.1 less to 0.1 more |
-| `factor` | a figure, half to twice |
-| `above`, `below` | one side of a limit, without the limit |
+| third | a figure, a third less to a third more |
+| points | a change in percent, 10 percentage points less to 10 more |
+| exponent | an exponent, 0.1 less to 0.1 more |
+| factor | a figure, half to twice |
+| above, below | one side of a limit, without the limit |
 """
 
 import math
@@ -21,8 +20,6 @@ import numpy as np
 
 from evo_cpg.analysis.laboratory.ask import Answer
 from evo_cpg.studies.study import Table, middle
-
-_THIRD, _POINTS, _EXPONENT, _FACTOR = 1 / 3, 10.0, 0.1, 2.0
 
 
 class Rule(NamedTuple):
@@ -57,39 +54,17 @@ class Rule(NamedTuple):
         )
 
 
-def within(low: float, high: float) -> Rule:
-    """Return the animals' own range."""
-    return Rule(low, high)
-
-
-def third(figure: float) -> Rule:
-    """Return the range of a third around a positive figure."""
-    return Rule(figure * (1 - _THIRD), figure * (1 + _THIRD))
-
-
-def points(percent: float) -> Rule:
-    """Return the range of 10 percentage points around a change in percent."""
-    return Rule(percent - _POINTS, percent + _POINTS)
-
-
-def exponent(figure: float) -> Rule:
-    """Return the range of 0.1 around an exponent."""
-    return Rule(figure - _EXPONENT, figure + _EXPONENT)
-
-
-def factor(figure: float) -> Rule:
-    """Return the range from half of a positive figure to twice the figure."""
-    return Rule(figure / _FACTOR, figure * _FACTOR)
-
-
-def above(limit: float) -> Rule:
-    """Return all values above a limit."""
-    return Rule(limit, math.inf)
-
-
-def below(limit: float) -> Rule:
-    """Return all values below a limit."""
-    return Rule(-math.inf, limit)
+def rule(kind: str, figure: float) -> Rule:
+    """Return the range of a kind (see the table above) around a figure or beside a limit."""
+    ranges = {
+        "third": (figure * (1 - 1 / 3), figure * (1 + 1 / 3)),
+        "points": (figure - 10.0, figure + 10.0),
+        "exponent": (figure - 0.1, figure + 0.1),
+        "factor": (figure / 2.0, figure * 2.0),
+        "above": (figure, math.inf),
+        "below": (-math.inf, figure),
+    }
+    return Rule(*ranges[kind])
 
 
 class Question(NamedTuple):
@@ -155,11 +130,6 @@ class AnsweredRow(NamedTuple):
     row: Row
     values: Sequence[float]
 
-    @property
-    def reproduced(self) -> str:
-        """Return "yes", "no", or "not measured" without finite values."""
-        return {True: "yes", False: "no", None: "not measured"}[self.row.rule.holds(self.values)]
-
 
 def card_tables(verdicts: Sequence[AnsweredRow], places: Mapping[str, str]) -> list[Table]:
     """Return the card: a table for each question, below the command that answers it.
@@ -168,29 +138,15 @@ def card_tables(verdicts: Sequence[AnsweredRow], places: Mapping[str, str]) -> l
         verdicts: the rows with their answers.
         places: configuration or run folder of each animal, as the command takes it.
     """
-    groups: dict[str, list[AnsweredRow]] = {}
-    for one in verdicts:
-        question = one.row.question
-        groups.setdefault(question.command(places[question.animal]), []).append(one)
-    return [
-        Table(f"`{command}`", _HEAD, [_cells(one) for one in own])
-        for command, own in groups.items()
-    ]
-
-
-_HEAD = ("animal", "its figure", "reproduced if", "ours: median (range)", "reproduced", "missing")
-
-
-def _cells(verdict: AnsweredRow) -> list[str]:
-    row = verdict.row
-    return [
-        row.name,
-        f"{row.figure} ({row.source})",
-        row.rule.worded(),
-        f"{middle(verdict.values, row.digits)}, {row.ours}",
-        verdict.reproduced,
-        row.missing,
-    ]
+    groups: dict[str, list[list[str]]] = {}
+    for row, values in verdicts:
+        command = row.question.command(places[row.question.animal])
+        verdict = {True: "yes", False: "no", None: "not measured"}[row.rule.holds(values)]
+        figure, ours = f"{row.figure} ({row.source})", f"{middle(values, row.digits)}, {row.ours}"
+        cells = [row.name, figure, row.rule.worded(), ours, verdict, row.missing]
+        groups.setdefault(command, []).append(cells)
+    head = "animal", "its figure", "reproduced if", "ours: median (range)", "reproduced", "missing"
+    return [Table(f"`{command}`", head, cells) for command, cells in groups.items()]
 
 
 class Absent(NamedTuple):
@@ -207,9 +163,3 @@ class Absent(NamedTuple):
     figure: str
     source: str
     reason: str
-
-
-def absent_table(rows: Sequence[Absent]) -> Table:
-    """Return the figures without an answer as a table."""
-    head = ("animal", "its figure", "why ours has none")
-    return Table("", head, [[row.name, f"{row.figure} ({row.source})", row.reason] for row in rows])

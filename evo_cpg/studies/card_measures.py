@@ -1,7 +1,8 @@
 """Values of the report card, from answers of the laboratory.
 
-Each function takes the answers of a question, and returns a list with one value for each setting or
-seed. Values that do not exist are NaN.
+Each measure takes the answers of a question, and returns a list with one value for each setting or
+seed. Values that do not exist are NaN. A row of the card binds all
+arguments but the answers with `functools.partial`.
 """
 
 import itertools
@@ -27,24 +28,20 @@ _LAST = 0.5
 _BURST = 0.1
 # Largest difference from the lag of the intact animal at which the lag has returned, cycles.
 _RETURNED = 0.1
-# Reynolds number where the two laws of Gazzola et al. 2014 meet (`analysis.animals`).
-_TURBULENT = 3600.0
-# Least Reynolds number of the laminar law in its source: larvae.
-_LARVAE = 10.0
+# Ranges of Reynolds numbers of swimmers in Gazzola et al. 2014. The two laws meet at 3600
+# (`analysis.animals`), and the laminar law begins with larvae.
+LAMINAR = {"low": 10.0, "high": 3600.0}
+TURBULENT = {"low": 3600.0, "high": math.inf}
 
 
-def each(key: str, scale: float = 1.0) -> Measure:
-    """Return a measure: a quantity of all settings, times a scale."""
-    return lambda answers: [scale * row.get(key, math.nan) for one in answers for row in one.rows]
+def each(key: str, answers: Sequence[Answer], scale: float = 1.0) -> list[float]:
+    """Return a quantity of all settings, times a scale."""
+    return [scale * row.get(key, math.nan) for one in answers for row in one.rows]
 
 
-def where(measured: Measure, **knobs: object) -> Measure:
-    """Return a measure of only those settings whose knobs have these values."""
-
-    def chosen(answers: Sequence[Answer]) -> Sequence[float]:
-        return measured([_where(one, knobs) for one in answers])
-
-    return chosen
+def where(measured: Measure, answers: Sequence[Answer], **knobs: object) -> Sequence[float]:
+    """Return the values of a measure for only those settings whose knobs have these values."""
+    return measured([_where(one, knobs) for one in answers])
 
 
 def _where(answer: Answer, knobs: Setting) -> Answer:
@@ -57,71 +54,70 @@ def _where(answer: Answer, knobs: Setting) -> Answer:
     )
 
 
-def at_best(key: str, best: str, over: str, scale: float = 1.0) -> Measure:
-    """Return a measure: a quantity where another one is largest, for each value of a knob.
+def at_best(
+    key: str, answers: Sequence[Answer], best: str, over: str, scale: float = 1.0
+) -> list[float]:
+    """Return a quantity where another one is largest, for each value of a knob.
 
     Args:
         key: quantity.
+        answers: answers of the question.
         best: quantity to be largest.
         over: knob.
         scale: factor of the quantity.
     """
-
-    def found(answers: Sequence[Answer]) -> list[float]:
-        values = []
-        for answer in answers:
-            for value in dict.fromkeys(row[over] for row in answer.rows):
-                rows = [row for row in answer.rows if row[over] == value]
-                rows = [row for row in rows if math.isfinite(row.get(best, math.nan))]
-                if rows:
-                    values.append(scale * max(rows, key=lambda row: row[best]).get(key, math.nan))
-        return values
-
-    return found
+    values = []
+    for answer in answers:
+        for value in dict.fromkeys(row[over] for row in answer.rows):
+            rows = [row for row in answer.rows if row[over] == value]
+            rows = [row for row in rows if math.isfinite(row.get(best, math.nan))]
+            if rows:
+                values.append(scale * max(rows, key=lambda row: row[best]).get(key, math.nan))
+    return values
 
 
-def slope(y: str, x: str, over: Sequence[str], low: float = 0.0, high: float = math.inf) -> Measure:
-    """Return a measure: exponent of a power law y ~ x^n, for each combination of some knobs.
+def slope(
+    y: str,
+    x: str,
+    over: Sequence[str],
+    answers: Sequence[Answer],
+    low: float = 0.0,
+    high: float = math.inf,
+) -> list[float]:
+    """Return the exponent of a power law y ~ x^n, for each combination of some knobs.
 
     Args:
         y: quantity.
         x: quantity.
         over: knobs with one law for each combination of their values.
+        answers: answers of the question.
         low: least Reynolds number, 0 for any.
         high: largest Reynolds number.
     """
-    return lambda answers: [_law(x, y) for x, y in _pairs(answers, y, x, over, low, high)]
+    return [_law(x, y) for x, y in _pairs(answers, y, x, over, low, high)]
 
 
-def slope_at_best(y: str, x: str, best: str, over: str) -> Measure:
-    """Return a measure: exponent of y ~ x^n over the settings of `at_best`."""
-
-    def found(answers: Sequence[Answer]) -> list[float]:
-        pairs = zip(at_best(x, best, over)(answers), at_best(y, best, over)(answers), strict=True)
-        known = np.array([pair for pair in pairs if min(pair) > 0], float).reshape(-1, 2)
-        return [_law(known[:, 0], known[:, 1])]
-
-    return found
+def slope_at_best(y: str, x: str, answers: Sequence[Answer], best: str, over: str) -> list[float]:
+    """Return the exponent of y ~ x^n over the settings of `at_best`."""
+    pairs = zip(at_best(x, answers, best, over), at_best(y, answers, best, over), strict=True)
+    known = np.array([pair for pair in pairs if min(pair) > 0], float).reshape(-1, 2)
+    return [_law(known[:, 0], known[:, 1])]
 
 
 def prefactor(
-    y: str, x: str, over: Sequence[str], power: float, low: float, high: float
-) -> Measure:
-    """Return a measure: geometric mean of y / x^power, for each combination as in `slope`."""
-    return lambda answers: [
+    y: str,
+    x: str,
+    over: Sequence[str],
+    power: float,
+    answers: Sequence[Answer],
+    low: float,
+    high: float,
+) -> list[float]:
+    """Return the geometric mean of y / x^power, for each combination as in `slope`."""
+    return [
         float(np.exp(np.mean(np.log(y) - power * np.log(x)))) if len(x) else math.nan
         for x, y in _pairs(answers, y, x, over, low, high)
     ]
-
-
-def laminar(make: Callable[..., Measure], *arguments: object) -> Measure:
-    """Return a measure of swimmers in the laminar range of Gazzola et al. 2014."""
-    return make(*arguments, low=_LARVAE, high=_TURBULENT)
-
-
-def turbulent(make: Callable[..., Measure], *arguments: object) -> Measure:
-    """Return a measure of swimmers in the turbulent range of Gazzola et al. 2014."""
-    return make(*arguments, low=_TURBULENT, high=math.inf)
 
 
 def _pairs(
@@ -146,25 +142,35 @@ def _law(x: np.ndarray, y: np.ndarray) -> float:
     return float(np.polyfit(np.log(x), np.log(y), 1)[0]) if len(x) >= 3 else math.nan
 
 
-def change(key: str, knob: str, before: float, after: float) -> Measure:
-    """Return a measure: change of a quantity in percent, between two values of a knob.
+def change(
+    key: str, knob: str, before: float, after: float, answers: Sequence[Answer]
+) -> list[float]:
+    """Return the change of a quantity in percent, between two values of a knob.
 
     Args:
         key: quantity, or ``curvature`` for the root mean square of all joint angles.
         knob: knob.
         before: first value.
         after: second value.
+        answers: answers of the question.
     """
-    return lambda answers: [
+    return [
         100.0 * (_value(one, j, key) / _value(one, i, key) - 1.0)
         for one in answers
         for i, j in _partners(one, knob, before, after)
     ]
 
 
-def ratio(key: str, knob: str, before: object, after: object, scale: float = 1.0) -> Measure:
-    """Return a measure: quantity after a change of a knob over the one before, times a scale."""
-    return lambda answers: [
+def ratio(
+    key: str,
+    knob: str,
+    before: object,
+    after: object,
+    answers: Sequence[Answer],
+    scale: float = 1.0,
+) -> list[float]:
+    """Return a quantity after a change of a knob over the one before, times a scale."""
+    return [
         scale * _value(one, j, key) / _value(one, i, key)
         for one in answers
         for i, j in _partners(one, knob, before, after)
@@ -203,23 +209,20 @@ def _phases(recording: Recording, row: Setting, signal: str) -> Float[np.ndarray
     return np.unwrap(np.angle(fourier_component(values, step, frequency))) / (2 * np.pi)
 
 
-def _places(answer: Answer, number: int) -> Float[np.ndarray, " d"]:
-    """Return the distance of each joint from the first one along the body, body lengths."""
+def _delay(answer: Answer, number: int, signal: str) -> float:
+    """Return the delay of a wave along the body, cycles per body length."""
+    phase = _phases(answer.recordings[number], answer.rows[number], signal)
+    if not np.isfinite(phase).all():
+        return math.nan
+    # Distance of each joint from the root, then from the first joint, along the body.
     tree = answer.simulations[number].world.tree
     apart = np.linalg.norm(np.asarray(tree.joint_offset, float), axis=0)
     behind = np.zeros(len(apart))
     for body, parent in enumerate(tree.parents):
         behind[body] = behind[parent] + apart[body] if parent >= 0 else 0.0
     joints = behind[list(tree.dof_bodies)]
-    return (joints - joints[0]) / answer.rows[number]["length"]
-
-
-def _delay(answer: Answer, number: int, signal: str) -> float:
-    """Return the delay of a wave along the body, cycles per body length."""
-    phase = _phases(answer.recordings[number], answer.rows[number], signal)
-    if not np.isfinite(phase).all():
-        return math.nan
-    return -float(np.polyfit(_places(answer, number), phase, 1)[0])
+    places = (joints - joints[0]) / answer.rows[number]["length"]
+    return -float(np.polyfit(places, phase, 1)[0])
 
 
 def outrunning(answers: Sequence[Answer]) -> list[float]:
@@ -247,29 +250,27 @@ def lead_grows(answers: Sequence[Answer]) -> list[float]:
     return found
 
 
-def burst(place: float) -> Measure:
-    """Return a measure: part of the cycle with activity on one side, percent.
+def burst(place: float, answers: Sequence[Answer]) -> list[float]:
+    """Return the part of the cycle with activity on one side, percent.
 
     Args:
         place: place along the body, 0 to 1.
+        answers: answers of the question.
     """
-
-    def found(answers: Sequence[Answer]) -> list[float]:
-        values = []
-        for answer in answers:
-            for recording in answer.recordings:
-                output = np.asarray(recording.cpg_output, float)
-                own = output[round(len(output) * _LAST) :, round(place * (output.shape[1] - 1))]
-                top = own.max()
-                part = 100.0 * float((own > _BURST * top).mean())
-                values.append(part if top > 0 else math.nan)
-        return values
-
-    return found
+    values = []
+    for recording in [recording for answer in answers for recording in answer.recordings]:
+        output = np.asarray(recording.cpg_output, float)
+        own = output[round(len(output) * _LAST) :, round(place * (output.shape[1] - 1))]
+        top = own.max()
+        part = 100.0 * float((own > _BURST * top).mean())
+        values.append(part if top > 0 else math.nan)
+    return values
 
 
-def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
-    """Return a measure: cycles until the lag across a cut has returned to the intact animal's.
+def cycles_to_return(
+    joint: str, intact: Setting, cut: Setting, answers: Sequence[Answer]
+) -> list[float]:
+    """Return the cycles until the lag across a cut has returned to the intact animal's.
 
     The lag is that of the oscillator at the cut on the oscillator before it. It has returned when
     it stays within 0.1 cycle of the mean lag of the intact animal. Without a return, the value is
@@ -279,24 +280,21 @@ def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
         joint: joint in front of which the cord is cut.
         intact: knobs of the intact animal.
         cut: knobs of the animal with the cut.
+        answers: answers of the question.
     """
-
-    def found(answers: Sequence[Answer]) -> list[float]:
-        values = []
-        for answer in answers:
-            whole, parted = _where(answer, intact), _where(answer, cut)
-            for one, other in zip(whole.recordings, parted.recordings, strict=True):
-                usual = _lags(one, joint)
-                usual = usual[len(usual) // 2 :]
-                mean, _ = mean_phase(usual)
-                apart = _lags(other, joint) - mean
-                apart = np.abs(apart - np.round(apart))
-                late = np.flatnonzero(~(apart < _RETURNED))
-                back = float(late[-1] + 1) if len(late) else 0.0
-                values.append(back if len(apart) else math.nan)
-        return values
-
-    return found
+    values = []
+    for answer in answers:
+        whole, parted = _where(answer, intact), _where(answer, cut)
+        for one, other in zip(whole.recordings, parted.recordings, strict=True):
+            usual = _lags(one, joint)
+            usual = usual[len(usual) // 2 :]
+            mean, _ = mean_phase(usual)
+            apart = _lags(other, joint) - mean
+            apart = np.abs(apart - np.round(apart))
+            late = np.flatnonzero(~(apart < _RETURNED))
+            back = float(late[-1] + 1) if len(late) else 0.0
+            values.append(back if len(apart) else math.nan)
+    return values
 
 
 def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
@@ -317,9 +315,9 @@ def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
 _EFFICIENCY = 0.25
 
 
-def size(measured: Measure) -> Measure:
-    """Return a measure: the magnitude of another one."""
-    return lambda answers: [abs(value) for value in measured(answers)]
+def size(measured: Measure, answers: Sequence[Answer]) -> list[float]:
+    """Return the magnitudes of another measure."""
+    return [abs(value) for value in measured(answers)]
 
 
 def cost_over_allometry(answers: Sequence[Answer]) -> list[float]:

@@ -1,5 +1,6 @@
 """Rules and measures of the report card, on numbers that were made up."""
 
+import functools
 import math
 from types import SimpleNamespace
 
@@ -12,19 +13,7 @@ from evo_cpg.cli.ask import values_of
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import card_measures, card_rows
 from evo_cpg.studies.animals import STUDY
-from evo_cpg.studies.card import (
-    AnsweredRow,
-    Question,
-    Row,
-    above,
-    below,
-    card_tables,
-    exponent,
-    factor,
-    points,
-    third,
-    within,
-)
+from evo_cpg.studies.card import AnsweredRow, Question, Row, Rule, card_tables, rule
 from evo_cpg.studies.workshop import Workshop
 
 ROWS = [
@@ -38,28 +27,28 @@ ROWS = [
 
 
 @pytest.mark.parametrize(
-    ("rule", "inside", "outside"),
+    ("own", "inside", "outside"),
     [
-        (within(0.2, 0.4), [0.2, 0.4], [0.19, 0.41]),
-        (third(0.45), [0.3001, 0.5999], [0.29, 0.61]),
-        (points(-44), [-54, -34], [-55, -33]),
-        (exponent(1.02), [0.9201, 1.1199], [0.91, 1.13]),
-        (factor(0.4), [0.2, 0.8], [0.19, 0.81]),
-        (above(1.0), [1.001], [1.0, 0.9]),
-        (below(5.0), [4.9], [5.0, 6.0]),
+        (Rule(0.2, 0.4), [0.2, 0.4], [0.19, 0.41]),
+        (rule("third", 0.45), [0.3001, 0.5999], [0.29, 0.61]),
+        (rule("points", -44), [-54, -34], [-55, -33]),
+        (rule("exponent", 1.02), [0.9201, 1.1199], [0.91, 1.13]),
+        (rule("factor", 0.4), [0.2, 0.8], [0.19, 0.81]),
+        (rule("above", 1.0), [1.001], [1.0, 0.9]),
+        (rule("below", 5.0), [4.9], [5.0, 6.0]),
     ],
 )
-def test_a_rule_is_a_range_for_the_median(rule, inside, outside):
-    assert all(rule.holds([value]) for value in inside)
-    assert not any(rule.holds([value]) for value in outside)
+def test_a_rule_is_a_range_for_the_median(own, inside, outside):
+    assert all(own.holds([value]) for value in inside)
+    assert not any(own.holds([value]) for value in outside)
     # One value outside does not matter, and a value that does not exist does not count.
-    assert rule.holds([inside[0], inside[0], outside[0], math.nan])
-    assert rule.holds([math.nan]) is None
+    assert own.holds([inside[0], inside[0], outside[0], math.nan])
+    assert own.holds([math.nan]) is None
 
 
 def test_a_card_has_a_table_for_each_command():
     one = Question("eel", {"u": (0.2, 0.4), "cut": ("none", "tail1")}, 5.0)
-    row = Row("eel", "1", "nobody", third(1.0), one, lambda _: [], "seeds", "a tail")
+    row = Row("eel", "1", "nobody", rule("third", 1.0), one, lambda _: [], "seeds", "a tail")
     other = row._replace(name="worm", question=one._replace(seconds=6.0))
     verdicts = [
         AnsweredRow(row, [0.9, 1.1]),
@@ -102,13 +91,13 @@ def test_exponents_and_prefactors_of_exact_power_laws_are_found():
     sw = np.geomspace(1e2, 1e7, 11)
     re = np.where(sw < 1e4, 0.03 * sw**1.31, 0.4 * sw**1.02)
     rows = [{"u": 1.0, "swimming_number": x, "reynolds": y} for x, y in zip(sw, re, strict=True)]
-    both = "reynolds", "swimming_number", ("u",)
+    both, given = ("reynolds", "swimming_number", ("u",)), [answer(rows)]
     m = card_measures
-    assert m.turbulent(m.slope, *both)([answer(rows)]) == pytest.approx([1.02])
-    assert m.turbulent(m.prefactor, *both, 1.02)([answer(rows)]) == pytest.approx([0.4])
-    assert m.laminar(m.slope, *both)([answer(rows)]) == pytest.approx([1.31])
-    assert m.laminar(m.prefactor, *both, 1.31)([answer(rows)]) == pytest.approx([0.03])
-    assert math.isnan(m.laminar(m.slope, *both)([answer(rows[-3:])])[0])
+    assert m.slope(*both, given, **m.TURBULENT) == pytest.approx([1.02])
+    assert m.prefactor(*both, 1.02, given, **m.TURBULENT) == pytest.approx([0.4])
+    assert m.slope(*both, given, **m.LAMINAR) == pytest.approx([1.31])
+    assert m.prefactor(*both, 1.31, given, **m.LAMINAR) == pytest.approx([0.03])
+    assert math.isnan(m.slope(*both, [answer(rows[-3:])], **m.LAMINAR)[0])
 
 
 def test_changes_compare_settings_that_differ_in_one_knob():
@@ -118,12 +107,12 @@ def test_changes_compare_settings_that_differ_in_one_knob():
         for b in (2.0, 4.0)
     ]
     given = [answer(rows)]
-    assert card_measures.change("speed", "b", 2.0, 4.0)(given) == pytest.approx([100, 100])
-    assert card_measures.ratio("speed", "u", 0.4, 0.2)(given) == pytest.approx([0.5, 0.5])
-    assert card_measures.at_best("u", "best", "b")(given) == [0.2, 0.4]
-    only = card_measures.where(card_measures.each("speed", 10.0), u=0.4)
-    assert only(given) == pytest.approx([8.0, 16.0])
-    assert card_measures.size(lambda _: [-2.0])(given) == [2.0]
+    assert card_measures.change("speed", "b", 2.0, 4.0, given) == pytest.approx([100, 100])
+    assert card_measures.ratio("speed", "u", 0.4, 0.2, given) == pytest.approx([0.5, 0.5])
+    assert card_measures.at_best("u", given, "best", "b") == [0.2, 0.4]
+    tenfold = functools.partial(card_measures.each, "speed", scale=10.0)
+    assert card_measures.where(tenfold, given, u=0.4) == pytest.approx([8.0, 16.0])
+    assert card_measures.size(lambda _: [-2.0], given) == [2.0]
 
 
 def motion(lags: list[float]) -> Recording:
@@ -140,7 +129,8 @@ def test_the_cycles_until_a_lag_returns_are_counted():
     rows = [{"u": 1.0, "cut": "none"}, {"u": 1.0, "cut": "b"}]
     back = motion([0.5, 0.5, 0.5, 0.3, *[0.2] * 16])
     never = motion([0.5] * 20)
-    count = card_measures.cycles_to_return("b.z", {"cut": "none"}, {"cut": "b"})
+    knobs = "b.z", {"cut": "none"}, {"cut": "b"}
+    count = functools.partial(card_measures.cycles_to_return, *knobs)
     (found,) = count([answer(rows, (motion([0.2] * 20), back))])
     assert 2 <= found <= 4
     (found,) = count([answer(rows, (motion([0.2] * 20), never))])
@@ -169,7 +159,7 @@ def test_activity_that_outruns_bending_has_a_shorter_lag():
     # The lead grows by half of the distance between the middles of the outer thirds.
     grown = (place[-2:].mean() - place[:2].mean()) / 2
     assert card_measures.lead_grows(given) == pytest.approx([grown], rel=2e-2)
-    assert card_measures.burst(0.0)(given) == pytest.approx([47.0], abs=1.0)
+    assert card_measures.burst(0.0, given) == pytest.approx([47.0], abs=1.0)
 
 
 def test_every_row_of_the_card_is_in_one_part_and_has_a_source():
