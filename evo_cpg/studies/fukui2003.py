@@ -173,16 +173,6 @@ def models(workshop: Workshop) -> list[Table]:
     return [Table("", head, rows)]
 
 
-def long(workshop: Workshop) -> list[Table]:
-    """Compare Model 1 with and without noise over 2000 generations, as in Fig. 4-2."""
-    from evo_cpg.view.search_plots import generations_figure
-
-    names = {"long": "without noise", "long_noise": "noise, 7 kept"}
-    curves = {title: workshop.column(name, _BEST) for name, title in names.items()}
-    workshop.draw(generations_figure(curves, _LABEL, single_runs=True))
-    return [_collapse(workshop, names)]
-
-
 def single(workshop: Workshop) -> list[Table]:
     """Show two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
     from evo_cpg.view.search_plots import generations_figure
@@ -276,15 +266,44 @@ def walk(workshop: Workshop) -> list[Table]:
     return [Table("", head, rows)]
 
 
-def noise(workshop: Workshop) -> list[Table]:
-    """Compare the loss of lineages without noise, with noise, and with the thesis's remedies."""
+def lineages(
+    workshop: Workshop, names: dict[str, str], first: str, single_runs: bool = False
+) -> list[Table]:
+    """Compare the loss of lineages: the best distances ever and at the end, and the falls.
+
+    Args:
+        workshop: maker of the study.
+        names: title of each setting, by the name of its runs.
+        first: name of the runs that the others are compared with.
+        single_runs: whether to draw a thin line for each run, too.
+    """
     from evo_cpg.view.search_plots import generations_figure
 
-    curves = {title: workshop.column(name, _BEST) for name, title in _NOISES.items()}
-    shortest = min(map(len, curves.values()))
-    cut = {title: best[:shortest] for title, best in curves.items()}
-    workshop.draw(generations_figure(cut, _LABEL))
-    return [_collapse(workshop, _NOISES, "noise_7")]
+    best = {name: workshop.column(name, _BEST) for name in names}
+    shortest = min(map(len, best.values()))
+    curves = {title: best[name][:shortest] for name, title in names.items()}
+    workshop.draw(generations_figure(curves, _LABEL, single_runs=single_runs))
+    ever = {name: np.nanmax(own, 0).tolist() for name, own in best.items()}
+    last = {name: own[-max(len(own) // 10, 1) :] for name, own in best.items()}
+    held = {name: np.median(own, 0).tolist() for name, own in last.items()}
+    tests = beside(ever, first), beside(held, first)
+    rows = []
+    for name, title in names.items():
+        falls, fraction, _ = _falls(best[name])
+        rows.append(
+            [
+                title,
+                middle(ever[name]),
+                middle(held[name]),
+                f"{np.median(falls):g}",
+                f"{100 * fraction:.0f} %",
+                *(test[name] for test in tests),
+            ]
+        )
+    against = f"best ever: beats {names[first]}", "last tenth: beats it"
+    head = ["", "best ever, m", "best of a generation, last tenth, m", "falls per run, median",
+            "generations fallen", *against]  # fmt: skip
+    return [Table("", head, rows)]
 
 
 def alternatives(workshop: Workshop, names: dict[str, str]) -> list[Table]:
@@ -317,33 +336,6 @@ def _falls(best: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     return (np.diff(fallen.astype(int), axis=0) == 1).sum(0), float(fallen.mean()), highest
 
 
-def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = None) -> Table:
-    """Return a table of the best distances ever, the best distances at the end, and the falls."""
-    best = {name: workshop.column(name, _BEST) for name in names}
-    ever = {name: np.nanmax(own, 0).tolist() for name, own in best.items()}
-    last = {name: own[-max(len(own) // 10, 1) :] for name, own in best.items()}
-    held = {name: np.median(own, 0).tolist() for name, own in last.items()}
-    first = first or next(iter(names))
-    tests = beside(ever, first), beside(held, first)
-    rows = []
-    for name, title in names.items():
-        falls, fraction, _ = _falls(best[name])
-        rows.append(
-            [
-                title,
-                middle(ever[name]),
-                middle(held[name]),
-                f"{np.median(falls):g}",
-                f"{100 * fraction:.0f} %",
-                *(test[name] for test in tests),
-            ]
-        )
-    against = f"best ever: beats {names[first]}", "last tenth: beats it"
-    head = ["", "best ever, m", "best of a generation, last tenth, m", "falls per run, median",
-            "generations fallen", *against]  # fmt: skip
-    return Table("", head, rows)
-
-
 def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float]]:
     """Evaluate the champions of the runs ``name`` in the simulation of the runs ``world``.
 
@@ -363,9 +355,25 @@ def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float
     return workshop.kept(f"{name}_in_{world}", [name], measure)
 
 
-def _choice(title: str, names: dict[str, str]) -> Part:
-    return Part(title, tuple(names), partial(alternatives, names=names))
-
+# Titles of the settings of parts, by the names of their runs.
+_LONG_NAMES = {"long": "without noise", "long_noise": "noise, 7 kept"}
+_CHOICES = {
+    "springs": (
+        "strength of the dashpots",
+        {"model1": "150 N m/rad, 3 N m s/rad, 40 N m", "springs_half": "half of all three",
+         "springs_double": "twice all three"},
+    ),
+    "period": ("0.3 or 1/3 s for each posture", {"model1": "1/3 s", "period": "0.3 s"}),
+    "mutation": ("genes flipped or redrawn", {"model1": "redrawn", "flip": "flipped"}),
+    "restitution": (
+        "combination of the restitutions of animal and floor",
+        {"model1": "product", "restitution_average": "mean", "restitution_min": "smaller one"},
+    ),
+    "sizes": (
+        "length of the leg boxes",
+        {"model1": "0.24 m", "legs_short": "0.18 m", "legs_long": "0.30 m"},
+    ),
+}  # fmt: skip
 
 STUDY = Study(
     "fukui2003",
@@ -373,7 +381,8 @@ STUDY = Study(
     RUNS,
     {
         "models": Part("distances of the three models", tuple(MODELS), models),
-        "long": Part("Model 1 for 2000 generations (Fig. 4-2)", ("long", "long_noise"), long),
+        "long": Part("Model 1 for 2000 generations (Fig. 4-2)", tuple(_LONG_NAMES),
+                     partial(lineages, names=_LONG_NAMES, first="long", single_runs=True)),
         "single": Part("two single runs of Model 1 (Fig. 4-5, 4-6)", ("single",), single),
         "halving": Part("champions at smaller time steps", tuple(MODELS), halving),
         "robust": audit_part(
@@ -385,30 +394,16 @@ STUDY = Study(
             "comparison with random search", (*MODELS, "random1", "random2", "random3"), random
         ),
         "walk": Part("fitness that includes posture", (*MODELS, "walk1", "walk2", "walk3"), walk),
-        "noise": Part("noise and the loss of lineages", tuple(_NOISES), noise),
+        "noise": Part("noise and the loss of lineages", tuple(_NOISES),
+                      partial(lineages, names=_NOISES, first="noise_7")),
         "pictures": pictures_part(
             "moments of the best champions",
             {"Model 1": "model1", "Model 2": "model2", "Model 3": "model3",
              "Model 2, to walk": "walk2"},
         ),
-        "springs": _choice(
-            "strength of the dashpots",
-            {"model1": "150 N m/rad, 3 N m s/rad, 40 N m", "springs_half": "half of all three",
-             "springs_double": "twice all three"},
-        ),
-        "period": _choice(
-            "0.3 or 1/3 s for each posture", {"model1": "1/3 s", "period": "0.3 s"}
-        ),
-        "mutation": _choice(
-            "genes flipped or redrawn", {"model1": "redrawn", "flip": "flipped"}
-        ),
-        "restitution": _choice(
-            "combination of the restitutions of animal and floor",
-            {"model1": "product", "restitution_average": "mean", "restitution_min": "smaller one"},
-        ),
-        "sizes": _choice(
-            "length of the leg boxes",
-            {"model1": "0.24 m", "legs_short": "0.18 m", "legs_long": "0.30 m"},
-        ),
+        **{
+            name: Part(title, tuple(names), partial(alternatives, names=names))
+            for name, (title, names) in _CHOICES.items()
+        },
     },
 )  # fmt: skip

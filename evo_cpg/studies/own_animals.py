@@ -7,7 +7,6 @@ import numpy as np
 
 from evo_cpg.analysis.gait import ring_lags
 from evo_cpg.control.couplings import ring_members
-from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies.parts import audit_part, evaluate, pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle, tabled
 from evo_cpg.studies.workshop import Workshop
@@ -51,10 +50,17 @@ def lags(workshop: Workshop) -> list[Table]:
         oscillators, tree = simulation.controller.rhythm_generator, simulation.world.tree
         assert oscillators is not None
         for champion, recording in workshop.recordings(name):
+            edges = (np.linspace(0.5, 1, _WINDOWS + 1) * len(recording.time)).astype(int)
+            windows = [
+                recording._replace(
+                    time=recording.time[start:stop], joint_angle=recording.joint_angle[start:stop]
+                )
+                for start, stop in itertools.pairwise(edges)
+            ]
             for number, ring in enumerate(oscillators.settings.rings):
                 joints = [tree.dof_names[i] for i in ring_members(tree, ring, number)]
                 whole = ring_lags(recording, joints)
-                pieces = [ring_lags(part, joints, last=1.0) for part in _parts(recording)]
+                pieces = [ring_lags(part, joints, last=1.0) for part in windows]
                 low, high = np.min(pieces, 0), np.max(pieces, 0)
                 row = {
                     "": f"`{name}`",
@@ -66,17 +72,6 @@ def lags(workshop: Workshop) -> list[Table]:
                     row[f"`{joint}`, degrees"] = "{:.1f} ({:.1f} to {:.1f})".format(*lag)
                 rows.append(row)
     return [tabled(rows)]
-
-
-def _parts(recording: Recording) -> list[Recording]:
-    """Return the second half of a recording, in equal parts."""
-    edges = (np.linspace(0.5, 1, _WINDOWS + 1) * len(recording.time)).astype(int)
-    return [
-        recording._replace(
-            time=recording.time[start:stop], joint_angle=recording.joint_angle[start:stop]
-        )
-        for start, stop in itertools.pairwise(edges)
-    ]
 
 
 STARFISH = Study(

@@ -1,7 +1,7 @@
 """Parts that several studies share: audits of champions, stills, and champions near a light."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
@@ -9,7 +9,6 @@ import numpy as np
 
 from evo_cpg.control.brain_cpg import silent_genes
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.study import Part, Table, beside, middle, percent, tabled
 from evo_cpg.training.devices import population_mesh
@@ -85,16 +84,24 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     """
     every = [row for found in rows.values() for row in found]
     keys = [key for key in _KEPT if any(key in row["measured"] for row in every)]
-    programs = list(dict.fromkeys(one["program"] for row in every for one in _others(row)))
+    # The first opinion is our own.
+    others = [{one["program"]: one["way"] for one in row["opinions"][1:]} for row in every]
+    programs = list(dict.fromkeys(program for goes in others for program in goes))
     lines = []
-    for name, row in ((name, row) for name, found in rows.items() for row in found):
-        measured, goes = row["measured"], {one["program"]: one["way"] for one in _others(row)}
-        lines.append(
-            {"": name, "seed": str(row["seed"]), "displacement, m": _number(measured.get("way"))}
-            | {_KEPT[key]: _percent(measured.get(key)) for key in keys}
-            | {f"{program}: over ground, m": _number(goes.get(program)) for program in programs}
-            | {"passes": "yes" if row["passed"] else "no: " + "; ".join(row["reasons"])}
-        )
+    names = [name for name, found in rows.items() for _ in found]
+    for name, row, goes in zip(names, every, others, strict=True):
+        measured = row["measured"]
+        way = measured.get("way")
+        line = {"": name, "seed": str(row["seed"])}
+        line["displacement, m"] = "" if way is None else f"{way:.2f}"
+        for key in keys:
+            kept = measured.get(key)
+            line[_KEPT[key]] = "" if kept is None else percent(kept)
+        for program in programs:
+            gone = goes.get(program)
+            line[f"{program}: over ground, m"] = "" if gone is None else f"{gone:.2f}"
+        line["passes"] = "yes" if row["passed"] else "no: " + "; ".join(row["reasons"])
+        lines.append(line)
     return tabled(lines, title)
 
 
@@ -105,45 +112,22 @@ def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     """
     lines = []
     for name, found in rows.items():
-        line = {
-            "": name,
-            "displacement, m": middle(_known(row["measured"].get("way") for row in found)),
+        measured = {
+            key: [row["measured"][key] for row in found if row["measured"].get(key) is not None]
+            for key in ("way", *_KEPT)
         }
-        for key, head in _KEPT.items():
-            line[head] = _percents(row["measured"].get(key) for row in found)
-        line["in MuJoCo"] = _percents(map(_second_opinion, found))
+        fractions = {head: measured[key] for key, head in _KEPT.items()}
+        fractions["in MuJoCo"] = [
+            row["opinions"][-1]["way"] / row["opinions"][0]["way"]
+            for row in found
+            if len(row["opinions"]) > 1
+        ]
+        line = {"": name, "displacement, m": middle(measured["way"])}
+        for head, values in fractions.items():
+            line[head] = f"{middle(100 * np.array(values), 0)} %" if values else ""
         line["pass"] = f"{sum(row['passed'] for row in found)} of {len(found)}"
         lines.append(line)
     return tabled(lines, title)
-
-
-def _known(values: Iterable[float | None]) -> list[float]:
-    return [value for value in values if value is not None]
-
-
-def _percents(values: Iterable[float | None]) -> str:
-    """Return median and range of fractions, in per cent."""
-    known = _known(values)
-    return f"{middle(100 * np.array(known), 0)} %" if known else ""
-
-
-def _others(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the opinions of other programs. The first opinion is our own."""
-    return row["opinions"][1:]
-
-
-def _second_opinion(row: dict[str, Any]) -> float | None:
-    """Return the displacement in the last other program, relative to ours, or None without one."""
-    others = _others(row)
-    return others[-1]["way"] / row["opinions"][0]["way"] if others else None
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.2f}"
-
-
-def _percent(value: float | None) -> str:
-    return "" if value is None else percent(value)
 
 
 # Size of each moment, pixels, and number of moments from the start of a trial to its end.
@@ -187,13 +171,15 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
         recording = compile_replay(experiment, workshop.devices)(champion).recording
         panels.append(panel_of(experiment, recording, title))
         instants = np.linspace(recording.time[0], recording.time[-1], _MOMENTS)
+        first, last = recording.distance[[0, -1]]
+        lit = np.isfinite(recording.goal).all()
         rows.append(
             {
                 "": title,
                 "seed": str(experiment.seed + champion.run),
                 "generation": str(champion.generation),
                 "fitness": f"{champion.worth:.3f}",
-                "distance": _distance(recording),
+                "distance": f"{first:.2f} to {last:.2f} m to the light" if lit else f"{last:.2f} m",
                 "moments, s": ", ".join(f"{t - recording.time[0]:.1f}" for t in instants),
             }
         )
@@ -201,14 +187,6 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
         path = workshop.picture(picture)
         side_by_side(panels, path, Film(_SIZE, sheet=(_MOMENTS, 1), columns=1))
     return tabled(rows)
-
-
-def _distance(recording: Recording) -> str:
-    """Return text: initial and final distance to the light or, without a light, the distance."""
-    first, last = recording.distance[[0, -1]]
-    if np.isfinite(recording.goal).all():
-        return f"{first:.2f} to {last:.2f} m to the light"
-    return f"{last:.2f} m"
 
 
 # "Near the light": less than this fraction of the initial distance is left.

@@ -55,37 +55,37 @@ _AUDITED = {
 }
 
 
-def shore(workshop: Workshop) -> list[Table]:
-    """Compare champions of the shore with champions evolved on land, in each situation."""
-    left = 100 * np.array(_evaluated_in(workshop, "shore", "land")["distance"])
-    cells = [f"{middle(column, 1)} %" for column in left.T]
-    guests = {"": "champions evolved on land"} | dict(zip(_LEFT, cells, strict=True))
-    return [tabled([*_crossings(workshop), guests])]
-
-
 _LEFT = [
     f"{leg}: distance left"
     for leg in ("into the water", "back on land", "from the water's edge to land")
 ]
 
 
-def _crossings(workshop: Workshop) -> list[dict[str, str]]:
-    """Return a row for each champion: distance left in each situation, and largest tilt."""
+def shore(workshop: Workshop) -> list[Table]:
+    """Compare champions of the shore with champions evolved on land, in each situation.
+
+    A row has the distance left in each situation, and the largest tilt.
+    """
     found = _evaluated_in(workshop, "shore", "shore")
+    # The tilt is a mean of 1 - cos(angle).
+    tilts = np.rad2deg(np.arccos(1 - np.max(found["tilt"], 1)))
     rows = []
     for champion, left, tilt in zip(
-        workshop.champions("shore"), found["distance"], found["tilt"], strict=True
+        workshop.champions("shore"), found["distance"], tilts, strict=True
     ):
         seed = workshop.experiment("shore").seed + champion.run
         rows.append(
             {"": f"seed {seed}", "fitness": f"{champion.worth:.3f}"}
             | dict(zip(_LEFT, map(percent, left), strict=True))
-            | {"largest tilt of the head, degrees": f"{_angle(max(tilt)):.0f}"}
+            | {"largest tilt of the head, degrees": f"{tilt:.0f}"}
         )
-    both = (np.array(found["distance"])[:, :2] <= _REACHED).all(1)
-    both &= _angle(np.max(found["tilt"], 1)) < _BELLY_DOWN
+    both = (np.array(found["distance"])[:, :2] <= _REACHED).all(1) & (tilts < _BELLY_DOWN)
     words = f"into the water and back (20 % left), tilt below {_BELLY_DOWN} degrees"
-    return [*rows, {"": words, "fitness": f"{both.sum()} of {both.size}"}]
+    rows.append({"": words, "fitness": f"{both.sum()} of {both.size}"})
+    left = 100 * np.array(_evaluated_in(workshop, "shore", "land")["distance"])
+    cells = [f"{middle(column, 1)} %" for column in left.T]
+    rows.append({"": "champions evolved on land"} | dict(zip(_LEFT, cells, strict=True)))
+    return [tabled(rows)]
 
 
 def boulders(workshop: Workshop) -> list[Table]:
@@ -117,11 +117,6 @@ def eyes(workshop: Workshop) -> list[Table]:
         )
         workshop.draw(probe_figure(found, _REACHED, f"two-eyed swimmer, {title}"), name)
     return [tabled(rows)]
-
-
-def _angle(tilt: float | np.ndarray) -> np.ndarray:
-    """Convert a mean of 1 - cos(angle) to an angle, degrees."""
-    return np.rad2deg(np.arccos(1 - np.asarray(tilt)))
 
 
 def _evaluated_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[float]]]:

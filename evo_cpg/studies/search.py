@@ -26,15 +26,11 @@ _FILES = {
 }
 
 
-def _declared(part: str) -> dict[str, Runs]:
-    config, count = _FILES[part]
-    return {
-        f"{part} {name}": Runs(config, tuple(Setting(name, dict(values)).overrides), count)
-        for name, values in read_settings(_FOLDER / f"{part}.yaml").items()
-    }
-
-
-RUNS = {name: runs for part in _FILES for name, runs in _declared(part).items()}
+RUNS = {
+    f"{part} {name}": Runs(config, tuple(Setting(name, dict(values)).overrides), count)
+    for part, (config, count) in _FILES.items()
+    for name, values in read_settings(_FOLDER / f"{part}.yaml").items()
+}
 
 
 def searches(workshop: Workshop, part: str) -> list[Table]:
@@ -45,7 +41,9 @@ def searches(workshop: Workshop, part: str) -> list[Table]:
     everywhere = list(dict.fromkeys(map(_own, RUNS)))
     color = dict(zip(everywhere, colors(len(everywhere)), strict=True))
     names = [name for name in RUNS if name.startswith(f"{part} ")]
-    fitness = {_own(name): _fitness(workshop, name) for name in names}
+    fitness = {
+        _own(name): [champion.worth for champion in workshop.champions(name)] for name in names
+    }
     against = {first: beside(fitness, first) for first in (_GENETIC, _RANDOM)}
     rows, curves = [], []
     for name in sorted(names, key=lambda name: -float(np.median(fitness[_own(name)]))):
@@ -88,25 +86,24 @@ def _own(name: str) -> str:
     return name.partition(" ")[2]
 
 
-def _fitness(workshop: Workshop, name: str) -> list[float]:
-    return [champion.worth for champion in workshop.champions(name)]
-
-
-def _part(part: str, title: str) -> Part:
-    make = maps if part.endswith("_map") else searches
-    names = tuple(name for name in RUNS if name.startswith(f"{part} "))
-    return Part(title, names, partial(make, part=part))
-
+_TITLES = {
+    "swimmer": "eight searches for the swimmer",
+    "walker": "eight searches for Fukui's first walker",
+    "two_eyes": "six searches for a swimmer with two eyes",
+    "swimmer_map": "maps of a swimmer's gaits",
+    "walker_map": "maps of a walker's gaits",
+}
 
 STUDY = Study(
     "search",
     "Comparison of searches",
     RUNS,
     {
-        "swimmer": _part("swimmer", "eight searches for the swimmer"),
-        "walker": _part("walker", "eight searches for Fukui's first walker"),
-        "two_eyes": _part("two_eyes", "six searches for a swimmer with two eyes"),
-        "swimmer_map": _part("swimmer_map", "maps of a swimmer's gaits"),
-        "walker_map": _part("walker_map", "maps of a walker's gaits"),
+        part: Part(
+            title,
+            tuple(name for name in RUNS if name.startswith(f"{part} ")),
+            partial(maps if part.endswith("_map") else searches, part=part),
+        )
+        for part, title in _TITLES.items()
     },
 )

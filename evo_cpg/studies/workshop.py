@@ -117,7 +117,41 @@ class Workshop:
         self._pictures, self._part = [], part
         with working(f"{self.study.name} {part}: tables and pictures") as self.work:
             tables = declared.report(self)
-        return self._write(part, declared, tables, time.perf_counter() - began)
+        seconds = time.perf_counter() - began
+        engine = self.experiment(declared.runs[0]).simulation.engine if declared.runs else Engine()
+        folders = {name: self._run(name) for name in declared.runs}
+        commits = [each for run in folders.values() for each in run.read_meta().get("commits", [])]
+        # Every row has the duration of all runs side by side.
+        trained = sum(float(self.column(name, "seconds")[:, 0].sum()) for name in declared.runs)
+        record: dict[str, Any] = {
+            "study": self.study.name,
+            "quick": self.quick,
+            "commit": program_commit(),
+            "run_commits": list(dict.fromkeys(commits)),
+            "date": now(),
+            "seconds": round(seconds, 1),
+            "training_seconds": round(trained, 1),
+            "runs": {
+                name: {
+                    "config": self.study.runs[name].config,
+                    "overrides": self.study.runs[name].overrides,
+                    "config_sha256": run.config_digest(),
+                    "seeds": [
+                        self.experiment(name).seed + i for i in range(self.experiment(name).runs)
+                    ],
+                    "generations": self.checkpoint(name).generation,
+                }
+                for name, run in folders.items()
+            },
+        } | machine_fingerprint(engine, self.devices)
+        line = provenance.caption(self.study.name, part, record)
+        text = "\n".join(f"{markdown(table)}\n\n{line}\n" for table in tables)
+        page = self.folder / f"{part}.md"
+        write_text(page, text)
+        files = [page, *self._pictures]
+        record["files"] = {path.name: provenance.digest(path) for path in files}
+        provenance.note(self.folder, part, record)
+        return files
 
     def member(self, name: str) -> Member:
         """Build a run from its declaration, once, and return it."""
@@ -215,7 +249,13 @@ class Workshop:
             folder, config = member.folder, dump_config(member.config)
             if not folder.config.is_file() or folder.config.read_text("utf-8") == config:
                 continue
-            if _what_evolves(load_config(folder.config)) != _what_evolves(member.config):
+            # Only the audit limits that disqualify affect evolution.
+            evolving = []
+            for each in (load_config(folder.config), member.config):
+                limits = each.audit.limits().of_length(length_of(each.creature.build()))
+                rules = {rule: float(getattr(limits, rule)) for rule in each.audit.disqualify}
+                evolving.append((each.model_dump(mode="json", exclude={"audit"}), rules))
+            if evolving[0] != evolving[1]:
                 raise RunFolderError(
                     f"{folder.path} was made with another configuration. Choose another --out, or "
                     "--fresh to delete and repeat it"
@@ -229,43 +269,6 @@ class Workshop:
 
         if members:
             evolve(members, f"{self.study.name} {part}", note_program)
-
-    def _write(self, part: str, declared: Part, tables: list[Table], seconds: float) -> list[Path]:
-        runs = declared.runs
-        engine = self.experiment(runs[0]).simulation.engine if runs else Engine()
-        folders = {name: self._run(name) for name in runs}
-        commits = [each for run in folders.values() for each in run.read_meta().get("commits", [])]
-        # Every row has the duration of all runs side by side.
-        trained = sum(float(self.column(name, "seconds")[:, 0].sum()) for name in runs)
-        record: dict[str, Any] = {
-            "study": self.study.name,
-            "quick": self.quick,
-            "commit": program_commit(),
-            "run_commits": list(dict.fromkeys(commits)),
-            "date": now(),
-            "seconds": round(seconds, 1),
-            "training_seconds": round(trained, 1),
-            "runs": {
-                name: {
-                    "config": self.study.runs[name].config,
-                    "overrides": self.study.runs[name].overrides,
-                    "config_sha256": run.config_digest(),
-                    "seeds": [
-                        self.experiment(name).seed + i for i in range(self.experiment(name).runs)
-                    ],
-                    "generations": self.checkpoint(name).generation,
-                }
-                for name, run in folders.items()
-            },
-        } | machine_fingerprint(engine, self.devices)
-        line = provenance.caption(self.study.name, part, record)
-        text = "\n".join(f"{markdown(table)}\n\n{line}\n" for table in tables)
-        page = self.folder / f"{part}.md"
-        write_text(page, text)
-        files = [page, *self._pictures]
-        record["files"] = {path.name: provenance.digest(path) for path in files}
-        provenance.note(self.folder, part, record)
-        return files
 
 
 def configuration(study: Study, name: str, quick: bool = False) -> ExperimentConfig:
@@ -292,10 +295,3 @@ def markdown(table: Table) -> str:
     lines = [table.head, ["---"] * len(table.head), *table.rows]
     body = "\n".join("| " + " | ".join(map(str, row)) + " |" for row in lines)
     return f"{table.title}\n\n{body}" if table.title else body
-
-
-def _what_evolves(config: ExperimentConfig) -> dict[str, Any]:
-    """Return the settings that affect evolution, with only those audit limits that disqualify."""
-    limits = config.audit.limits().of_length(length_of(config.creature.build()))
-    rules = {name: float(getattr(limits, name)) for name in config.audit.disqualify}
-    return config.model_dump(mode="json", exclude={"audit"}) | {"audit": rules}
