@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 from evo_cpg.native.backend.allocate import allocate
 from evo_cpg.native.backend.code import Variant
-from evo_cpg.native.backend.llvm import print_handler, print_llvm
+from evo_cpg.native.backend.llvm import Printer, print_handler
 from evo_cpg.native.frontend.builder import Builder
 from evo_cpg.native.frontend.lower import lower
 from evo_cpg.native.frontend.primitives import Program
@@ -98,7 +98,7 @@ def to_llvm(
     try:
         graph = optimize(program, passes, rules)
         code = allocate(graph, variant)
-        text, scratch = print_llvm(code)
+        text, scratch = Printer(code).text()
     finally:
         if collects:
             gc.enable()

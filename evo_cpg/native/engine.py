@@ -76,7 +76,7 @@ def is_native() -> bool:
         if engine.name == "native":
             raise
         if jax.default_backend() == "cpu":
-            _warn_once(f"Plain JAX computes everything, slowly. No native code: {error}")
+            warn_once(f"Plain JAX computes everything, slowly. No native code: {error}")
         return False
     return True
 
@@ -115,17 +115,7 @@ def warn_of_fallback(name: str, error: Exception) -> None:
     _fallbacks.get([]).append(name)
     kind = "" if isinstance(error, Unsupported) else f"{type(error).__name__}: "
     reason = str(error).strip().split("\n")[0]
-    _warn_once(f"{name} runs on plain JAX, not as native code: {kind}{reason}")
-
-
-def warn_of_size(operations: int) -> None:
-    """Warn once if a program has so many operations that LLVM takes a minute or more."""
-    many = machine_constants.MANY_OPERATIONS
-    if operations > many:
-        _warn_once(
-            f"A program has more than {many:,} operations, so it takes long to compile. Fewer "
-            "bodies, contacts or points of drag make it smaller"
-        )
+    warn_once(f"{name} runs on plain JAX, not as native code: {kind}{reason}")
 
 
 @contextlib.contextmanager
@@ -156,7 +146,8 @@ def register(name: str, address: int) -> str:
 
 
 @functools.cache
-def _warn_once(message: str) -> None:
+def warn_once(message: str) -> None:
+    """Warn the user, unless this process has given the same warning already."""
     warnings.warn(message, EngineWarning, stacklevel=3)
 
 

@@ -85,11 +85,7 @@ def verify(graph: Graph) -> Graph:
         if node.number <= last:
             raise InvalidGraph(f"{node!r} follows a node with a greater or equal number")
         last = node.number
-        _check_type(node)
-        _check_operands(graph, node, known)
-        known.add(node)
-        if node.op == "loop":
-            _check_loop(graph, node, known)
+        _check_node(graph, node, known)
     for buffer, nodes in graph.results:
         for node in nodes:
             if node not in known or node.block is not graph.top or node.dtype != buffer.dtype:
@@ -102,7 +98,12 @@ def verify(graph: Graph) -> Graph:
     return graph
 
 
-def _check_type(node: Node) -> None:
+def _check_node(graph: Graph, node: Node, known: set[Node]) -> None:
+    """Check a node against the earlier nodes, and add the node to them.
+
+    Raises:
+        InvalidGraph: if the node has a wrong type, a wrong operand or a wrong loop.
+    """
     operation = OPERATIONS.get(node.op)
     if operation is None:
         raise InvalidGraph(f"{node!r} has an unknown operation")
@@ -124,22 +125,7 @@ def _check_type(node: Node) -> None:
         raise InvalidGraph(f"{node!r} has the wrong detail {node.detail!r}")
     if (node.op == "constant") != (node.value is not None):
         raise InvalidGraph(f"{node!r} has the wrong value {node.value!r}")
-
-
-@functools.cache
-def _letters(signature: str, count: int) -> str | None:
-    """Return the letter of each operand and of the result, or None if their number is wrong."""
-    given, result = signature.split("->")
-    letters = given.split()
-    if letters and letters[-1].endswith("..."):
-        last = letters.pop()[0]
-        letters += last * (count - len(letters))
-    return "".join(letters) + result.strip() if len(letters) == count else None
-
-
-def _check_operands(graph: Graph, node: Node, known: set[Node]) -> None:
-    kept = graph.kept.get(node, range(len(node.operands)))
-    for operand in [node.operands[k] for k in kept]:
+    for operand in [node.operands[k] for k in graph.kept.get(node, range(len(node.operands)))]:
         if operand not in known:
             raise InvalidGraph(f"{node!r} uses {operand!r} before it is made")
         # Totals are read after the loop that adds to them.
@@ -147,9 +133,9 @@ def _check_operands(graph: Graph, node: Node, known: set[Node]) -> None:
             raise InvalidGraph(f"{node!r} uses {operand!r}, which is computed in another block")
         if node.uniform and not operand.uniform:
             raise InvalidGraph(f"{node!r} is uniform, but its operand {operand!r} is not")
-
-
-def _check_loop(graph: Graph, node: Node, known: set[Node]) -> None:
+    known.add(node)
+    if node.op != "loop":
+        return
     loop, kept = node.detail, graph.kept.get(node, ())
     if loop.test.parent is not node.block or loop.body.parent is not loop.test:
         raise InvalidGraph(f"{node!r} has its test or its body in another block")
@@ -164,6 +150,17 @@ def _check_loop(graph: Graph, node: Node, known: set[Node]) -> None:
     for part in needed:
         if part not in known or not part.block.encloses(loop.body):
             raise InvalidGraph(f"{node!r} needs {part!r}, which its rounds do not compute")
+
+
+@functools.cache
+def _letters(signature: str, count: int) -> str | None:
+    """Return the letter of each operand and of the result, or None if their number is wrong."""
+    given, result = signature.split("->")
+    letters = given.split()
+    if letters and letters[-1].endswith("..."):
+        last = letters.pop()[0]
+        letters += last * (count - len(letters))
+    return "".join(letters) + result.strip() if len(letters) == count else None
 
 
 def _check_schedule(graph: Graph, block: GraphBlock, computed: set[Node]) -> None:

@@ -6,6 +6,7 @@ compiled like any other program. For a gradient only the arguments of each progr
 backward pass computes the program again from them, in registers.
 """
 
+import functools
 import time
 import weakref
 from collections.abc import Callable, Iterable, Sequence
@@ -15,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.native import engine
+from evo_cpg.native import engine, machine_constants
 from evo_cpg.native import jax_internals as internals
 from evo_cpg.native.backend.code import Variant
 from evo_cpg.native.backend.machine import load
@@ -93,7 +94,13 @@ def _native(program: Program, count: int) -> Native:
         with counted() as spent:
             start = time.perf_counter()
             module = to_llvm(program, variant)
-            engine.warn_of_size(module.operations)
+            if module.operations > machine_constants.MANY_OPERATIONS:
+                # LLVM takes a minute or more.
+                engine.warn_once(
+                    f"A program has more than {machine_constants.MANY_OPERATIONS:,} operations, so "
+                    "it takes long to compile. Fewer bodies, contacts or points of drag make it "
+                    "smaller"
+                )
             middle = time.perf_counter()
             name, address = load(module.text, target)
             taken = middle - start, time.perf_counter() - middle
@@ -119,33 +126,27 @@ def differentiate(
     smooth = [i for i, x in enumerate(results) if jnp.issubdtype(x.dtype, jnp.floating)]
     ndim, name = len(batch), f"the derivative of {program.name}"
 
-    def for_each(derivative: Callable[..., tuple]) -> Callable:
-        """Map a derivative of the program over any number of trailing batch axes.
+    def derived(derivative: Callable[..., tuple], values: Arrays, x: Arrays) -> tuple:
+        """Return a derivative of the program, mapped over any number of trailing batch axes.
 
         The derivative gets the program as a function from the differentiated inputs to the float
         results, the values of these inputs, and their tangents or the results' cotangents.
         """
+        if values[0].ndim > len(program.inputs[0].shape):
+            each = functools.partial(derived, derivative)
+            return jax.vmap(each, in_axes=-1, out_axes=-1)(values, x)
 
-        def one(values: Arrays, x: Arrays) -> tuple:
-            def run(*some: jax.Array) -> tuple:
-                every = list(values)
-                for i, value in zip(moving, some, strict=True):
-                    every[i] = value
-                outputs = program(*every)
-                return tuple(outputs[i] for i in smooth)
+        def run(*some: jax.Array) -> tuple:
+            every = list(values)
+            for i, value in zip(moving, some, strict=True):
+                every[i] = value
+            outputs = program(*every)
+            return tuple(outputs[i] for i in smooth)
 
-            return derivative(run, [values[i] for i in moving], x)
+        return derivative(run, [values[i] for i in moving], x)
 
-        def mapped(values: Arrays, x: Arrays) -> tuple:
-            function = one
-            for _ in range(values[0].ndim - len(program.inputs[0].shape)):
-                function = jax.vmap(function, in_axes=-1, out_axes=-1)
-            return function(values, x)
-
-        return mapped
-
-    push = for_each(lambda run, some, x: jax.jvp(run, some, x)[1])
-    pull = for_each(lambda run, some, x: jax.vjp(run, *some)[1](tuple(x)))
+    push = functools.partial(derived, lambda run, some, x: jax.jvp(run, some, x)[1])
+    pull = functools.partial(derived, lambda run, some, x: jax.vjp(run, *some)[1](tuple(x)))
 
     def forward(fixed: Arrays, x: Arrays) -> tuple:
         every = _for_all(fixed, range(len(fixed)), program, batch)

@@ -90,7 +90,7 @@ def test_version_says_why_there_is_no_native_code(monkeypatch):
         raise Unsupported(reason)
 
     monkeypatch.setattr(engines, "target", no_target)
-    engines._warn_once.cache_clear()
+    engines.warn_once.cache_clear()
     last = version().splitlines()[-1]
     assert last.startswith("engine: plain JAX; ") and last.endswith(reason)
 

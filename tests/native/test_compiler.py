@@ -248,7 +248,7 @@ def test_a_large_program_warns_before_it_compiles(monkeypatch, roots, warns):
     events = []
     load = native.load
     monkeypatch.setattr(native, "load", lambda *given: (events.append("compile"), load(*given))[1])
-    monkeypatch.setattr(engine, "_warn_once", events.append)
+    monkeypatch.setattr(engine, "warn_once", events.append)
 
     def function(x):
         for _ in range(roots):

@@ -23,7 +23,7 @@ from evo_cpg.native.ir import Unsupported
 def cleared_caches():
     """Clear the caches of one process before and after a test."""
     folder = machine._folder
-    caches = engine._warn_once, engine._wrong, machine.host, machine._llvm
+    caches = engine.warn_once, engine._wrong, machine.host, machine._llvm
     for cached in caches:
         cached.cache_clear()
     yield

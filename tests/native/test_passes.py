@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from evo_cpg.native import compile, machine_constants, native, passes
 from evo_cpg.native.backend.allocate import allocate
 from evo_cpg.native.backend.code import LoopCode, StretchCode, Target, Variant
-from evo_cpg.native.backend.llvm import print_llvm
+from evo_cpg.native.backend.llvm import Printer
 from evo_cpg.native.compile import PASSES, optimize
 from evo_cpg.native.frontend.builder import Builder
 from evo_cpg.native.frontend.primitives import fused_p
@@ -526,7 +526,7 @@ def test_carried_values_have_a_slot():
 
 def test_printing_needs_no_graph():
     code = allocate(optimize(traced(lambda x: 3.0 * x[0])), WIDE)
-    text, scratch = print_llvm(code)
+    text, scratch = Printer(code).text()
     assert "fmul <8 x float>" in text and "define internal void @program(" in text
     assert scratch == 0
-    assert print_llvm(code) == (text, scratch)
+    assert Printer(code).text() == (text, scratch)

@@ -80,7 +80,23 @@ class _Allocator:
         graph = self.graph
         across = live_across(graph, self.lists)
         far = set(across)
-        self._copy_inputs([node for node in graph.nodes if node.op == "input" and node in far])
+        # Copy rows that loops read to adjacent places. Rows far apart compete for cache and pages.
+        inputs = [node for node in graph.nodes if node.op == "input" and node in far]
+        runs: list[list[Node]] = []
+        for node in sorted(inputs, key=lambda node: node.detail):
+            number, row = node.detail
+            if runs and runs[-1][-1].detail == (number, row - 1):
+                runs[-1].append(node)
+            else:
+                runs.append([node])
+        for run in runs:
+            size = self._row_bytes(run[0])
+            start = self.memory.reserve(size * len(run))
+            self.slots.update((node, start + i * size) for i, node in enumerate(run))
+            number, row = run[0].detail
+            self._let(self.select.copy_row(run[0].dtype), f"%b{number}", row, size, start)
+            self.items.append(code.RowCopies(self.steps[0], len(run), f"%b{number}"))
+            self._begin()
         carried = [loop.detail.carried[k] for loop, kept in graph.kept.items() for k in kept]
         counters = [node for node in graph.nodes if node.op == "counter"]
         for node in [*carried, *counters, *across]:
@@ -139,18 +155,15 @@ class _Allocator:
         """
         if self.lines >= machine_constants.LONGEST_FUNCTION:
             self._empty_registers()
-            self._end_function()
-
-    def _end_function(self) -> None:
-        self.functions.append(code.FunctionCode(self.steps, tuple(self.buffers)))
-        self.steps, self.lines = [], 0
+            self.functions.append(code.FunctionCode(self.steps, tuple(self.buffers)))
+            self.steps, self.lines = [], 0
 
     def _end(self, result: str = "", kind: str = "void") -> None:
         """End the stretch."""
         if self.steps or result or self.functions:
-            self._end_function()
+            self.functions.append(code.FunctionCode(self.steps, tuple(self.buffers)))
             self.items.append(StretchCode(self.functions, result, kind))
-            self.functions = []
+            self.steps, self.lines, self.functions = [], 0, []
 
     # Registers.
 
@@ -240,27 +253,6 @@ class _Allocator:
         steps = self._let("mul i32 {0}, {1}", self._ref(index, True), self._row_bytes(table))
         return self._let("getelementptr i8, ptr {0}, i32 {1}", self._address(start), steps)
 
-    def _copy_inputs(self, nodes: list[Node]) -> None:
-        """Copy rows that loops read to adjacent places.
-
-        Rows far apart compete for cache and pages.
-        """
-        runs: list[list[Node]] = []
-        for node in sorted(nodes, key=lambda node: node.detail):
-            number, row = node.detail
-            if runs and runs[-1][-1].detail == (number, row - 1):
-                runs[-1].append(node)
-            else:
-                runs.append([node])
-        for run in runs:
-            size = self._row_bytes(run[0])
-            start = self.memory.reserve(size * len(run))
-            self.slots.update((node, start + i * size) for i, node in enumerate(run))
-            number, row = run[0].detail
-            self._let(self.select.copy_row(run[0].dtype), f"%b{number}", row, size, start)
-            self.items.append(code.RowCopies(self.steps[0], len(run), f"%b{number}"))
-            self._begin()
-
     # Code without branches.
 
     def _block(self, block: GraphBlock, result_nodes: list[Node]) -> None:
@@ -291,7 +283,14 @@ class _Allocator:
             self._table(node)
             return
         if node.op == "accumulate":
-            self._accumulate(node)
+            # Add a value to the number at an index of an array in memory.
+            index, value, memory = node.operands
+            pointer = self._element(memory, index)
+            before = self._let(self.select.load(node.dtype, False, ""), pointer)
+            word = "fadd" if node.dtype.kind == "f" else "add"
+            t = self.select.type_of(node.dtype, False)
+            total = self._let(f"{word} {t} {{0}}, {{1}}", before, self._ref(value))
+            self._let(self.select.store(node.dtype, False, ""), total, pointer)
             return
         if node.op == "lookup":
             table, index = node.operands
@@ -337,16 +336,6 @@ class _Allocator:
             # A call clobbers the registers.
             self._empty_registers()
             self._let(template, H, b, node.detail)
-
-    def _accumulate(self, node: Node) -> None:
-        """Add a value to the number at an index of an array in memory."""
-        index, value, memory = node.operands
-        pointer = self._element(memory, index)
-        before = self._let(self.select.load(node.dtype, False, ""), pointer)
-        word = "fadd" if node.dtype.kind == "f" else "add"
-        t = self.select.type_of(node.dtype, False)
-        total = self._let(f"{word} {t} {{0}}, {{1}}", before, self._ref(value))
-        self._let(self.select.store(node.dtype, False, ""), total, pointer)
 
     # Loops.
 

@@ -14,7 +14,7 @@ import functools
 from collections.abc import Callable, Sequence
 
 from evo_cpg.native import machine_constants
-from evo_cpg.native.backend.code import Code, Item, LoopCode, RowCopies, Slot, Step, StretchCode
+from evo_cpg.native.backend.code import Code, Item, LoopCode, RowCopies, Step, StretchCode
 from evo_cpg.native.backend.operations import TYPES, number
 from evo_cpg.native.backend.packing import VectorGroup, each_vector, packed_loop
 from evo_cpg.native.backend.select import FRAME
@@ -29,13 +29,8 @@ _MAJOR, _MINOR = 0, 1
 _METADATA, _EXECUTE = 1, 3
 
 
-def print_llvm(code: Code) -> tuple[str, int]:
-    """Return the LLVM IR of the program, and its bytes of working memory."""
-    return _Printer(code).text()
-
-
-class _Printer:
-    """Writer of the functions, one for each stretch, and of the driver that calls them.
+class Printer:
+    """Writer of an allocated program: a function for each stretch, and the driver that calls them.
 
     If vectors form groups, the driver calls a function for all vectors of a group. In a packed loop
     and in a branch per vector, ``grouped`` is false and each call is for one vector.
@@ -61,7 +56,7 @@ class _Printer:
         self.grouped = code.grouped
 
     def text(self) -> tuple[str, int]:
-        """Print the whole program."""
+        """Return the LLVM IR of the whole program, and its bytes of working memory."""
         self._items(self.code.items)
         vectors, width = self.group.vectors, self.group.width
         lines = [
@@ -113,7 +108,23 @@ class _Printer:
         result = ""
         for item in items:
             if isinstance(item, StretchCode):
-                result = self._stretch(item)
+                *before, last = [
+                    (_lines(each.steps), each.buffers, "".join(f"ptr {b}, " for b in each.buffers))
+                    for each in item.functions
+                ]
+                lines, buffers, given = last
+                found, kind = item.result, item.kind
+                if before:
+                    # All functions run for one vector before the next, because they share memory.
+                    calls = [
+                        _call("", "void", self._function(part, own), passed)
+                        for part, own, passed in before
+                    ]
+                    name = self._function(lines, buffers, found, kind)
+                    found = "%result" if found else ""
+                    lines = [*calls, _call(found, kind, name, given)]
+                name = self._function(lines, buffers, found, kind)
+                result = self._call_function(name, given, bool(found), kind)
             elif isinstance(item, RowCopies):
                 lines = [
                     "br label %head",
@@ -127,7 +138,18 @@ class _Printer:
                 ]
                 self._call_function(self._function(lines, [item.buffer]), f"ptr {item.buffer}, ")
             elif item.packed is not None:
-                self._packed(item, *item.packed)
+                # The functions of a packed loop work on one vector.
+                name, parameters = f"loop{len(self.functions)}", f"{self.buffers}ptr {FRAME}, "
+                self._of_one_vector(
+                    "i32", f"{name}.test", functools.partial(self._items, item.test)
+                )
+                self._of_one_vector(
+                    "void", f"{name}.round", functools.partial(self._items, item.body)
+                )
+                self.group_functions.append(packed_loop(name, parameters, self.group, *item.packed))
+                self.driver.append(
+                    f"call void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count)"
+                )
             elif item.per_vector:
                 # Each vector of a group takes the branch separately.
                 name, parameters = f"branch{len(self.functions)}", f"{self.buffers}ptr {FRAME}, "
@@ -153,25 +175,6 @@ class _Printer:
             f"noinline #0 {{\n{body}\n}}"
         )
         return name
-
-    def _stretch(self, stretch: StretchCode) -> str:
-        """Print a stretch and its call, and return the name of its result."""
-        *before, last = [
-            (_lines(each.steps), each.buffers, "".join(f"ptr {b}, " for b in each.buffers))
-            for each in stretch.functions
-        ]
-        lines, buffers, given = last
-        result, kind = stretch.result, stretch.kind
-        if before:
-            # All functions run for one vector before the next, because they share memory.
-            calls = [
-                _call("", "void", self._function(part, own), passed) for part, own, passed in before
-            ]
-            name = self._function(lines, buffers, result, kind)
-            result = "%result" if result else ""
-            lines = [*calls, _call(result, kind, name, given)]
-        name = self._function(lines, buffers, result, kind)
-        return self._call_function(name, given, bool(result), kind)
 
     def _call_function(
         self, name: str, given: str, has_result: bool = False, kind: str = "void"
@@ -234,14 +237,6 @@ class _Printer:
             self.driver.append(f"{after}:")
         self.label = after
         return ""
-
-    def _packed(self, item: LoopCode, reads: Sequence[Slot], carries: Sequence[Slot]) -> None:
-        """Print a loop with packed individuals. Its functions work on one vector."""
-        name, parameters = f"loop{len(self.functions)}", f"{self.buffers}ptr {FRAME}, "
-        self._of_one_vector("i32", f"{name}.test", functools.partial(self._items, item.test))
-        self._of_one_vector("void", f"{name}.round", functools.partial(self._items, item.body))
-        self.group_functions.append(packed_loop(name, parameters, self.group, reads, carries))
-        self.driver.append(f"call void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count)")
 
     def _of_one_vector(self, kind: str, name: str, write: Callable[[], str]) -> None:
         """Print code of one vector as a function, which returns the last result."""

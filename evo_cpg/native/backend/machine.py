@@ -107,7 +107,13 @@ def load(text: str, target: Target) -> tuple[str, int]:
     key = "\n".join([llvm_version(), platform.platform(), *map(str, target), str(effort), text])
     name = hashlib.sha256(key.encode()).hexdigest()[:32]
     if name not in _loaded:
-        code = _read(name)
+        code = None
+        if _folder is not None:
+            with contextlib.suppress(OSError):
+                content = (_folder / f"native-{name}").read_bytes()
+                # The last 32 bytes are a hash of the code. A truncated file counts as missing.
+                if hashlib.sha256(content[:-32]).digest() == content[-32:]:
+                    code = content[:-32]
         if code is None:
             with counted(compiler=True):
                 code = object_code(Request(text, target.processor, target.features, effort))
@@ -119,19 +125,6 @@ def load(text: str, target: Target) -> tuple[str, int]:
         tracker = builder.link(_linker(), name)
         _loaded[name] = tracker["handler"], len(code), tracker
     return name, _loaded[name][0]
-
-
-def _read(name: str) -> bytes | None:
-    """Return the machine code on disk, or None if it is missing or damaged."""
-    if _folder is None:
-        return None
-    try:
-        content = (_folder / f"native-{name}").read_bytes()
-    except OSError:
-        return None
-    # The last 32 bytes are a hash of the code. A truncated file counts as missing.
-    code, digest = content[:-32], content[-32:]
-    return code if hashlib.sha256(code).digest() == digest else None
 
 
 @functools.cache
@@ -163,19 +156,53 @@ class CompilerDied(Unsupported):
     """Raised if the process of LLVM ends, as by a crash, while it compiles a program."""
 
 
+_lock = threading.Lock()
+_process: subprocess.Popen | None = None
+_owner = 0
+
+
 def object_code(request: Request) -> bytes:
-    """Compile a module of LLVM IR.
+    """Compile a module of LLVM IR in the compiler's process, which is started if needed.
 
     Raises:
         CompilerDied: if LLVM ended its process.
         RuntimeError: if the text is not valid IR, or LLVM has no such processor.
     """
+    global _process, _owner
+    options = request._asdict()
+    text = options.pop("text").encode()
+    line = json.dumps({**options, "size": len(text)}).encode()
     with _lock:
-        process = _running()
-        if process is None:
+        # After a fork, the pipes belong to the parent process.
+        if _process is None or _owner != os.getpid() or _process.poll() is not None:
+            command = [sys.executable, "-P", str(Path(compiler_process.__file__))]
+            pipe = subprocess.PIPE
+            try:
+                _process = subprocess.Popen(
+                    command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL
+                )
+            except OSError:
+                _process = None
+            _owner = os.getpid()
+        if _process is None:
             return compiler_process.object_code(request)
+        requests, answers = cast(BinaryIO, _process.stdin), cast(BinaryIO, _process.stdout)
         try:
-            return _reply_of(process, request)
+            with contextlib.suppress(BrokenPipeError):
+                requests.write(line + b"\n" + text)
+                requests.flush()
+            line = answers.readline()
+            answer = json.loads(line) if line.endswith(b"\n") else {"size": 1}
+            code = answers.read(answer["size"])
+            if len(code) < answer["size"]:
+                status = _process.wait()
+                cause = f"exit status {status}"
+                with contextlib.suppress(ValueError):
+                    cause = signal.Signals(-status).name
+                raise CompilerDied(f"the compiler ended with {cause}")
+            if "error" in answer:
+                raise RuntimeError(answer["error"])
+            return code
         except BaseException:
             # The pipes may hold an incomplete request or answer.
             _stop()
@@ -183,55 +210,6 @@ def object_code(request: Request) -> bytes:
         finally:
             if len(request.text) > _LARGE_TEXT:
                 _stop()
-
-
-def _reply_of(process: subprocess.Popen, request: Request) -> bytes:
-    """Send a request and return the object code of the answer.
-
-    Raises:
-        CompilerDied: if LLVM ended its process.
-        RuntimeError: if the answer is an error.
-    """
-    requests, answers = cast(BinaryIO, process.stdin), cast(BinaryIO, process.stdout)
-    options = request._asdict()
-    text = options.pop("text").encode()
-    line = json.dumps({**options, "size": len(text)}).encode()
-    with contextlib.suppress(BrokenPipeError):
-        requests.write(line + b"\n" + text)
-        requests.flush()
-    line = answers.readline()
-    answer = json.loads(line) if line.endswith(b"\n") else {"size": 1}
-    code = answers.read(answer["size"])
-    if len(code) < answer["size"]:
-        status = process.wait()
-        cause = f"exit status {status}"
-        with contextlib.suppress(ValueError):
-            cause = signal.Signals(-status).name
-        raise CompilerDied(f"the compiler ended with {cause}")
-    if "error" in answer:
-        raise RuntimeError(answer["error"])
-    return code
-
-
-_lock = threading.Lock()
-_process: subprocess.Popen | None = None
-_owner = 0
-
-
-def _running() -> subprocess.Popen | None:
-    """Return the compiler's process. Start it if needed, and return None if that fails."""
-    global _process, _owner
-    # After a fork, the pipes belong to the parent process.
-    if _process is None or _owner != os.getpid() or _process.poll() is not None:
-        command = [sys.executable, "-P", str(Path(compiler_process.__file__))]
-        try:
-            _process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-            )
-        except OSError:
-            _process = None
-        _owner = os.getpid()
-    return _process
 
 
 @atexit.register

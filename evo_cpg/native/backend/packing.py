@@ -11,7 +11,7 @@ A result does not depend on the lane that computes it. So the bits of an individ
 depend on the other individuals.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from evo_cpg.native.backend.code import Slot
@@ -61,16 +61,13 @@ def packed_loop(
     own = sorted({slot for slot in reads if not slot.shared} | set(carries))
     shared = sorted({slot for slot in reads if slot.shared})
     width, stride, most = group.width, group.stride, group.vectors * group.width
-    alike = [
-        line
+    alike = "\n".join(
+        f"  %from{i} = getelementptr i8, ptr %scratch, i64 {slot.start}\n"
+        f"  %to{i} = getelementptr i8, ptr %pack, i64 {slot.start}\n"
+        f"  %shared{i} = load {_WORDS[slot.size]}, ptr %from{i}\n"
+        f"  store {_WORDS[slot.size]} %shared{i}, ptr %to{i}"
         for i, slot in enumerate(shared)
-        for line in (
-            f"%from{i} = getelementptr i8, ptr %scratch, i64 {slot.start}",
-            f"%to{i} = getelementptr i8, ptr %pack, i64 {slot.start}",
-            f"%shared{i} = load {_WORDS[slot.size]}, ptr %from{i}",
-            f"store {_WORDS[slot.size]} %shared{i}, ptr %to{i}",
-        )
-    ]
+    )
     call = f"{parameters}ptr %{{}}, i64 %n, i64 0"
     body = f"""
 define internal void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count) noinline #0 {{
@@ -119,8 +116,26 @@ packing:
   %any = icmp ne i64 %waiting_now, 0
   br i1 %any, label %fill, label %done
 fill:
-{_lines(alike)}
-{_fill(name, group)}
+{alike}
+  br label %lane
+lane:
+  %s = phi i64 [ 0, %fill ], [ %s_next, %lane ]
+  %lanes_before = phi i32 [ 0, %fill ], [ %lanes, %lane ]
+  %taken = icmp ult i64 %s, %waiting_now
+  ; A lane that is left over is filled like the first: no number in it may be without meaning.
+  %turn = select i1 %taken, i64 %s, i64 0
+  %turn_entry = getelementptr i64, ptr %queue, i64 %turn
+  %new_individual = load i64, ptr %turn_entry
+  %lane_owner = getelementptr i64, ptr %owner, i64 %s
+  store i64 %new_individual, ptr %lane_owner
+  call void @{name}.in(ptr %scratch, ptr %pack, i64 %new_individual, i64 %s)
+  %s_narrow = trunc i64 %s to i32
+  %lane_bit = shl i32 1, %s_narrow
+  %lanes_more = or i32 %lanes_before, %lane_bit
+  %lanes = select i1 %taken, i32 %lanes_more, i32 %lanes_before
+  %s_next = add i64 %s, 1
+  %more_lanes = icmp ult i64 %s_next, {group.width}
+  br i1 %more_lanes, label %lane, label %filled
 filled:
   %many = icmp ugt i64 %waiting_now, {width}
   %begun = select i1 %many, i64 {width}, i64 %waiting_now
@@ -177,29 +192,6 @@ done:
     return "\n".join([*moves, body])
 
 
-def _fill(name: str, group: VectorGroup) -> str:
-    """Write code that fills the lanes of the packed vector with the first individuals."""
-    return f"""  br label %lane
-lane:
-  %s = phi i64 [ 0, %fill ], [ %s_next, %lane ]
-  %lanes_before = phi i32 [ 0, %fill ], [ %lanes, %lane ]
-  %taken = icmp ult i64 %s, %waiting_now
-  ; A lane that is left over is filled like the first: no number in it may be without meaning.
-  %turn = select i1 %taken, i64 %s, i64 0
-  %turn_entry = getelementptr i64, ptr %queue, i64 %turn
-  %new_individual = load i64, ptr %turn_entry
-  %lane_owner = getelementptr i64, ptr %owner, i64 %s
-  store i64 %new_individual, ptr %lane_owner
-  call void @{name}.in(ptr %scratch, ptr %pack, i64 %new_individual, i64 %s)
-  %s_narrow = trunc i64 %s to i32
-  %lane_bit = shl i32 1, %s_narrow
-  %lanes_more = or i32 %lanes_before, %lane_bit
-  %lanes = select i1 %taken, i32 %lanes_more, i32 %lanes_before
-  %s_next = add i64 %s, 1
-  %more_lanes = icmp ult i64 %s_next, {group.width}
-  br i1 %more_lanes, label %lane, label %filled"""
-
-
 class _Series(NamedTuple):
     """Places in memory at equal distances.
 
@@ -238,41 +230,13 @@ def _series(slots: Iterable[Slot]) -> list[_Series]:
     ]
 
 
-def _through(series: list[_Series], lines: Callable[[int, int, str], list[str]]) -> list[str]:
-    """Write the code for each place, with loops over places at equal distances.
-
-    Args:
-        series: places.
-        lines: function that returns lines of code, given a unique number, the bytes of a number,
-            and the place.
-    """
-    written, label = [], "entry"
-    for i, (start, size, step, count) in enumerate(series):
-        if count == 1:
-            written += lines(i, size, f"{start}")
-            continue
-        written += [
-            f"br label %stretch{i}",
-            f"stretch{i}:",
-            f"%turn{i} = phi i64 [ 0, %{label} ], [ %turn_next{i}, %stretch{i} ]",
-            f"%steps{i} = mul i64 %turn{i}, {step}",
-            f"%place{i} = add i64 %steps{i}, {start}",
-            *lines(i, size, f"%place{i}"),
-            f"%turn_next{i} = add i64 %turn{i}, 1",
-            f"%turn_more{i} = icmp ult i64 %turn_next{i}, {count}",
-            f"br i1 %turn_more{i}, label %stretch{i}, label %behind{i}",
-            f"behind{i}:",
-        ]
-        label = f"behind{i}"
-    return written
-
-
 def _move(name: str, slots: list[Slot], group: VectorGroup, source: str, target: str) -> str:
     """Write a function that moves an individual's numbers into a packed lane, or back.
 
-    Irregular places are moved without a loop, so the processor fetches many numbers at a time.
+    Places at equal distances are moved by a loop. Irregular places are moved without a loop, so the
+    processor fetches many numbers at a time.
     """
-    lines = []
+    lines, label = [], "entry"
     for size in sorted({slot.size for slot in slots}):
         lines += [
             f"%far_lane{size} = mul i64 %home_lane, {size}",
@@ -280,16 +244,31 @@ def _move(name: str, slots: list[Slot], group: VectorGroup, source: str, target:
             f"%far{size} = getelementptr i8, ptr %base, i64 %far_lane{size}",
             f"%near{size} = getelementptr i8, ptr %pack, i64 %near_lane{size}",
         ]
-
-    def move(i: int, size: int, start: str) -> list[str]:
-        return [
-            f"%from{i} = getelementptr i8, ptr %{source}{size}, i64 {start}",
-            f"%to{i} = getelementptr i8, ptr %{target}{size}, i64 {start}",
+    for i, (start, size, step, count) in enumerate(_series(slots)):
+        place = f"%place{i}" if count > 1 else f"{start}"
+        moved = [
+            f"%from{i} = getelementptr i8, ptr %{source}{size}, i64 {place}",
+            f"%to{i} = getelementptr i8, ptr %{target}{size}, i64 {place}",
             f"%value{i} = load volatile {_WORDS[size]}, ptr %from{i}",
             f"store volatile {_WORDS[size]} %value{i}, ptr %to{i}",
         ]
-
-    lines += _through(_series(slots), move)
+        if count == 1:
+            lines += moved
+            continue
+        lines += [
+            f"br label %stretch{i}",
+            f"stretch{i}:",
+            f"%turn{i} = phi i64 [ 0, %{label} ], [ %turn_next{i}, %stretch{i} ]",
+            f"%steps{i} = mul i64 %turn{i}, {step}",
+            f"%place{i} = add i64 %steps{i}, {start}",
+            *moved,
+            f"%turn_next{i} = add i64 %turn{i}, 1",
+            f"%turn_more{i} = icmp ult i64 %turn_next{i}, {count}",
+            f"br i1 %turn_more{i}, label %stretch{i}, label %behind{i}",
+            f"behind{i}:",
+        ]
+        label = f"behind{i}"
+    body = "\n".join(f"  {line}" for line in lines)
     return f"""
 define internal void {name}(ptr %scratch, ptr %pack, i64 %individual, i64 %lane) noinline #0 {{
 entry:
@@ -297,13 +276,9 @@ entry:
   %home_lane = urem i64 %individual, {group.width}
   %offset = mul i64 %vector, {group.stride}
   %base = getelementptr i8, ptr %scratch, i64 %offset
-{_lines(lines)}
+{body}
   ret void
 }}"""
-
-
-def _lines(lines: list[str]) -> str:
-    return "\n".join(f"  {line}" for line in lines)
 
 
 def each_vector(name: str, parameters: str, group: VectorGroup) -> str:

@@ -24,20 +24,17 @@ _DEPENDS_ON_CONSTANTS = {
 }  # fmt: skip
 
 
-def _made_once(arity: int) -> Callable[[Callable], Callable[..., Template]]:
-    """Return a decorator that makes one template for each kind of arguments of a method.
+def _made_once(arity: int, method: Callable) -> Callable[..., Template]:
+    """Return a method that makes one template for each kind of arguments of another method.
 
-    The last ``arity`` arguments of the method are operands. The others are the kind.
+    The last ``arity`` arguments of the other method are operands. The others are the kind.
     """
 
-    def decorate(method: Callable) -> Callable[..., Template]:
-        @functools.wraps(method)
-        def get(self: "Selector", *kind) -> Template:
-            return self.template((method, *kind), arity, functools.partial(method, self, *kind))
+    @functools.wraps(method)
+    def get(self: "Selector", *kind) -> Template:
+        return self.template((method, *kind), arity, functools.partial(method, self, *kind))
 
-        return get
-
-    return decorate
+    return get
 
 
 class Selector(Writer):
@@ -55,7 +52,7 @@ class Selector(Writer):
         """Return one instruction with a result, with gaps ``{0}``, ``{1}``... for its operands."""
         return self.template(text, text.count("{"), lambda *_: self.let(text))
 
-    @_made_once(2)
+    @functools.partial(_made_once, 2)
     def store(self, dtype: np.dtype, uniform: bool, base: str, value: str, place: str) -> None:
         """Write a value to ``base`` plus ``place`` bytes.
 
@@ -64,7 +61,7 @@ class Selector(Writer):
         pointer = self.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
         self._store(value, dtype, pointer, uniform)
 
-    @_made_once(1)
+    @functools.partial(_made_once, 1)
     def load(self, dtype: np.dtype, uniform: bool, base: str, place: str) -> str:
         """Read a value at ``base`` plus ``place`` bytes.
 
@@ -73,12 +70,12 @@ class Selector(Writer):
         pointer = self.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
         return self._load(dtype, pointer, uniform)
 
-    @_made_once(2)
+    @functools.partial(_made_once, 2)
     def load_row(self, dtype: np.dtype, shared: bool, base: str, row: str) -> str:
         """Read a row of an argument: one number per individual, or one shared number."""
         return self._load(dtype, self._row(base, row, dtype, shared), shared)
 
-    @_made_once(4)
+    @functools.partial(_made_once, 4)
     def copy_row(self, dtype: np.dtype, base: str, row: str, size: str, start: str) -> None:
         """Copy row ``row + %i`` of an argument to scratch memory, at ``start + %i * size``."""
         source = self.let(f"add i64 %i, {row}")
@@ -87,12 +84,12 @@ class Selector(Writer):
         place = self.let(f"add i64 {place}, {start}")
         self._store(value, dtype, self.let(f"getelementptr i8, ptr {SCRATCH}, i64 {place}"), False)
 
-    @_made_once(3)
+    @functools.partial(_made_once, 3)
     def store_row(self, dtype: np.dtype, value: str, base: str, row: str) -> None:
         """Write a row of a result."""
         self._store(value, dtype, self._row(base, row, dtype, False), False)
 
-    @_made_once(2)
+    @functools.partial(_made_once, 2)
     def look_up(
         self, dtype: np.dtype, shared: bool, same_index: bool, base: str, index: str
     ) -> str:
@@ -117,7 +114,7 @@ class Selector(Writer):
             )
         return result
 
-    @_made_once(1)
+    @functools.partial(_made_once, 1)
     def spread(self, dtype: np.dtype, name: str) -> str:
         """Return a vector with one value in all lanes."""
         t, scalar = self.type_of(dtype, False), TYPES[dtype.char]
@@ -125,7 +122,7 @@ class Selector(Writer):
         zeros = f"<{self.width} x i32> zeroinitializer"
         return self.let(f"shufflevector {t} {one}, {t} poison, {zeros}")
 
-    @_made_once(3)
+    @functools.partial(_made_once, 3)
     def fill(self, dtype: np.dtype, to: str, value: str, count: str) -> None:
         """Write one value to all rows of a table, by a loop in a separate function."""
         t = self.type_of(dtype, False)
@@ -143,7 +140,7 @@ class Selector(Writer):
         )
         self.lines.append(f"call void @{name}(ptr {to}, {t} {value}, i64 {count})")
 
-    @_made_once(3)
+    @functools.partial(_made_once, 3)
     def solve(self, dtype: np.dtype, uniform: bool, H: str, b: str, count: str) -> None:
         """Call the function that solves symmetric equations in memory."""
         t = self.type_of(dtype, uniform)

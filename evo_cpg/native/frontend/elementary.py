@@ -98,9 +98,12 @@ _CBRT_BITS = 1419900800.0
 # fmt: on
 
 
-def exp(x: Array) -> Array:
-    """Return ``e^x``."""
-    return _exp_times(x, 127)
+def exp(x: Array, greatest: int = 127, more: float = 0.0) -> Array:
+    """Return ``e^x 2^more`` by ``e^x = 2^k p``, ``k <= greatest``, k = -127 for ``e^x = 0``."""
+    x = _clip(x, -88.0)
+    k = _clip(_nearest(x * _LOG2_E), greatest=greatest)
+    r = _less_multiple(x, k, _LN_2_PARTS)
+    return _polynomial(_EXP, r) * _power_of_two(k, more)
 
 
 def exp2(x: Array) -> Array:
@@ -285,7 +288,7 @@ def sinh(x: Array) -> Array:
 
 def cosh(x: Array) -> Array:
     """Return ``cosh x`` as ``h + 1 / (4 h)`` with ``h = e^abs(x) / 2``."""
-    half = _exp_times(abs(x), 128, -1.0)
+    half = exp(abs(x), 128, -1.0)
     return half + 0.25 / half
 
 
@@ -325,14 +328,6 @@ FLOAT32: dict[str, Callable[..., Array]] = {
     "acos": functools.partial(_asin_or_acos, cosine=True),
 }  # fmt: skip
 """Elementary functions by the names of JAX's primitives."""
-
-
-def _exp_times(x: Array, greatest: int, more: float = 0.0) -> Array:
-    """Return ``e^x 2^more`` by ``e^x = 2^k p``, ``k <= greatest``, k = -127 for ``e^x = 0``."""
-    x = _clip(x, -88.0)
-    k = _clip(_nearest(x * _LOG2_E), greatest=greatest)
-    r = _less_multiple(x, k, _LN_2_PARTS)
-    return _polynomial(_EXP, r) * _power_of_two(k, more)
 
 
 def _expm1_parts(

@@ -122,7 +122,14 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
             given, dtype = (x.memory, *x.added), x.memory.dtype
             totals = builder.new("totals", given, dtype, builder.block, False)
             found[k] = builder.rows(totals, x.shape)
-    return [*(found[k] for k in range(carry_count)), *_stacks(builder, lists, stacked, length)]
+    columns = iter([builder.rows(each, (length,)) for each in lists])
+    stacks = [
+        np.array([*itertools.islice(columns, aval.size)], object)
+        .reshape(aval.size, length)
+        .T.reshape(length, *aval.shape)
+        for aval in stacked
+    ]
+    return [*(found[k] for k in range(carry_count)), *stacks]
 
 
 def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
@@ -278,14 +285,3 @@ def _like(nodes: list[Node], arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Return consecutive nodes in arrays of the same shapes as other arrays."""
     given = iter(nodes)
     return [node_array([*itertools.islice(given, x.size)], x.shape) for x in arrays]
-
-
-def _stacks(builder: Builder, lists: list[Node], avals: Sequence, length: int) -> list[np.ndarray]:
-    """Return the stacked outputs of a loop, from the lists of their scalars."""
-    columns = iter([builder.rows(each, (length,)) for each in lists])
-    return [
-        np.array([*itertools.islice(columns, aval.size)], object)
-        .reshape(aval.size, length)
-        .T.reshape(length, *aval.shape)
-        for aval in avals
-    ]

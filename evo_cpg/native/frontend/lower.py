@@ -89,7 +89,30 @@ def trace(
 
     for equation in program.eqns:
         operands = [read(atom) for atom in equation.invars]
-        results = _equation(builder, equation, operands)
+        name, params = equation.primitive.name, equation.params
+        if name in _PROGRAMS:
+            results = _PROGRAMS[name](builder, equation, operands)
+        elif any(isinstance(operand, Sums) for operand in operands) and name in SCATTER_ADD:
+            results = add_to_sums(builder, operands, params)
+        elif operands and all(operand.size == 0 for operand in operands):
+            results = _evaluate(builder, equation, operands)
+        elif name in LOOPS:
+            results = LOOPS[name](builder, operands, params, trace)
+        elif name in _RULES:
+            results = _RULES[name](builder, operands, params)
+        elif name in _ELEMENTWISE:
+            rule = functools.partial(_ELEMENTWISE[name], builder)
+            results = [elementwise(rule, *operands)]
+        elif name in ARITHMETIC:
+            results = [builder.apply_each(name, *operands)]
+        elif name in FLOAT32 or name in LIBRARY:
+            results = [_function(builder, name, operands)]
+        elif name in internals.RANDOM:
+            results = trace(builder, internals.random_program(equation), operands)
+        elif all(node.value is not None for operand in operands for node in operand.flat):
+            results = _evaluate(builder, equation, operands)
+        else:
+            raise Unsupported(f"no rule for {name}")
         known.update(zip(equation.outvars, results, strict=True))
     return [read(atom) for atom in program.outvars]
 
@@ -107,32 +130,6 @@ def is_supported(name: str) -> bool:
     """Return whether there is a rule for a primitive, for any operands."""
     known = (_PROGRAMS, LOOPS, _RULES, _ELEMENTWISE, ARITHMETIC, FLOAT32, LIBRARY)
     return name in internals.RANDOM or any(name in names for names in known)
-
-
-def _equation(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
-    """Return the results of an equation by the rule of its primitive."""
-    name, params = equation.primitive.name, equation.params
-    if name in _PROGRAMS:
-        return _PROGRAMS[name](builder, equation, operands)
-    if any(isinstance(operand, Sums) for operand in operands) and name in SCATTER_ADD:
-        return add_to_sums(builder, operands, params)
-    if operands and all(operand.size == 0 for operand in operands):
-        return _evaluate(builder, equation, operands)
-    if name in LOOPS:
-        return LOOPS[name](builder, operands, params, trace)
-    if name in _RULES:
-        return _RULES[name](builder, operands, params)
-    if name in _ELEMENTWISE:
-        return [elementwise(functools.partial(_ELEMENTWISE[name], builder), *operands)]
-    if name in ARITHMETIC:
-        return [builder.apply_each(name, *operands)]
-    if name in FLOAT32 or name in LIBRARY:
-        return [_function(builder, name, operands)]
-    if name in internals.RANDOM:
-        return trace(builder, internals.random_program(equation), operands)
-    if all(node.value is not None for operand in operands for node in operand.flat):
-        return _evaluate(builder, equation, operands)
-    raise Unsupported(f"no rule for {name}")
 
 
 # Rules of primitives that hold programs.
@@ -295,7 +292,13 @@ def _extreme_place(op: str, builder: Builder, operands: Arrays, params: dict) ->
 
 
 def _dot_general(builder: Builder, operands: Arrays, params: dict) -> Arrays:
-    a, b = operands
+    """Return matrix products. Terms with equal constant factors, up to the sign, share one.
+
+    Coordinates of points on a regular grid differ by their signs only. The common terms of their
+    rows are then computed once. The order of summation, and so the rounding, differs from the
+    original product.
+    """
+    (a, b), apply = operands, builder.apply
     if (dtype := params["preferred_element_type"]) is not None:
         a, b = (builder.apply_each("convert", x, dtype=dtype) for x in operands)
     (contract_a, contract_b), (batch_a, batch_b) = params["dimension_numbers"]
@@ -309,36 +312,25 @@ def _dot_general(builder: Builder, operands: Arrays, params: dict) -> Arrays:
     b = b.transpose(*batch_b, *free_b, *contract_b).reshape(a.shape[0], -1, a.shape[2])
     result = np.empty((a.shape[0], a.shape[1], b.shape[1]), object)
     for n, i, j in np.ndindex(result.shape):
-        result[n, i, j] = _scalar_product(builder, a[n, i], b[n, j])
+        groups: dict[Node, list[tuple[bool, Node]]] = {}
+        for x, y in zip(a[n, i], b[n, j], strict=True):
+            factor, other = (x, y) if x.value is not None else (y, x)
+            if factor.value is None:
+                factor, other, negative = builder.constant(1, x.dtype), apply("mul", x, y), False
+            else:
+                negative = bool(factor.value < 0)
+                factor = apply("neg", factor) if negative else factor
+            if factor.value != 0:
+                groups.setdefault(factor, []).append((negative, other))
+        total = builder.constant(0, a[n, i, 0].dtype)
+        for factor, terms in groups.items():
+            # The first term sets the product's sign, so that a - b and b - a are one node.
+            flip, inner = terms[0]
+            for negative, term in terms[1:]:
+                inner = apply("add" if negative == flip else "sub", inner, term)
+            total = apply("sub" if flip else "add", total, apply("mul", factor, inner))
+        result[n, i, j] = total
     return [result.reshape((*batch, *outer_a, *outer_b))]
-
-
-def _scalar_product(builder: Builder, a: np.ndarray, b: np.ndarray) -> Node:
-    """Return a sum of products. Terms with equal constant factors, up to the sign, share one.
-
-    Coordinates of points on a regular grid differ by their signs only. The common terms of their
-    rows are then computed once. The order of summation, and so the rounding, differs from the
-    original product.
-    """
-    apply = builder.apply
-    groups: dict[Node, list[tuple[bool, Node]]] = {}
-    for x, y in zip(a, b, strict=True):
-        factor, other = (x, y) if x.value is not None else (y, x)
-        if factor.value is None:
-            factor, other, negative = builder.constant(1, x.dtype), apply("mul", x, y), False
-        else:
-            negative = bool(factor.value < 0)
-            factor = apply("neg", factor) if negative else factor
-        if factor.value != 0:
-            groups.setdefault(factor, []).append((negative, other))
-    total = builder.constant(0, a[0].dtype)
-    for factor, terms in groups.items():
-        # The first term sets the sign of the product, so that a - b and b - a are the same node.
-        flip, inner = terms[0]
-        for negative, term in terms[1:]:
-            inner = apply("add" if negative == flip else "sub", inner, term)
-        total = apply("sub" if flip else "add", total, apply("mul", factor, inner))
-    return total
 
 
 def _select_n(builder: Builder, operands: Arrays, params: dict) -> Arrays:

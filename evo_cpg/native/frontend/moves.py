@@ -55,38 +55,28 @@ def _dynamic_update_slice(builder, operands, params):
 
 
 def _gather(builder, operands, params):
-    """Gather elements at constant indices, with their places from JAX, or at computed indices."""
-    x, indices = operands
+    """Gather elements at constant indices, with their places from JAX, or at computed indices.
+
+    At computed indices, each row of indices takes a window. Offsets within the window are fixed.
+    """
+    (x, indices), fill = operands, params["fill_value"]
+    dtype: np.dtype = next((node.dtype for node in x.flat), np.dtype(np.float32))
+    if fill is None:
+        # JAX's own value outside the array.
+        fill = {"f": np.nan, "b": True}.get(dtype.kind)
+    if fill is None:
+        fill = np.iinfo(dtype).min if dtype.kind == "i" else np.iinfo(dtype).max
     if all(node.value is not None for node in indices.flat):
         gather = functools.partial(jax.lax.gather_p.bind, **{**params, "fill_value": _OUTSIDE})
-        places, fill = _places(gather, x, indices), params["fill_value"]
+        places = _places(gather, x, indices)
         if (places == _OUTSIDE).any():
-            fill = _filler(x.flat[0].dtype) if fill is None else fill
-            x = np.append(x.reshape(-1), builder.constant(fill, x.flat[0].dtype))
+            x = np.append(x.reshape(-1), builder.constant(fill, dtype))
         return [x.reshape(-1)[places]]
-    return [_gather_at_computed_places(builder, x, indices, params)]
-
-
-# Place of an element outside the array.
-_OUTSIDE = -1
-
-
-def _places(gather, x, indices):
-    """Return the place of each element that JAX gathers at constant indices."""
-    places = np.arange(x.size, dtype=np.int32).reshape(x.shape)
-    where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
-    with jax.ensure_compile_time_eval():
-        return np.asarray(gather(places, where))
-
-
-def _gather_at_computed_places(builder, x, indices, params):
-    """Gather one window for each row of indices. Offsets within the window are fixed."""
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
     if numbers.operand_batching_dims:
         raise Unsupported("no rule for a gather with batch dimensions at computed places")
     rows = indices.reshape(-1, indices.shape[-1]) if indices.ndim else indices.reshape(1, 1)
     filled = "FILL" in str(params["mode"])
-    fill = params["fill_value"]
     kept = [i for i in range(x.ndim) if i not in numbers.collapsed_slice_dims]
     window = np.indices(sizes)[
         (slice(None), *(slice(None) if i in kept else 0 for i in range(x.ndim)))
@@ -103,9 +93,7 @@ def _gather_at_computed_places(builder, x, indices, params):
                 valid = builder.apply("and", valid, builder.apply("eq", same, node))
         taken = _taken(builder, x, first, window)
         if valid.value is None or not valid.value:
-            dtype = x.flat[0].dtype
-            other = builder.constant(_filler(dtype) if fill is None else fill, dtype)
-            taken = builder.apply_each("select", valid, taken, other)
+            taken = builder.apply_each("select", valid, taken, builder.constant(fill, dtype))
         results.append(taken)
     batch = indices.shape[:-1]
     stacked = np.array([t.reshape(-1) for t in results], object)
@@ -114,7 +102,19 @@ def _gather_at_computed_places(builder, x, indices, params):
     order = iter(range(len(batch)))
     inner = {axis: len(batch) + k for k, axis in enumerate(numbers.offset_dims)}
     axes = [inner[i] if i in inner else next(order) for i in range(stacked.ndim)]
-    return stacked.transpose(axes)
+    return [stacked.transpose(axes)]
+
+
+# Place of an element outside the array.
+_OUTSIDE = -1
+
+
+def _places(gather, x, indices):
+    """Return the place of each element that JAX gathers at constant indices."""
+    places = np.arange(x.size, dtype=np.int32).reshape(x.shape)
+    where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
+    with jax.ensure_compile_time_eval():
+        return np.asarray(gather(places, where))
 
 
 def _taken(builder, x, first, window):
@@ -152,15 +152,6 @@ def _clamped(builder, place, most):
         low, high = (builder.constant(value, place.dtype) for value in (0, most))
         place = builder.apply("min", builder.apply("max", place, low), high)
     return builder.apply("convert", place, dtype=np.int32)
-
-
-def _filler(dtype):
-    """Return the value that JAX gathers from outside the array."""
-    if dtype.kind == "f":
-        return np.nan
-    if dtype.kind == "b":
-        return True
-    return np.iinfo(dtype).min if dtype.kind == "i" else np.iinfo(dtype).max
 
 
 def _pad(builder, operands, params):

@@ -7,6 +7,7 @@ Simplification is not a pass from graph to graph. NumPy folds operations on cons
 and lowering needs the result: the places of slices and the lengths of loops must be known numbers.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -61,21 +62,17 @@ def _divide_by_power(b: "Builder", x: Node, y: Node) -> Node | None:
     return b.apply("mul", x, b.constant(1.0 / float(y.value), y.dtype))
 
 
-def _settled(decisive: bool) -> "Callable[[Builder, Node, Node], Node | None]":
-    """Return the rule of "and" or "or": an operand with the decisive truth value is the result.
+def _settle(decisive: bool, b: "Builder", x: Node, y: Node) -> Node | None:
+    """Simplify "and" or "or": an operand with the decisive truth value is the result.
 
     An operand with the other truth value has no effect.
     """
-
-    def settle(b: "Builder", x: Node, y: Node) -> Node | None:
-        if x.dtype.kind != "b":
-            return None
-        for one, other in ((x, y), (y, x)):
-            if one.value is not None:
-                return one if one.value == decisive else other
-        return x if x is y else None
-
-    return settle
+    if x.dtype.kind != "b":
+        return None
+    for one, other in ((x, y), (y, x)):
+        if one.value is not None:
+            return one if one.value == decisive else other
+    return x if x is y else None
 
 
 def _select_truth(b: "Builder", condition: Node, yes: Node, no: Node) -> Node | None:
@@ -110,8 +107,16 @@ RULES: dict[str, tuple[RewriteRule, ...]] = {
     "div": (RewriteRule("x / 2^k -> x 2^-k", _divide_by_power),),
     "neg": (RewriteRule("-(-x) -> x", lambda b, x: x.operands[0] if x.op == "neg" else None),),
     "not": (RewriteRule("not not x -> x", lambda b, x: x.operands[0] if x.op == "not" else None),),
-    "and": (RewriteRule("x and true -> x; x and false -> false; x and x -> x", _settled(False)),),
-    "or": (RewriteRule("x or false -> x; x or true -> true; x or x -> x", _settled(True)),),
+    "and": (
+        RewriteRule(
+            "x and true -> x; x and false -> false; x and x -> x", functools.partial(_settle, False)
+        ),
+    ),
+    "or": (
+        RewriteRule(
+            "x or false -> x; x or true -> true; x or x -> x", functools.partial(_settle, True)
+        ),
+    ),
     "select": (
         RewriteRule(
             "select c, x, y -> x or y",
