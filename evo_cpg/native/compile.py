@@ -30,7 +30,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from evo_cpg.native.backend.allocate import allocate
+from evo_cpg.native.backend.allocate import Allocator
 from evo_cpg.native.backend.code import Variant
 from evo_cpg.native.backend.llvm import Printer, print_handler
 from evo_cpg.native.frontend.builder import Builder
@@ -97,7 +97,7 @@ def to_llvm(
     gc.disable()
     try:
         graph = optimize(program, passes, rules)
-        code = allocate(graph, variant)
+        code = Allocator(graph, variant).allocated()
         text, scratch = Printer(code).text()
     finally:
         if collects:

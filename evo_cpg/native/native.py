@@ -53,7 +53,32 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
     if not count or not any(aval.size for aval in outputs):
         return [jnp.zeros((*aval.shape, *batch), aval.dtype) for aval in outputs]
     try:
-        native = _native(program, count)
+        # The code is compiled at the first call.
+        target = engine.target()
+        codes = _codes.setdefault(program, {})
+        kinds = [np.dtype(x.dtype) for x in (*program.inputs, *program.outputs)]
+        widest = max([kind.itemsize for kind in kinds if kind.kind == "f"], default=4)
+        width = 1 if count == 1 else target.bytes // widest
+        variant = Variant(target, width)
+        if variant not in codes:
+            with counted() as spent:
+                start = time.perf_counter()
+                module = to_llvm(program, variant)
+                if module.operations > machine_constants.MANY_OPERATIONS:
+                    # LLVM takes a minute or more.
+                    most = f"{machine_constants.MANY_OPERATIONS:,}"
+                    engine.warn_once(
+                        f"A program has more than {most} operations, so it takes long to compile. "
+                        "Fewer bodies, contacts or points of drag make it smaller"
+                    )
+                middle = time.perf_counter()
+                name, address = load(module.text, target)
+                taken = middle - start, time.perf_counter() - middle
+                if spent is not None:
+                    made = Made(program.name, module.operations, *taken, module.scratch)
+                    spent.programs.append(made)
+                codes[variant] = Native(engine.register(name, address), module.scratch, width)
+        native = codes[variant]
     except Exception as error:
         engine.warn_of_fallback(program.name, error)
         return plain(program, batch)(*arrays)
@@ -80,35 +105,6 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
         (next(results) if size else jnp.zeros(0, aval.dtype)).reshape(*aval.shape, *batch)
         for size, aval in zip(rows, outputs, strict=True)
     ]
-
-
-def _native(program: Program, count: int) -> Native:
-    """Return machine code for ``count`` individuals, compiled at the first call."""
-    target = engine.target()
-    codes = _codes.setdefault(program, {})
-    kinds = [np.dtype(x.dtype) for x in (*program.inputs, *program.outputs)]
-    widest = max([kind.itemsize for kind in kinds if kind.kind == "f"], default=4)
-    width = 1 if count == 1 else target.bytes // widest
-    variant = Variant(target, width)
-    if variant not in codes:
-        with counted() as spent:
-            start = time.perf_counter()
-            module = to_llvm(program, variant)
-            if module.operations > machine_constants.MANY_OPERATIONS:
-                # LLVM takes a minute or more.
-                engine.warn_once(
-                    f"A program has more than {machine_constants.MANY_OPERATIONS:,} operations, so "
-                    "it takes long to compile. Fewer bodies, contacts or points of drag make it "
-                    "smaller"
-                )
-            middle = time.perf_counter()
-            name, address = load(module.text, target)
-            taken = middle - start, time.perf_counter() - middle
-            if spent is not None:
-                made = Made(program.name, module.operations, *taken, module.scratch)
-                spent.programs.append(made)
-            codes[variant] = Native(engine.register(name, address), module.scratch, width)
-    return codes[variant]
 
 
 def differentiate(

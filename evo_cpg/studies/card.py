@@ -43,16 +43,6 @@ class Rule(NamedTuple):
             return self.low < median < self.high
         return self.low <= median <= self.high
 
-    def worded(self) -> str:
-        """Return the range in words, such as ``0.2 to 0.4`` or ``above 0``."""
-        if math.isinf(self.low):
-            return f"below {self.high:.3g}"
-        return (
-            f"above {self.low:.3g}"
-            if math.isinf(self.high)
-            else f"{self.low:.3g} to {self.high:.3g}"
-        )
-
 
 def rule(kind: str, figure: float) -> Rule:
     """Return the range of a kind (see the table above) around a figure or beside a limit."""
@@ -142,8 +132,11 @@ def card_tables(verdicts: Sequence[AnsweredRow], places: Mapping[str, str]) -> l
     for row, values in verdicts:
         command = row.question.command(places[row.question.animal])
         verdict = {True: "yes", False: "no", None: "not measured"}[row.rule.holds(values)]
+        low, high = row.rule
+        words = f"{low:.3g} to {high:.3g}" if math.isfinite(low) else f"below {high:.3g}"
+        words = words if math.isfinite(high) else f"above {low:.3g}"
         figure, ours = f"{row.figure} ({row.source})", f"{middle(values, row.digits)}, {row.ours}"
-        cells = [row.name, figure, row.rule.worded(), ours, verdict, row.missing]
+        cells = [row.name, figure, words, ours, verdict, row.missing]
         groups.setdefault(command, []).append(cells)
     head = "animal", "its figure", "reproduced if", "ours: median (range)", "reproduced", "missing"
     return [Table(f"`{command}`", head, cells) for command, cells in groups.items()]

@@ -177,7 +177,7 @@ def single(workshop: Workshop) -> list[Table]:
     """Show two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
     from evo_cpg.view.search_plots import generations_figure
 
-    best, first = workshop.column("single", _BEST), workshop.experiment("single").seed
+    best, first = workshop.column("single", _BEST), workshop.member("single").experiment.seed
     curves = {f"seed {first + run}": best[:, run : run + 1] for run in range(best.shape[1])}
     workshop.draw(generations_figure(curves, _LABEL))
     rows = []
@@ -198,7 +198,7 @@ def halving(workshop: Workshop) -> list[Table]:
         found = {}
         for model in MODELS:
             genes = np.stack([each.genes for each in workshop.champions(model)]).astype(np.float32)
-            gone = displacements(workshop.experiment(model).simulation, genes)
+            gone = displacements(workshop.member(model).experiment.simulation, genes)
             found[model] = [each.tolist() for each in gone]
         return found
 
@@ -218,7 +218,7 @@ def random(workshop: Workshop) -> list[Table]:
     def measure() -> dict[str, float]:
         found = {}
         for model in MODELS:
-            simulation = workshop.experiment(model).simulation
+            simulation = workshop.member(model).experiment.simulation
             posture = one_posture(simulation.controller, HELD_ANGLE)[:, None]
             run = compile_trials(simulation, population_mesh())
             terms = run(simulation.genome.with_controller(posture)).terms
@@ -344,7 +344,7 @@ def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float
     """
 
     def measure() -> dict[str, list[float]]:
-        simulation = workshop.experiment(world).simulation
+        simulation = workshop.member(world).experiment.simulation
         genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
         outcome = compile_trials(simulation, population_mesh())(genes)
         terms = {key: np.where(outcome.alive, x, np.nan) for key, x in outcome.terms.items()}

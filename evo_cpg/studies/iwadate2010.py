@@ -8,7 +8,7 @@ from evo_cpg.analysis.gait import JointGait, gait
 from evo_cpg.simulation.recording import Recorder, Recording, as_recording
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.studies.parts import audit_table, audited, light_table, pictures_part, still
+from evo_cpg.studies.parts import audit_table, audited, light_tables, pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, percent, tabled
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.experiment import begin
@@ -35,9 +35,9 @@ def swim(workshop: Workshop) -> list[Table]:
     best = workshop.checkpoint("shared").champion
     for champion, recording in workshop.recordings("shared"):
         if best is not None and champion.run == best.run:
-            root = workshop.experiment("shared").creature.root_index
+            root = workshop.member("shared").experiment.creature.root_index
             workshop.draw(path_figure(recording, root), "path")
-    return [light_table(workshop, "shared", "random", still(workshop, "shared"))]
+    return light_tables(workshop, "shared", "random")
 
 
 def lags(workshop: Workshop) -> list[Table]:
@@ -45,7 +45,7 @@ def lags(workshop: Workshop) -> list[Table]:
     from evo_cpg.view.plots import joint_signals_figure
 
     best, rows = workshop.checkpoint("shared").champion, []
-    experiment = workshop.experiment("shared")
+    experiment = workshop.member("shared").experiment
     simulation = experiment.simulation
 
     def measure() -> dict[str, int]:
@@ -86,7 +86,7 @@ def drives(workshop: Workshop) -> list[Table]:
     """Compare other interpretations of the quantities that the brain sets."""
     rows = []
     for name in ("per_joint", "per_dof"):
-        experiment = workshop.experiment(name)
+        experiment = workshop.member(name).experiment
         for champion, recording in workshop.recordings(name):
             found = _gait(experiment.simulation, recording)
             low, high = found.frequency.min(), found.frequency.max()

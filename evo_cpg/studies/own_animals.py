@@ -46,7 +46,7 @@ def lags(workshop: Workshop) -> list[Table]:
     """Return mean lags over the second half of the trial, and the extremes over its thirds."""
     rows = []
     for name in _STARFISH_RUNS:
-        simulation = workshop.experiment(name).simulation
+        simulation = workshop.member(name).experiment.simulation
         oscillators, tree = simulation.controller.rhythm_generator, simulation.world.tree
         assert oscillators is not None
         for champion, recording in workshop.recordings(name):
@@ -112,7 +112,8 @@ def changes(workshop: Workshop) -> list[Table]:
     """Compare champions of changed configurations, with their own lights and with other lights."""
     rows, mean_left = [], {}
     for name, (title, _) in _CHANGES.items():
-        simulation, champions = workshop.experiment(name).simulation, workshop.champions(name)
+        simulation = workshop.member(name).experiment.simulation
+        champions = workshop.champions(name)
         first = simulation.situations[0]._replace(light=simulation.lights[0])
         before = dataclasses.replace(simulation, situations=around(first, _BEARINGS))
         found = evaluate(before, np.stack([champion.genes for champion in champions], 1))[

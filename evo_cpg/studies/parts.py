@@ -164,7 +164,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
 
     rows, panels = [], []
     for title, name in shown.items():
-        experiment, champion = workshop.experiment(name), workshop.checkpoint(name).champion
+        experiment, champion = workshop.member(name).experiment, workshop.checkpoint(name).champion
         if champion is None:
             rows.append({"": title, "seed": "no champion"})
             continue
@@ -193,10 +193,13 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
 NEAR = 0.1
 
 
-def light_table(
+def light_tables(
     workshop: "Workshop", evolved: str, random: str | None = None, *more: Mapping[str, str]
-) -> Table:
+) -> list[Table]:
     """Return a table with a row for each champion, then medians.
+
+    With random search, there is also a row for an animal whose brain gives the spinal cord no
+    drive. Its fitness uses the scales of the first run.
 
     Args:
         workshop: maker of the study, with the runs.
@@ -209,7 +212,7 @@ def light_table(
         if name is None:
             continue
         found, near = workshop.champions(name), workshop.column(name, "best_distance") < NEAR
-        seed = workshop.experiment(name).seed
+        seed = workshop.member(name).experiment.seed
         for champion in found:
             under = near[:, champion.run]
             rows.append(
@@ -229,7 +232,14 @@ def light_table(
     if random is not None:
         words = beside(fitness, random)[evolved]
         rows.append({"": "evolution beats random search", "fitness": words})
-    return tabled([*rows, *more])
+        simulation = workshop.member(evolved).experiment.simulation
+        silent = simulation.genome.with_controller(silent_genes(simulation.controller)[:, None])
+        terms = {key: x.mean() for key, x in evaluate(simulation, silent).items()}
+        scales = {key: jnp.asarray(x) for key, x in workshop.champions(evolved)[0].scales.items()}
+        worth = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)
+        cells = {"": "no drive from the brain", "fitness": f"{float(worth):.3f}"}
+        rows.append(cells | _terms(terms))
+    return [tabled([*rows, *more])]
 
 
 def _terms(terms: Mapping[str, float]) -> dict[str, str]:
@@ -239,19 +249,6 @@ def _terms(terms: Mapping[str, float]) -> dict[str, str]:
         "light seen": f"{terms['light']:.2f}",
         "energy (J)": f"{terms['energy']:.0f}",
     }
-
-
-def still(workshop: "Workshop", name: str) -> dict[str, str]:
-    """Return the row of an animal whose brain gives the spinal cord no drive.
-
-    The fitness uses the scales of the first run.
-    """
-    simulation = workshop.experiment(name).simulation
-    silent = simulation.genome.with_controller(silent_genes(simulation.controller)[:, None])
-    terms = {key: x.mean() for key, x in evaluate(simulation, silent).items()}
-    scales = {key: jnp.asarray(x) for key, x in workshop.champions(name)[0].scales.items()}
-    fitness = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)
-    return {"": "no drive from the brain", "fitness": f"{float(fitness):.3f}", **_terms(terms)}
 
 
 def evaluate(simulation: Simulation, genes: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,13 +1,14 @@
 """Study of the salamander in four environments, and of a swimmer with two eyes."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.simulation.measures import measures
-from evo_cpg.studies.parts import audit_part, evaluate, light_table, pictures_part, still
+from evo_cpg.studies.parts import audit_part, evaluate, light_tables, pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, middle, percent, tabled
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.conditions import around, blinded, probe
@@ -39,12 +40,7 @@ def water(workshop: Workshop) -> list[Table]:
         "seed": "all",
         "distance left": f"{middle(left, 1)} %",
     }
-    return [light_table(workshop, "water", "water_random", still(workshop, "water"), guests)]
-
-
-def land(workshop: Workshop) -> list[Table]:
-    """Compare champions on land with random search."""
-    return [light_table(workshop, "land", "land_random", still(workshop, "land"))]
+    return light_tables(workshop, "water", "water_random", guests)
 
 
 _AUDITED = {
@@ -73,7 +69,7 @@ def shore(workshop: Workshop) -> list[Table]:
     for champion, left, tilt in zip(
         workshop.champions("shore"), found["distance"], tilts, strict=True
     ):
-        seed = workshop.experiment("shore").seed + champion.run
+        seed = workshop.member("shore").experiment.seed + champion.run
         rows.append(
             {"": f"seed {seed}", "fitness": f"{champion.worth:.3f}"}
             | dict(zip(_LEFT, map(percent, left), strict=True))
@@ -88,16 +84,11 @@ def shore(workshop: Workshop) -> list[Table]:
     return [tabled(rows)]
 
 
-def boulders(workshop: Workshop) -> list[Table]:
-    """Return a table of the champions among boulders."""
-    return [light_table(workshop, "boulders")]
-
-
 def eyes(workshop: Workshop) -> list[Table]:
     """Probe the two-eyed swimmer of seed 0 with new lights, with its eyes and blind."""
     from evo_cpg.view.answer_plots import probe_figure
 
-    simulation = workshop.experiment("eyes").simulation
+    simulation = workshop.member("eyes").experiment.simulation
     champion = workshop.champions("eyes")[0]
     first = simulation.situations[0]._replace(light=simulation.lights[0])
     lights, rows = around(first, _BEARINGS), []
@@ -128,7 +119,7 @@ def _evaluated_in(workshop: Workshop, world: str, name: str) -> dict[str, list[l
     """
 
     def measure() -> dict[str, list[list[float]]]:
-        simulation = workshop.experiment(world).simulation
+        simulation = workshop.member(world).experiment.simulation
         if world == "shore" and name != "shore":
             # Animals that did not evolve at the shore have no depth sensor.
             declared, source = workshop.member(world).config, workshop.member(world).source
@@ -153,10 +144,16 @@ STUDY = Study(
     RUNS,
     {
         "water": Part("in water", ("water", "water_random", "land"), water),
-        "land": Part("on land", ("land", "land_random"), land),
+        "land": Part(
+            "on land",
+            ("land", "land_random"),
+            partial(light_tables, evolved="land", random="land_random"),
+        ),
         "audit": audit_part("audit of the champions on land", {"on land": "land"}),
         "shore": Part("across the shore", ("shore", "land"), shore),
-        "boulders": Part("among boulders", ("boulders",), boulders),
+        "boulders": Part(
+            "among boulders", ("boulders",), partial(light_tables, evolved="boulders")
+        ),
         "eyes": Part("a swimmer with two eyes", ("eyes",), eyes),
         **{
             f"audit_{name}": audit_part(f"audit: {title}", {title: name})

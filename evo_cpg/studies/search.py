@@ -48,7 +48,7 @@ def searches(workshop: Workshop, part: str) -> list[Table]:
     rows, curves = [], []
     for name in sorted(names, key=lambda name: -float(np.median(fitness[_own(name)]))):
         own = _own(name)
-        population = workshop.experiment(name).strategy.population
+        population = workshop.member(name).experiment.strategy.population
         best = workshop.column(name, "champion").T
         tried = population * np.arange(1, best.shape[1] + 1)
         curves.append(Curves(own, tried, best, np.array(fitness[own]), color[own]))
@@ -68,7 +68,7 @@ def maps(workshop: Workshop, part: str) -> list[Table]:
 
     rows = []
     for name in (name for name in RUNS if name.startswith(f"{part} ")):
-        experiment, found = workshop.experiment(name), workshop.checkpoint(name)
+        experiment, found = workshop.member(name).experiment, workshop.checkpoint(name)
         tried = experiment.strategy.population * found.generation
         last = found.history[-1]
         own = _own(name)

@@ -39,7 +39,6 @@ from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.system import version_of
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
-from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 if TYPE_CHECKING:
@@ -118,7 +117,8 @@ class Workshop:
         with working(f"{self.study.name} {part}: tables and pictures") as self.work:
             tables = declared.report(self)
         seconds = time.perf_counter() - began
-        engine = self.experiment(declared.runs[0]).simulation.engine if declared.runs else Engine()
+        experiments = [self.member(name).experiment for name in declared.runs]
+        engine = experiments[0].simulation.engine if experiments else Engine()
         folders = {name: self._run(name) for name in declared.runs}
         commits = [each for run in folders.values() for each in run.read_meta().get("commits", [])]
         # Every row has the duration of all runs side by side.
@@ -136,12 +136,10 @@ class Workshop:
                     "config": self.study.runs[name].config,
                     "overrides": self.study.runs[name].overrides,
                     "config_sha256": run.config_digest(),
-                    "seeds": [
-                        self.experiment(name).seed + i for i in range(self.experiment(name).runs)
-                    ],
+                    "seeds": [experiment.seed + i for i in range(experiment.runs)],
                     "generations": self.checkpoint(name).generation,
                 }
-                for name, run in folders.items()
+                for (name, run), experiment in zip(folders.items(), experiments, strict=True)
             },
         } | machine_fingerprint(engine, self.devices)
         line = provenance.caption(self.study.name, part, record)
@@ -163,10 +161,6 @@ class Workshop:
                 self._run(name), config, experiment, Setting(name, {}), source
             )
         return self._members[name]
-
-    def experiment(self, name: str) -> ExperimentParts:
-        """Return the experiment of a run."""
-        return self.member(name).experiment
 
     def checkpoint(self, name: str) -> Checkpoint:
         """Return the last checkpoint of a run.
@@ -195,7 +189,7 @@ class Workshop:
         """Replay the champions, and yield each with its recording."""
         from evo_cpg.training.evaluate import compile_replay
 
-        live = compile_replay(self.experiment(name), self.devices)
+        live = compile_replay(self.member(name).experiment, self.devices)
         for champion in self.champions(name):
             yield champion, live(champion).recording
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evo_cpg.native import compile, machine_constants, native, passes
-from evo_cpg.native.backend.allocate import allocate
+from evo_cpg.native.backend.allocate import Allocator
 from evo_cpg.native.backend.code import LoopCode, StretchCode, Target, Variant
 from evo_cpg.native.backend.llvm import Printer
 from evo_cpg.native.compile import PASSES, optimize
@@ -492,7 +492,7 @@ def steps_of(items):
 
 
 def test_allocation_names_every_value_once_and_before_its_use():
-    code = allocate(optimize(traced()), WIDE)
+    code = Allocator(optimize(traced()), WIDE).allocated()
     known, last = set(), 0
     for step in steps_of(code.items):
         assert step.first > last
@@ -508,7 +508,8 @@ def test_values_beyond_the_registers_go_to_memory():
     total = sum((each.apply("abs") for each in roots[::-1]), start=sum(roots[1:], start=roots[0]))
     graph = schedule(eliminate_dead_code(graph_of(total)))
     few, many = (
-        allocate(graph, WIDE._replace(target=TARGET._replace(registers=n))) for n in (8, 64)
+        Allocator(graph, WIDE._replace(target=TARGET._replace(registers=n))).allocated()
+        for n in (8, 64)
     )
     assert few.frame > 0 and many.frame == 0
 
@@ -517,7 +518,7 @@ def test_carried_values_have_a_slot():
     def loop(x):
         return jax.lax.scan(lambda c, _: (c * x[0] + c[::-1], None), x, None, length=3)[0]
 
-    code = allocate(optimize(traced(loop)), WIDE)
+    code = Allocator(optimize(traced(loop)), WIDE).allocated()
     (item,) = [each for each in code.items if isinstance(each, LoopCode)]
     assert item.loop.count == 3 and item.packed is None and not code.grouped
     # Three carried values and the input that every round reads, in full cache lines.
@@ -525,7 +526,7 @@ def test_carried_values_have_a_slot():
 
 
 def test_printing_needs_no_graph():
-    code = allocate(optimize(traced(lambda x: 3.0 * x[0])), WIDE)
+    code = Allocator(optimize(traced(lambda x: 3.0 * x[0])), WIDE).allocated()
     text, scratch = Printer(code).text()
     assert "fmul <8 x float>" in text and "define internal void @program(" in text
     assert scratch == 0

@@ -103,7 +103,7 @@ def test_figure_and_table_of_searches_show_expected_fitness(monkeypatch):
     terms = {"distance": 0.4}
     champion = Champion(np.zeros(1), 0.9, 1, terms, {}, lives=16, expected=0.7)
     workshop = mock.create_autospec(Workshop, instance=True)
-    workshop.experiment.return_value.strategy.population = 4
+    workshop.member.return_value.experiment.strategy.population = 4
     workshop.column.return_value = np.array([[0.5, 0.6], [0.9, 0.9]])
     workshop.champions.return_value = [champion, champion._replace(expected=0.8)]
     drawn = []

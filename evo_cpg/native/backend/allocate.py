@@ -24,16 +24,6 @@ from evo_cpg.native.ir import Graph, GraphBlock, GraphLoop, Node, home, resolve,
 _BOOL = np.dtype(bool)
 
 
-def allocate(graph: Graph, variant: Variant) -> code.Code:
-    """Return the program in which every value has a place: a register, an LLVM name or memory.
-
-    An unscheduled program keeps the order of its nodes.
-    """
-    if not graph.runs:
-        graph = dataclasses.replace(graph, runs=runs_of(graph))
-    return _Allocator(graph, variant).allocated()
-
-
 @dataclasses.dataclass
 class _Packed:
     """Values and tables that a packed loop (see `packing`) reads, and nodes that it writes."""
@@ -43,8 +33,10 @@ class _Packed:
     written: set[Node] = dataclasses.field(default_factory=set)
 
 
-class _Allocator:
+class Allocator:
     """Allocator that walks through the code in the order of its computation.
+
+    An unscheduled program keeps the order of its nodes.
 
     ``steps`` belong to the current function, ``functions`` are the earlier functions of the current
     stretch, and ``items`` are the code of the current block. ``registers`` and ``names`` hold the
@@ -52,6 +44,8 @@ class _Allocator:
     """
 
     def __init__(self, graph: Graph, variant: Variant):
+        if not graph.runs:
+            graph = dataclasses.replace(graph, runs=runs_of(graph))
         self.graph, self.variant = graph, variant
         self.width = variant.width
         self.lists: dict[Node, list[Node]] = {loop: [] for loop in graph.kept}
@@ -76,7 +70,7 @@ class _Allocator:
         self._begin()
 
     def allocated(self) -> code.Code:
-        """Allocate the whole program."""
+        """Return the program in which every value has a register, an LLVM name or memory."""
         graph = self.graph
         across = live_across(graph, self.lists)
         far = set(across)

@@ -148,10 +148,8 @@ class _Operation:
         self.t, self.s = self.type_of(self.dtype), self.type_of(self.source)
         self.constants = [operand.value for operand in node.operands]
         self.let, self.fma, self.intrinsic = writer.let, writer.fma, writer.intrinsic
-
-    def literal(self, value: Any, dtype: np.dtype | None = None) -> str:
-        """Return a constant, by default of the result's type."""
-        return self._writer.literal(value, dtype or self.dtype, self._uniform)
+        # A constant is of the result's type by default.
+        self.literal = functools.partial(writer.literal, dtype=node.dtype, uniform=node.uniform)
 
     def choose(self, flag: str, yes: str, no: str) -> str:
         """Write a selection between two values of the result's type."""
@@ -276,7 +274,7 @@ def _conversion(o: _Operation, x: str) -> str:
     longer = dtype.itemsize > source.itemsize
     if dtype.kind == "b":
         word = "fcmp une" if o.kind == 0 else "icmp ne"
-        return o.let(f"{word} {o.s} {x}, {o.literal(0, source)}")
+        return o.let(f"{word} {o.s} {x}, {o.literal(0, dtype=source)}")
     if source.kind == "b":
         return o.choose(x, o.literal(1), o.literal(0))
     if dtype.kind in "iu":
@@ -300,7 +298,7 @@ _WRITERS: dict[str, Callable[..., str]] = {
     "bitcast": lambda o, x: o.let(f"bitcast {o.s} {x} to {o.t}"),
     "convert": _conversion,
     "is_finite": lambda o, x: o.let(
-        f"fcmp one {o.s} {o.intrinsic('fabs', o.s, [x])}, {o.literal(np.inf, o.source)}"
+        f"fcmp one {o.s} {o.intrinsic('fabs', o.s, [x])}, {o.literal(np.inf, dtype=o.source)}"
     ),
     "neg": lambda o, x: o.let(
         f"fneg {o.t} {x}" if o.kind == 0 else f"sub {o.t} zeroinitializer, {x}"
