@@ -345,7 +345,13 @@ def _refused(config: ExperimentConfig) -> Iterator[None]:
     except CreatureError as error:
         where: list[str | int] = list(error.where)
         if len(where) > 1 and where[0] in ("bodies", "tendons") and isinstance(where[1], int):
-            where[1] = config.creature.entry_of(where[0], where[1])
+            # An entry may stand for several bodies or tendons of the creature.
+            given = config.creature
+            everything = given.copies()
+            owners = [copy.entry for copy in everything for _ in given.names_of(copy)]
+            if where[0] == "tendons":
+                owners = [i for i, x in enumerate(given.tendons) for _ in x.build(everything)]
+            where[1] = owners[where[1]]
         raise KeyProblem(("creature", *where), str(error)) from None
 
 

@@ -360,7 +360,7 @@ def no_motor(case: Case) -> Found:
     """Warn if no joint and no tendon has a motor."""
     joints = list(case.joints())
     pulled = any(tendon.actuator for tendon in case.config.creature.tendons)
-    if joints and not pulled and not any(any(joint.given.motors) for joint in joints):
+    if joints and not pulled and not any(any(joint.given.each("actuator")) for joint in joints):
         first = next((joint for joint in joints if joint.parent is not None), joints[0])
         yield (
             (*first.key, "actuator"),
@@ -396,7 +396,7 @@ def far_places(case: Case) -> Found:
 def light_unseen(case: Case) -> Found:
     """Warn of a task with a light if the animal has no eye, or its controller uses no eye."""
     config = case.config
-    if config.task.goal is None:
+    if getattr(config.task, "light", None) is None:
         return
     instead = "a task without a light, such as task: {type: distance}"
     if not config.controller.uses_senses:

@@ -51,7 +51,7 @@ def build_situations(
         KeyProblem: the creature cannot stand or come to rest, or a light cannot be reached.
     """
     settings = config.simulation
-    common = config.task.goal
+    common = getattr(config.task, "light", None)
     h = 1.0 / (settings.control_rate_hz * settings.substeps)
     settling = functools.cache(lambda: Settling(world, h))
     situations: list[Situation] = []

@@ -183,7 +183,9 @@ class ExperimentConfig(Section):
                 f"runs: the seed of the last of {self.runs} runs must be less than {2**31}, got "
                 f"{self.seed + self.runs - 1}"
             )
-        genome, given = self.controller.genome, self.evolution.type
+        # Graded genes are numbers, so both genetic algorithms can evolve them.
+        graded = getattr(self.controller, "graded", False)
+        genome, given = None if graded else self.controller.genome, self.evolution.type
         # Strategies other than ``real`` and ``bits`` evolve both kinds of genome.
         if genome is not None and given in ("real", "bits") and given != genome:
             raise ValueError(
