@@ -104,10 +104,6 @@ class Placed(NamedTuple):
         """Return coordinates in our frame of a point in the world."""
         return tidy_vector(self.turn.T @ (point - self.centre))
 
-    def direction(self, vector: np.ndarray) -> list[float]:
-        """Return components in our axes of a vector in the world's."""
-        return tidy_vector(self.turn.T @ vector)
-
 
 def add_meshes(root: Element, creature: Creature) -> None:
     """Add the assets of bodies that are meshes."""
@@ -152,8 +148,19 @@ def place_body(compiled: Compiled, rigid: Rigid, name: str) -> Placed:
     allows. A root without a shape along its axes has all its shapes as parts.
     """
     is_root, world = rigid.parent is None, np.eye(3)
-    solids = []
-    for geom in _chosen_geoms(compiled, rigid):
+    model, solids = compiled.model, []
+    every = [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] in rigid.members and not is_flat(compiled, geom)
+    ]
+    paired = {*map(int, model.pair_geom1), *map(int, model.pair_geom2)}
+    colliding = [
+        geom
+        for geom in every
+        if model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
+    ]
+    for geom in colliding or every:
         with compiled.refusals.collecting():
             outer = world if is_root else np.array(compiled.data.xmat[rigid.lead]).reshape(3, 3)
             solids.append(read_solid(compiled, geom, outer, is_root))
@@ -223,7 +230,10 @@ def read_solid(compiled: Compiled, geom: int, outer: np.ndarray, keeps_axes: boo
         return Solid(geom, shape, centre, outer, float((2 * size[0]) ** 3))
     if kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
         # MuJoCo's capsules lie along z, ours along x. Either end may be the front.
-        own = _shortest_turn(inner[:, 2] if inner[0, 2] >= 0 else -inner[:, 2])
+        x, y, z = inner[:, 2] if inner[0, 2] >= 0 else -inner[:, 2]
+        # The shortest rotation from x to that direction.
+        cross = np.array([[0, -y, -z], [y, 0, 0], [z, 0, 0]])
+        own = np.eye(3) + cross + cross @ cross / (1 + x)
         word = "capsule" if kind == kinds.mjGEOM_CAPSULE else "cylinder"
         shape = {"type": word, "radius": tidy(size[0]), "length": tidy(2 * size[1])}
         return Solid(geom, shape, centre, outer @ own, float(8 * size[0] ** 2 * size[1]))
@@ -241,23 +251,6 @@ def read_solid(compiled: Compiled, geom: int, outer: np.ndarray, keeps_axes: boo
     raise item.refusal(
         f"it is a {word} on the animal", "box, sphere, ellipsoid, capsule, cylinder, mesh"
     )
-
-
-def _chosen_geoms(compiled: Compiled, rigid: Rigid) -> list[int]:
-    """Return the colliding geoms of a body, or all if none collides."""
-    model = compiled.model
-    every = [
-        geom
-        for geom in range(model.ngeom)
-        if model.geom_bodyid[geom] in rigid.members and not is_flat(compiled, geom)
-    ]
-    paired = {*map(int, model.pair_geom1), *map(int, model.pair_geom2)}
-    solid = [
-        geom
-        for geom in every
-        if model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
-    ]
-    return solid or every
 
 
 def _read_mesh(compiled: Compiled, geom: int, axes: np.ndarray | None) -> Solid:
@@ -312,13 +305,6 @@ def _body_of(vertices: np.ndarray) -> tuple[dict[str, Any], int]:
             return shape, len(whole)
     assert fault is not None
     raise fault
-
-
-def _shortest_turn(direction: np.ndarray) -> np.ndarray:
-    """Return the shortest rotation from x to a unit vector that does not point backwards."""
-    x, y, z = direction
-    cross = np.array([[0, -y, -z], [y, 0, 0], [z, 0, 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + x)
 
 
 def number_text(*values: float) -> str:
