@@ -18,14 +18,13 @@ from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import Mapped
-from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.io.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.io.load import located
 from evo_cpg.io.own_checks import check_own_forces, check_own_returns, check_own_strategy
 from evo_cpg.io.schema.evolution import RealEvolutionConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
-from evo_cpg.io.situations import build_situations, require_light
+from evo_cpg.io.situations import build_situations
 from evo_cpg.io.trust import code_folders, require_code
 from evo_cpg.native.engine import Engine, target, using
 from evo_cpg.native.ir import Unsupported
@@ -87,11 +86,25 @@ def build_experiment(
                 sys.path.append(str(resolved(folder)))
         require_code(config, folders)
         creature, simulation = build_simulation(config, plan)
-        require_light(config, simulation.task)
+        for i, entry in enumerate(config.simulation.situations):
+            if entry.light is not None and simulation.task.light is None:
+                problem = f"a task of type {config.task.type!r} has no light"
+                raise KeyProblem(("simulation", "trials", i, "light"), problem)
         check_own_returns(config, simulation)
+        given = config.evolution
+        islands = getattr(given, "islands", None)
+        population = given.population // (islands.count if islands else 1)
         with under("evolution"):
-            strategy = _build_strategy(config, simulation)
-        learning, given = None, config.evolution
+            strategy = given.build(simulation.genome, population)
+            mapped = bool(given.axes and (islands or not strategy.map_axes))
+            if isinstance(given, CustomConfig):
+                check_own_strategy(config, strategy, population, simulation, mapped)
+            if islands:
+                about = islands.count, islands.every, islands.migrants
+                strategy = Islands(given.population, strategy, *about)
+            if mapped:
+                strategy = Mapped(given.population, given.build_axes(), strategy)
+        learning = None
         if isinstance(given, RealEvolutionConfig) and given.learning:
             learners = given.learning.elites or min(_LEARNERS, given.elites)
             learning = given.learning.into(Learning, elites=learners)
@@ -106,22 +119,6 @@ def build_experiment(
             trials=config.trial_count,
             learning=learning,
         )
-
-
-def _build_strategy(config: ExperimentConfig, simulation: Simulation) -> Strategy:
-    """Build the search, on its islands and with its map."""
-    given = config.evolution
-    islands = getattr(given, "islands", None)
-    population = given.population // (islands.count if islands else 1)
-    strategy = given.build(simulation.genome, population)
-    mapped = bool(given.axes and (islands or not strategy.map_axes))
-    if isinstance(given, CustomConfig):
-        check_own_strategy(config, strategy, population, simulation, mapped)
-    if islands:
-        strategy = Islands(
-            given.population, strategy, islands.count, islands.every, islands.migrants
-        )
-    return Mapped(given.population, given.build_axes(), strategy) if mapped else strategy
 
 
 def require_genes(experiment: ExperimentParts, source: Path | str) -> None:
@@ -155,7 +152,14 @@ def build_simulation(
     Raises:
         KeyProblem: parts of the configuration do not fit together.
     """
-    engine = _choose_engine(config)
+    engine = Engine(config.engine, config.instruction_set)
+    if engine.name == "native":
+        try:
+            with using(engine):
+                target()
+        except Unsupported as error:
+            key = ("engine",) if config.instruction_set == "host" else ("instruction_set",)
+            raise KeyProblem(key, f"this machine has no such native code: {error}") from None
     with _refused(config):
         creature = config.creature.build()
         tree = build_tree(creature)
@@ -308,23 +312,6 @@ def _build_rules(
         include = given.include if given else ()
         watched = SelfCollision(include=include, only=plan.pairs.watched)
     return Rules(**most, pairs=make_pairs(creature, world.tree, watched))
-
-
-def _choose_engine(config: ExperimentConfig) -> Engine:
-    """Return the engine that computes the trials.
-
-    Raises:
-        KeyProblem: the configuration requires an engine that this machine does not have.
-    """
-    engine = Engine(config.engine, config.instruction_set)
-    if engine.name == "native":
-        try:
-            with using(engine):
-                target()
-        except Unsupported as error:
-            key = ("engine",) if config.instruction_set == "host" else ("instruction_set",)
-            raise KeyProblem(key, f"this machine has no such native code: {error}") from None
-    return engine
 
 
 def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:

@@ -284,8 +284,17 @@ def _change(
         first = getattr(building.own.paths[place][0], "name", None)
         searched = first == "situations" and building.own.choices.searched
         accuracy = _SEARCHED if searched else 0.0
-        moves, smooth = _moves(leaf, [other.leaves[place] for other in others], both, accuracy)
-        if not smooth:
+        known = np.isfinite(leaf)
+        centre = np.where(known, leaf, 0.0)
+        moved = np.array([np.where(known, x.leaves[place], 0.0) for x in others]) - centre
+        least = _ROUNDING * max(float(np.abs(centre).max(initial=0.0)), np.finfo(float).tiny)
+        moved[np.abs(moved) < least] = 0.0
+        bend = 0.0
+        if both:
+            even = moved[0] + moved[-1] - 4 * (moved[1] + moved[-2])
+            bend = float(np.abs(even).max(initial=0.0))
+        largest = float(np.abs(moved).max(initial=0.0))
+        if not bend <= _KINK * largest + 40 * least + accuracy:
             problem = (
                 f"{value:g} is at a kink of `{building.name(place)}` (such as a limit, or the "
                 "lowest of several feet), so it has no derivative"
@@ -293,8 +302,8 @@ def _change(
             if kinks is None:
                 raise KeyProblem(where, problem)
             kinks[key] = problem
-        if moves.any():
-            change[place] = moves
+        if moved.any():
+            change[place] = np.asarray(moved.any(0))
     if not change:
         raise KeyProblem(where, "changes nothing in a trial of this experiment")
     for place in change:
@@ -401,25 +410,3 @@ def _undifferentiated(value: Array, refusal: ConfigError) -> Array:
         raise refusal
 
     return same(value)
-
-
-def _moves(leaf: Any, others: list[Any], both: bool, accuracy: float) -> tuple[np.ndarray, bool]:
-    """Return which elements of a leaf change, and whether they change smoothly.
-
-    Args:
-        leaf: leaf at the configuration's own value.
-        others: leaves at neighbouring values.
-        both: whether these values lie on both sides, so that a kink can be detected.
-        accuracy: accuracy of the leaf.
-    """
-    finite = np.isfinite(leaf)
-    centre = np.where(finite, leaf, 0.0)
-    moved = np.array([np.where(finite, other, 0.0) for other in others]) - centre
-    least = _ROUNDING * max(float(np.abs(centre).max(initial=0.0)), np.finfo(float).tiny)
-    moved[np.abs(moved) < least] = 0.0
-    bend = 0.0
-    if both:
-        even = moved[0] + moved[-1] - 4 * (moved[1] + moved[-2])
-        bend = float(np.abs(even).max(initial=0.0))
-    largest = float(np.abs(moved).max(initial=0.0))
-    return np.asarray(moved.any(0)), bool(bend <= _KINK * largest + 40 * least + accuracy)

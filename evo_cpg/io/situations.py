@@ -24,7 +24,6 @@ from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.simulation.plans import Programs
 from evo_cpg.simulation.settle import NoRestError, Settling, settled
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.simulation.task import Task
 
 # Largest number of steps to find the height at which an animal stands, and its accuracy: in m, and
 # as a fraction of the distance from the origin, because float32 resolves 1.2e-7 of it.
@@ -125,18 +124,6 @@ def _require_resolved(creature: Creature, place: Triple, h: Number, start: Key) 
                 f"move wrongly in steps of {h:.2g} s. Allowed: less than {most:g} m from the "
                 f"origin. Subtract about {here:.6g} m from the world's {axis} coordinates",
             )
-
-
-def require_light(config: ExperimentConfig, task: Task) -> None:
-    """Check that no trial moves a light that the task does not have.
-
-    Raises:
-        KeyProblem: a trial moves such a light.
-    """
-    for i, entry in enumerate(config.simulation.situations):
-        if entry.light is not None and task.light is None:
-            problem = f"a task of type {config.task.type!r} has no light"
-            raise KeyProblem(("simulation", "trials", i, "light"), problem)
 
 
 def _is_still_within_reach(
