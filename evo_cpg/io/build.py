@@ -86,7 +86,8 @@ def build_experiment(
                 sys.path.append(str(resolved(folder)))
         require_code(config, folders)
         creature, simulation = build_simulation(config, plan)
-        for i, entry in enumerate(config.simulation.situations):
+        trials = config.simulation.trials
+        for i, entry in enumerate(trials if isinstance(trials, list) else ()):
             if entry.light is not None and simulation.task.light is None:
                 problem = f"a task of type {config.task.type!r} has no light"
                 raise KeyProblem(("simulation", "trials", i, "light"), problem)
@@ -171,7 +172,16 @@ def build_simulation(
         for i, given in enumerate(config.creature.sensors)
     )
     controller = _build_controller(config, creature, tree, extra_sensors, step)
-    noise = _build_noise(config, world)
+    noise, hangs = config.noise, f"{tree.names[0]!r} hangs on the world"
+    problem = None
+    if noise.friction and world.contact_model is None:
+        problem = "friction", "there is no ground whose friction could vary (world.ground)"
+    elif noise.tilt_deg and tree.hanging is not None:
+        problem = "tilt_deg", f"{hangs} and cannot tilt. Use joint_angle_deg, or leave it out"
+    elif noise.push and tree.hanging is not None and not tree.root_slides:
+        problem = "push", f"{hangs} without a slide, so no push moves it. Leave it out"
+    if problem:
+        raise KeyProblem(("noise", problem[0]), problem[1])
     with using(engine):
         situations = build_situations(config, creature, world)
     with under("task"):
@@ -192,7 +202,12 @@ def build_simulation(
         control_rate=config.simulation.control_rate_hz,
         substeps=config.simulation.substeps,
         steps=chosen(lambda: config.simulation.steps),
-        noise=noise,
+        noise=Noise(
+            joint_angle=xp.deg2rad(noise.joint_angle_deg),
+            tilt=xp.deg2rad(noise.tilt_deg),
+            push=noise.push,
+            friction=noise.friction,
+        ),
         situations=situations,
         engine=engine,
         extra_sensors=extra_sensors,
@@ -200,32 +215,6 @@ def build_simulation(
         measures=_build_measures(config, task, creature, world),
     )
     return creature, simulation
-
-
-def _build_noise(config: ExperimentConfig, world: World) -> Noise:
-    """Build the noise of a trial.
-
-    Raises:
-        KeyProblem: the noise has no effect: on friction without ground, or on a root that hangs on
-            the world.
-    """
-    given, tree = config.noise, world.tree
-    hangs = f"{tree.names[0]!r} hangs on the world"
-    problem = None
-    if given.friction and world.contact_model is None:
-        problem = "friction", "there is no ground whose friction could vary (world.ground)"
-    elif given.tilt_deg and tree.hanging is not None:
-        problem = "tilt_deg", f"{hangs} and cannot tilt. Use joint_angle_deg, or leave it out"
-    elif given.push and tree.hanging is not None and not tree.root_slides:
-        problem = "push", f"{hangs} without a slide, so no push moves it. Leave it out"
-    if problem:
-        raise KeyProblem(("noise", problem[0]), problem[1])
-    return Noise(
-        joint_angle=xp.deg2rad(given.joint_angle_deg),
-        tilt=xp.deg2rad(given.tilt_deg),
-        push=given.push,
-        friction=given.friction,
-    )
 
 
 def _build_measures(

@@ -25,7 +25,7 @@ from evo_cpg.io.build import CommonPlan, build_experiment
 from evo_cpg.io.errors import ConfigError, KeyProblem
 from evo_cpg.io.keys import parts_of
 from evo_cpg.io.load import located
-from evo_cpg.io.numbers import Building, Built, number_at, number_keys, values_of, with_numbers
+from evo_cpg.io.numbers import Building, number_at, number_keys, values_of, with_numbers
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.native.jax_internals import Tracer
 from evo_cpg.simulation.batched import Inputs
@@ -270,7 +270,17 @@ def _change(
         KeyProblem: more than numbers changes, no leaf changes, or there is no derivative.
     """
     value, where = number_at(config, key), parts_of(key)
-    others, both = _neighbours(building, config, key, value)
+    step = _STEP * (abs(value) or 1.0)
+    # Build on both sides, or on one side if the other one is not allowed.
+    for fractions in (_BOTH_SIDES, _ONE_SIDE, [-fraction for fraction in _ONE_SIDE]):
+        try:
+            near = [with_numbers(config, {key: value + x * step}, "") for x in fractions]
+            others, both = [building.known(each) for each in near], fractions is _BOTH_SIDES
+            break
+        except KeyProblem:
+            continue
+    else:
+        raise KeyProblem(where, f"has no allowed values on either side of {value:g}")
     if not all(other.has_layout_of(building.own) for other in others):
         raise KeyProblem(
             where,
@@ -311,28 +321,6 @@ def _change(
             problem = "changes a table of positions (a mesh or a relief), so it has no derivative"
             raise KeyProblem(where, problem)
     return change
-
-
-def _neighbours(
-    building: Building, config: ExperimentConfig, key: str, value: float
-) -> tuple[list[Built], bool]:
-    """Build at neighbouring values on both sides, or on one side if the other is not allowed.
-
-    Returns:
-        The simulations in the order of the values, and whether the values lie on both sides.
-
-    Raises:
-        KeyProblem: there are no allowed values on either side.
-    """
-    step = _STEP * (abs(value) or 1.0)
-    for fractions in (_BOTH_SIDES, _ONE_SIDE, [-fraction for fraction in _ONE_SIDE]):
-        try:
-            near = [with_numbers(config, {key: value + x * step}, "") for x in fractions]
-            return [building.known(each) for each in near], fractions is _BOTH_SIDES
-        except KeyProblem:
-            # The value is at the end of the allowed range, so try the other side.
-            continue
-    raise KeyProblem(parts_of(key), f"has no allowed values on either side of {value:g}")
 
 
 def _followed(

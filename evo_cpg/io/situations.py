@@ -55,7 +55,8 @@ def build_situations(
     settling = functools.cache(lambda: Settling(world, h))
     situations: list[Situation] = []
     begins: list[Situation] = []
-    for i, entry in enumerate(settings.situations or [SituationConfig()]):
+    listed = settings.trials if isinstance(settings.trials, list) else [SituationConfig()]
+    for i, entry in enumerate(listed):
         key = ("simulation", "trials", i)
         x, y = settings.start if entry.start is None else entry.start
         turn = entry.start_heading_deg

@@ -17,13 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.io.models.refusals import ExchangeError, Refusal, Refusals, RefusedError
-from evo_cpg.io.models.urdf import (
-    is_urdf,
-    read_urdf,
-    read_xml,
-    restore_inertials,
-    set_inertials_aside,
-)
+from evo_cpg.io.models.urdf import read_urdf, read_xml, restore_inertials, set_inertials_aside
 from evo_cpg.system import command_for
 
 # Largest relative difference of values that count as equal, and number of digits that are written.
@@ -161,7 +155,9 @@ def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compile
     refusals = Refusals(path, drop)
     try:
         text = read_xml(content)
-        urdf = is_urdf(text)
+        # The first element says which kind of file it is. MuJoCo ignores case.
+        first = re.search(r"<([^\W\d][^\s/>]*)", text)
+        urdf = first is not None and first[1].lower() == "robot"
         with _collected_warnings(mujoco, refusals):
             if urdf:
                 given = read_urdf(text, path, refusals)
@@ -169,14 +165,14 @@ def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compile
             else:
                 spec = mujoco.MjSpec.from_file(os.fsdecode(path))
             if free:
-                first = spec.worldbody.first_body()
-                if first is None:
+                body = spec.worldbody.first_body()
+                if body is None:
                     raise ExchangeError(f"{path}: it holds no body")
-                if all(joint.type != 0 for joint in first.joints):
-                    if first.joints:
-                        problem = f"the body {first.name!r} hangs on joints already"
+                if all(joint.type != 0 for joint in body.joints):
+                    if body.joints:
+                        problem = f"the body {body.name!r} hangs on joints already"
                         raise ExchangeError(f"{path}: --free: {problem}")
-                    first.add_freejoint()
+                    body.add_freejoint()
             inertials = set_inertials_aside(spec, refusals) if urdf else {}
             model = spec.compile()
         bytes(model.names).decode()

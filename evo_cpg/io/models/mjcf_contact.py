@@ -14,6 +14,7 @@ have laws of their own.
 
 import itertools
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,16 @@ def read_ground(
     frictions = {g: tidy(float(model.geom_friction[g, 0])) for g in own}
     planes = [g for g in fixed if int(model.geom_type[g]) == compiled.mujoco.mjtGeom.mjGEOM_PLANE]
     touched = [g for g in planes if any(_friction(compiled, g, other) is not None for other in own)]
-    geom = _floor(compiled, touched, placed[0].centre)
+    # The ground is the most level plane below the root, the highest of equally level ones.
+    floors = []
+    for plane in touched:
+        normal, point = _level(compiled, plane)
+        if normal[2] > _STEEPEST:
+            arm = placed[0].centre - point
+            height = float(point[2] - normal[:2] @ arm[:2] / normal[2])
+            below = float(normal @ arm) >= 0
+            floors.append((below, round(float(normal[2]), 9), height, plane))
+    geom = max(floors, key=itemgetter(0, 1, 2))[-1] if floors else None
     if geom is None or compiled.disabled("contact", "constraint"):
         return None, list(fixed), frictions
     required = {g: _friction(compiled, geom, g) for g in own}
@@ -88,19 +98,6 @@ def read_ground(
             item = compiled.item("geom", other)
             compiled.refusals.leave_out(f"{item} (a second plane, tilted by {lean:.3g} degrees)")
     return keys, [g for g in fixed if g not in touched], materials
-
-
-def _floor(compiled: Compiled, planes: Sequence[int], root: np.ndarray) -> int | None:
-    """Return the most level plane below the root, the highest of equally level ones, or None."""
-
-    def rank(geom: int) -> tuple[bool, float, float]:
-        normal, place = _level(compiled, geom)
-        below = float(normal @ (root - place)) >= 0
-        height = place[2] - normal[:2] @ (root - place)[:2] / normal[2]
-        return below, round(float(normal[2]), 9), float(height)
-
-    floors = [geom for geom in planes if _level(compiled, geom)[0][2] > _STEEPEST]
-    return max(floors, key=rank, default=None)
 
 
 def _level(compiled: Compiled, geom: int) -> tuple[np.ndarray, np.ndarray]:

@@ -239,8 +239,8 @@ def leave_out_elements(compiled: Compiled) -> None:
         if value[0] not in allowed:
             compiled.refusals.leave_out(f"option {name}")
     for count, kind in COUNTS.items():
-        for phrase in counted(int(getattr(compiled.model, count, 0)), kind):
-            compiled.refusals.leave_out(phrase)
+        if number := int(getattr(compiled.model, count, 0)):
+            compiled.refusals.leave_out(f"{number} {kind}{'s' if number > 1 else ''}")
 
 
 def _unusual_fields(compiled: Compiled, table: dict[str, Neutral]) -> Iterator[tuple[str, Item]]:
@@ -254,8 +254,3 @@ def _unusual_fields(compiled: Compiled, table: dict[str, Neutral]) -> Iterator[t
         wrong = ~np.isclose(found, values, rtol=TOLERANCE, atol=0)
         for item, _ in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
             yield word, item
-
-
-def counted(number: int, kind: str) -> list[str]:
-    """Return a phrase for a number of elements, or an empty list for none."""
-    return [f"{number} {kind}{'s' if number > 1 else ''}"] if number else []

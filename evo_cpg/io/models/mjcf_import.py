@@ -141,12 +141,22 @@ def read_model(
     built = _checked_creature(compiled, creature)
     pulling = [tendon.law["actuator"] for tendon in tendons if "actuator" in tendon.law]
     root, every_motor = placed[0], [*motors.values(), *pulling]
+    centre = root.centre
+    if root.own_shape:
+        # The centre of a mesh is not the origin of its frame.
+        own_shape = _SHAPE.validate_python(root.solids[0].shape)
+        centre = centre + root.turn @ own_shape.build()[0][1]
+    clearance, floor = 0.0, (ground or {}).get("floor", {})
+    if ground and "slope_deg" not in floor:
+        # The animal starts at the height above level ground that it has in the neutral pose.
+        lowest = float(lowest_height(built.build()))
+        clearance = float(centre[2]) + lowest - floor.get("height", 0.0)
     data = experiment(
         # The name of the run has to be one that a folder can have.
         re.sub(r"[/\\]", "_", creature["name"]).lstrip(".") or "imported",
         creature,
         world,
-        _clearance(built, root, world),
+        clearance,
         bool(root.rigid.joints) or root.rigid.free,
         any("stiffness" in motor for motor in every_motor),
     )
@@ -157,7 +167,7 @@ def read_model(
         tuple(refusals.changed),
         joints,
         tuple(_warnings(compiled, root, bool(every_motor), built.build())),
-        tuple(_centre_of(root).tolist()),
+        tuple(centre.tolist()),
     )
 
 
@@ -327,19 +337,3 @@ def _dof_names(config: CreatureConfig, joints: Mapping[str, tuple[int, ...]]) ->
         if len(numbers) == len(found.get(name, ()))
         for joint, dof in zip(numbers, found[name], strict=True)
     }
-
-
-def _clearance(config: CreatureConfig, root: Placed, world: Mapping[str, Any]) -> float:
-    """Return the height of the animal above level ground in the neutral pose, m, or 0."""
-    ground = world.get("ground")
-    if not ground or "slope_deg" in ground.get("floor", {}):
-        return 0.0
-    lowest = float(lowest_height(config.build()))
-    return float(_centre_of(root)[2]) + lowest - ground.get("floor", {}).get("height", 0.0)
-
-
-def _centre_of(root: Placed) -> np.ndarray:
-    """Return the centre of the root in the world, m. A mesh has another one than its frame."""
-    if not root.own_shape:
-        return root.centre
-    return root.centre + root.turn @ _SHAPE.validate_python(root.solids[0].shape).build()[0][1]

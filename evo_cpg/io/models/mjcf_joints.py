@@ -48,6 +48,13 @@ _UNLIMITED = 1e4
 # Largest distance of an axis from the joint's place, m, at which it counts as through it.
 _AT_PLACE = 1e-12
 
+# Directions that have a word in a configuration.
+_AXES = {
+    word: sign * axis
+    for name, axis in zip("xyz", np.eye(3), strict=True)
+    for sign, word in ((1.0, name), (-1.0, f"-{name}"))
+}
+
 # MuJoCo replaces the spring length -1 by the length in the neutral pose.
 _NEUTRAL = -1.0
 
@@ -122,7 +129,9 @@ def read_joint(
             limits.append(limit and tidy_vector(np.rad2deg(limit)))
             rests.append(0.0)
             continue
-        direction = _axis(tidy_vector(own.turn.T @ np.array(data.xaxis[joint])))
+        vector = tidy_vector(own.turn.T @ np.array(data.xaxis[joint]))
+        named = (word for word, axis in _AXES.items() if np.array_equal(vector, axis))
+        direction = next(named, vector)
         if int(model.jnt_type[joint]) == kinds.mjJNT_SLIDE:
             slide = {"slide": direction, "limits_m": limit and tidy_vector(np.array(limit))}
             axes.append(slide | ({"rest_m": tidy(rest)} if rest else {}))
@@ -199,14 +208,6 @@ def one_or_each(values: Iterable[Any]) -> Any:
     """Return the value that all axes have in common, or a list."""
     every = list(values)
     return every[0] if all(value == every[0] for value in every) else every
-
-
-def _axis(vector: list[float]) -> str | list[float]:
-    for name, unit in zip("xyz", np.eye(3), strict=True):
-        for sign, word in ((1.0, name), (-1.0, f"-{name}")):
-            if np.array_equal(vector, sign * unit):
-                return word
-    return vector
 
 
 def add_tendons(root: Element, actuator: Element, creature: Creature) -> None:

@@ -25,7 +25,6 @@ import numpy as np
 from evo_cpg.creature.algebra.numerics import Triple
 from evo_cpg.creature.creature import Actuator, Muscle, TorqueMotor
 from evo_cpg.io.models.compiled import TOLERANCE, Compiled, tidy
-from evo_cpg.io.models.mjcf_fields import counted
 from evo_cpg.io.models.mjcf_shapes import number_text
 from evo_cpg.io.schema.section import LARGEST
 
@@ -84,8 +83,8 @@ def read_motors(
     model, kinds = compiled.model, compiled.mujoco.mjtTrn
     of_one_coordinate = compiled.mujoco.mjtJoint.mjJNT_HINGE, compiled.mujoco.mjtJoint.mjJNT_SLIDE
     if compiled.disabled("actuation"):
-        for phrase in counted(len(model.actuator_trnid), "actuator"):
-            compiled.refusals.leave_out(phrase)
+        if count := len(model.actuator_trnid):
+            compiled.refusals.leave_out(f"{count} actuator{'s' if count > 1 else ''}")
         return of_joints, of_tendons
     for number in range(len(model.actuator_trnid)):
         with compiled.refusals.collecting():
@@ -218,12 +217,13 @@ def _refuse_shared_limits(
         return
     largest: dict[int, float] = {}
     for tendon, motor in of_tendons.items():
-        force = _largest(motor)
+        # Without a limit the force may be infinite.
+        force = motor["torque_limit"] or np.inf
         first = int(model.tendon_adr[tendon])
         for wrap in range(first, first + int(model.tendon_num[tendon])):
             if int(model.wrap_type[wrap]) == compiled.mujoco.mjtWrap.mjWRAP_JOINT:
                 joint = int(model.wrap_objid[wrap])
-                own = _largest(of_joints[joint]) if joint in of_joints else 0.0
+                own = (of_joints[joint]["torque_limit"] or np.inf) if joint in of_joints else 0.0
                 lever = abs(float(model.wrap_prm[wrap]))
                 largest[joint] = largest.get(joint, own) + lever * force
     for joint, force in largest.items():
@@ -234,12 +234,6 @@ def _refuse_shared_limits(
                 "its actuatorfrcrange limits the force of a tendon's motor",
                 "a forcerange of the actuator",
             )
-
-
-def _largest(motor: dict[str, Any]) -> float:
-    """Return the largest force of a motor."""
-    limit = motor["torque_limit"]
-    return np.inf if limit is None else limit
 
 
 def _command_limits(compiled: Compiled, number: int) -> list[tuple[str, np.ndarray]]:

@@ -356,7 +356,7 @@ def add_ground(root: Element, place: Element, ground: Ground, taken: list[str]) 
 
 
 def _solids(root: Element, name: str, part: GroundPart) -> list[dict[str, str]]:
-    """Return the attributes of the geoms that make up a part."""
+    """Return the attributes of the geoms that make up a part. Add the asset of a height field."""
     if isinstance(part, Plane):
         normal = np.array(part.normal) / np.linalg.norm(part.normal)
         return [
@@ -377,7 +377,22 @@ def _solids(root: Element, name: str, part: GroundPart) -> list[dict[str, str]]:
     if isinstance(part, Shore):
         return _shore(part)
     if isinstance(part, Relief):
-        return [_relief(root, name, part)]
+        heights = np.asarray(part.heights, float)
+        lowest, rise = float(heights.min()), float(np.ptp(heights))
+        half = part.spacing * (np.array(heights.shape) - 1) / 2
+        asset = root.find("asset")
+        if asset is None:
+            asset = Element("asset")
+            # The asset follows compiler, option and default.
+            root.insert(3, asset)
+        field = SubElement(asset, "hfield", name=name)
+        field.set("ncol", str(heights.shape[0]))
+        field.set("nrow", str(heights.shape[1]))
+        # MuJoCo scales heights to 0 to 1, and has the last row first, as on a map.
+        field.set("size", number_text(*half, rise or 1.0, _THICK))
+        field.set("elevation", number_text(*(heights.T[::-1] - lowest).ravel()))
+        middle = number_text(*(np.array(part.corner) + half), lowest)
+        return [{"type": "hfield", "hfield": name, "pos": middle}]
     raise ExchangeError(
         f"ground with a {type(part).__name__} cannot be written as MJCF. "
         "Allowed: Plane, Boulder, Block, Shore, Relief"
@@ -407,23 +422,3 @@ def _shore(part: Shore) -> list[dict[str, str]]:
             }
         )
     return slabs
-
-
-def _relief(root: Element, name: str, part: Relief) -> dict[str, str]:
-    """Add a height field with its heights as an asset, and return attributes of its geom."""
-    heights = np.asarray(part.heights, float)
-    lowest, rise = float(heights.min()), float(np.ptp(heights))
-    half = part.spacing * (np.array(heights.shape) - 1) / 2
-    asset = root.find("asset")
-    if asset is None:
-        asset = Element("asset")
-        # The asset follows compiler, option and default.
-        root.insert(3, asset)
-    field = SubElement(asset, "hfield", name=name)
-    field.set("ncol", str(heights.shape[0]))
-    field.set("nrow", str(heights.shape[1]))
-    # MuJoCo scales heights to 0 to 1, and has the last row first, as on a map.
-    field.set("size", number_text(*half, rise or 1.0, _THICK))
-    field.set("elevation", number_text(*(heights.T[::-1] - lowest).ravel()))
-    middle = np.array(part.corner) + half
-    return {"type": "hfield", "hfield": name, "pos": number_text(*middle, lowest)}

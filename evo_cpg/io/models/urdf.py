@@ -111,12 +111,6 @@ def read_xml(content: bytes) -> str:
     return _SKIPPED.sub(lambda part: "\n" * part[0].count("\n"), text)
 
 
-def is_urdf(text: str) -> bool:
-    """Return whether the first element of an XML text is that of a URDF. MuJoCo ignores case."""
-    first = re.search(r"<([^\W\d][^\s/>]*)", text)
-    return first is not None and first[1].lower() == "robot"
-
-
 def read_urdf(text: str, path: Path, refusals: Refusals) -> Urdf:
     """Return a URDF that MuJoCo compiles with the right meshes and limits.
 

@@ -72,11 +72,6 @@ class SimulationConfig(Section):
     trials: TrialsConfig = 1
 
     @property
-    def situations(self) -> list[SituationConfig]:
-        """Situations of the trials, or empty if only a number of trials is given."""
-        return self.trials if isinstance(self.trials, list) else []
-
-    @property
     def steps(self) -> int:
         """Number of control steps."""
         return max(1, round(self.seconds * self.control_rate_hz))
