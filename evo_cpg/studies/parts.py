@@ -91,15 +91,16 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     names = [name for name, found in rows.items() for _ in found]
     for name, row, goes in zip(names, every, others, strict=True):
         measured = row["measured"]
-        way = measured.get("way")
+        displacement = measured.get("way")
         line = {"": name, "seed": str(row["seed"])}
-        line["displacement, m"] = "" if way is None else f"{way:.2f}"
+        line["displacement, m"] = "" if displacement is None else f"{displacement:.2f}"
         for key in keys:
             kept = measured.get(key)
             line[_KEPT[key]] = "" if kept is None else percent(kept)
         for program in programs:
-            gone = goes.get(program)
-            line[f"{program}: over ground, m"] = "" if gone is None else f"{gone:.2f}"
+            displacement = goes.get(program)
+            words = "" if displacement is None else f"{displacement:.2f}"
+            line[f"{program}: over ground, m"] = words
         line["passes"] = "yes" if row["passed"] else "no: " + "; ".join(row["reasons"])
         lines.append(line)
     return tabled(lines, title)

@@ -26,7 +26,6 @@ _FILES = {
     "walker_map": ("fukui2003_model1", 1),
 }
 
-
 RUNS = {
     f"{part} {name}": Runs(config, tuple(as_overrides(values)), count)
     for part, (config, count) in _FILES.items()
