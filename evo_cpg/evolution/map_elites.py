@@ -142,12 +142,7 @@ class MapStrategy(Strategy):
     @property
     def cells(self) -> int:
         """Number of cells of the map."""
-        return math.prod(self.shape)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Number of cells along each axis."""
-        return tuple(axis.cells for axis in self.axes)
+        return math.prod(axis.cells for axis in self.axes)
 
     @property
     def metric_names(self) -> tuple[str, ...]:
@@ -164,16 +159,6 @@ class MapStrategy(Strategy):
         count = filled.sum()
         total = jnp.where(filled, fitness, 0.0).sum()
         return {"coverage": count / self.cells, "mean_elite": total / count}
-
-    def cell_of(self, descriptors: Float[Array, "k n"]) -> Int[Array, " n"]:
-        """Return the cell of each individual. A descriptor that is not finite counts as ``low``."""
-        number = jnp.zeros(descriptors.shape[1:], jnp.int32)
-        for axis, value in zip(self.axes, descriptors, strict=True):
-            place = (value - axis.low) / (axis.high - axis.low) * axis.cells
-            place = jnp.where(jnp.isfinite(place), place, 0.0)
-            inside = jnp.clip(jnp.floor(place), 0, axis.cells - 1).astype(jnp.int32)
-            number = number * axis.cells + inside
-        return number
 
     def empty(self, genes: Float[Array, "g n"]) -> Archive:
         """Return an empty map for genomes like these."""
@@ -194,7 +179,13 @@ class MapStrategy(Strategy):
         known: dict[str, ArrayLike] = {**evaluation.terms, **evaluation.descriptors}
         found = jnp.stack([jnp.asarray(known[axis.name]) for axis in self.axes])
         fitness = jnp.where(jnp.isfinite(found).all(0), evaluation.fitness, -jnp.inf)
-        cell = self.cell_of(found)
+        cell = jnp.zeros(found.shape[1:], jnp.int32)
+        for axis, value in zip(self.axes, found, strict=True):
+            # A descriptor that is not finite counts as ``low``.
+            place = (value - axis.low) / (axis.high - axis.low) * axis.cells
+            place = jnp.where(jnp.isfinite(place), place, 0.0)
+            inside = jnp.clip(jnp.floor(place), 0, axis.cells - 1).astype(jnp.int32)
+            cell = cell * axis.cells + inside
         # Best individual for each cell, the first among equals.
         best = jnp.full(self.cells, -jnp.inf, fitness.dtype).at[cell].max(fitness)
         wins = (fitness == best[cell]) & (fitness > archive.fitness[cell])
