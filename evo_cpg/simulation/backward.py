@@ -71,25 +71,33 @@ class Backward(NamedTuple):
             steps: number of steps.
         """
 
-        def segment(length: int) -> Callable:
-            def walk(carry: Carry, first: ArrayLike) -> tuple[Carry, None]:
-                numbers = first + jnp.arange(length)
-                return jax.lax.scan(step, carry, numbers)[0], None
-
-            return walk
-
         def step(carry: Carry, number: ArrayLike) -> tuple[Carry, None]:
             return advance(carry, number)[0], None
 
-        kept = _kept_bytes(step, carry)
+        def segment(length: int, carry: Carry, first: ArrayLike) -> tuple[Carry, None]:
+            return jax.lax.scan(step, carry, first + jnp.arange(length))[0], None
+
+        # Bytes that each control step keeps for the backward pass.
+        pure, shared = jax.closure_convert(lambda carry: step(carry, jnp.zeros((), int))[0], carry)
+
+        def leave(carry: Any, *shared: Array) -> list[Array]:
+            return jax.tree.leaves(jax.vjp(pure, carry, *shared)[1])
+
+        jaxpr = jax.make_jaxpr(leave)(carry, *shared).jaxpr
+        moving = set(jaxpr.invars[: len(jax.tree.leaves(carry))])
+        for equation in jaxpr.eqns:
+            if any(x in moving for x in equation.invars if not isinstance(x, Literal)):
+                moving.update(equation.outvars)
+        left = {x for x in jaxpr.outvars if not isinstance(x, Literal) and x in moving}
+        kept = _bytes(x.aval for x in left)
         if self.copies * steps * kept <= machine_constants.LARGEST_RESIDUALS:
-            return segment(steps)(carry, 0)[0]
+            return segment(steps, carry, 0)[0]
         # This length minimises the memory for states between segments plus one segment.
         length = max(1, math.isqrt(steps * _bytes(jax.tree.leaves(carry)) // kept))
         count, rest = divmod(steps, length)
-        whole_segment = jax.checkpoint(segment(length), prevent_cse=False)
+        whole_segment = jax.checkpoint(functools.partial(segment, length), prevent_cse=False)
         carry, _ = jax.lax.scan(whole_segment, carry, length * jnp.arange(count))
-        return segment(rest)(carry, count * length)[0] if rest else carry
+        return segment(rest, carry, count * length)[0] if rest else carry
 
     def forget(self, state: State, nerves: Any) -> tuple[State, Any]:
         """Return body and nerves unchanged, but fade and cut gradients that pass back through.
@@ -117,22 +125,6 @@ class Backward(NamedTuple):
 def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[np.ndarray, " *n"]:
     """Return the retention of gradients that fade to 1/e within the horizon (s, or infinity)."""
     return np.exp(-1.0 / (horizon * control_rate))
-
-
-def _kept_bytes(step: Callable, carry: Any) -> int:
-    """Return the bytes that each control step keeps for the backward pass."""
-    pure, shared = jax.closure_convert(lambda carry: step(carry, jnp.zeros((), int))[0], carry)
-
-    def leave(carry: Any, *shared: Array) -> list[Array]:
-        return jax.tree.leaves(jax.vjp(pure, carry, *shared)[1])
-
-    jaxpr = jax.make_jaxpr(leave)(carry, *shared).jaxpr
-    moving = set(jaxpr.invars[: len(jax.tree.leaves(carry))])
-    for equation in jaxpr.eqns:
-        if any(x in moving for x in equation.invars if not isinstance(x, Literal)):
-            moving.update(equation.outvars)
-    left = {x for x in jaxpr.outvars if not isinstance(x, Literal) and x in moving}
-    return _bytes(x.aval for x in left)
 
 
 def _bytes(arrays: Iterable[Any]) -> int:

@@ -60,10 +60,6 @@ class Genome(NamedTuple):
         """Return genes of a first generation, which a controller may draw as integers or bits."""
         return jnp.asarray(self.controller.random_genes(key, batch, dtype), dtype)
 
-    def with_controller(self, genes: Float[np.ndarray, "g *n"]) -> Float[np.ndarray, "g *n"]:
-        """Return whole genomes that have these genes of the controller."""
-        return genes
-
     def decode(self, genes: Float[Array, "g *n"]) -> Phenotype:
         """Return the decoded genes. Called once per trial."""
         return Phenotype(self.controller.decode(genes))

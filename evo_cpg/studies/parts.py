@@ -269,7 +269,7 @@ def still(workshop: "Workshop", name: str) -> dict[str, str]:
     The fitness uses the scales of the first run.
     """
     simulation = workshop.experiment(name).simulation
-    silent = simulation.genome.with_controller(silent_genes(simulation.controller)[:, None])
+    silent = silent_genes(simulation.controller)[:, None]
     terms = {key: x.mean() for key, x in evaluate(simulation, silent).items()}
     scales = {key: jnp.asarray(x) for key, x in workshop.champions(name)[0].scales.items()}
     fitness = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)
