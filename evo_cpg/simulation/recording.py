@@ -73,31 +73,6 @@ class Recording(NamedTuple):
         )
 
 
-def require_shapes(recording: Recording) -> None:
-    """Check that the arrays of a recording belong to one motion.
-
-    Raises:
-        RecordingError: arrays are empty, or differ in numbers of instants, bodies or joints.
-    """
-    instants, dofs = len(recording.time), len(recording.dof_names)
-    bodies = recording.position.shape[1] if recording.position.ndim > 1 else 0
-    shapes = {
-        "time": (instants,),
-        "position": (instants, bodies, 3),
-        "rotation": (instants, bodies, 3, 3),
-        "joint_angle": (instants, dofs),
-        "target_rate": (instants, dofs),
-        "cpg_output": (instants, dofs),
-        "torque": (instants, dofs),
-        "distance": (instants,),
-        "goal": (3,),
-    }
-    for name, shape in shapes.items():
-        found = getattr(recording, name).shape
-        if found != shape or not (instants and bodies):
-            raise RecordingError(f"its {name} has the shape {found}, not {shape}")
-
-
 def require_whole(recording: Recording, creature: Creature) -> None:
     """Check that a recording shows a creature in a complete motion.
 

@@ -43,23 +43,9 @@ def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Cha
                 for i in range(1, len(own) - 1)
                 if not any(born[i] <= mark < born[i + 1] for mark in marks)
             ]
-            del own[min(free, key=lambda i: _age(born[i + 1]) - _age(born[i - 1]))]
+            del own[min(free, key=lambda i: math.log1p(born[i + 1]) - math.log1p(born[i - 1]))]
         kept += own
     return kept
-
-
-def until(
-    lineage: Sequence[Champion], champions: Sequence[Champion | None], generation: int
-) -> list[Champion]:
-    """Return the lineage after a number of generations.
-
-    Args:
-        lineage: lineage from the run folder, perhaps empty or a generation ahead of the checkpoint.
-        champions: champion of every run in the checkpoint.
-        generation: number of finished generations.
-    """
-    done = [each for each in lineage if each.generation < generation]
-    return extended(done, [each for each in champions if each is not None])
 
 
 def champion_at(lineage: Sequence[Champion], generation: int) -> Champion | None:
@@ -75,7 +61,8 @@ def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
     """
     if count < 2 or len(lineage) <= count:
         return list(lineage)[-count:]
-    age = [_age(each.generation) for each in lineage]
+    # On a logarithmic scale.
+    age = [math.log1p(each.generation) for each in lineage]
     chosen = {0, len(lineage) - 1}
     for place in range(1, count - 1):
         target = age[0] + (age[-1] - age[0]) * place / (count - 1)
@@ -138,8 +125,3 @@ def landmarks(last: int) -> list[int]:
     powers = range(len(str(max(last, 1))))
     round_ones = (step * 10**power for power in powers for step in (1, 2, 5))
     return [0, *(each for each in round_ones if each <= last)]
-
-
-def _age(generation: int) -> float:
-    """Return a generation on a logarithmic scale."""
-    return math.log1p(generation)

@@ -41,7 +41,7 @@ from jaxtyping import Float
 from evo_cpg import locks
 from evo_cpg.errors import UserError
 from evo_cpg.files import cannot_write, read_json, write_text, write_whole
-from evo_cpg.simulation.recording import Recording, require_shapes
+from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import (
     DAMAGED,
     Champion,
@@ -137,7 +137,14 @@ class RunFolder:
             if self.path.exists() and not self.path.is_dir():
                 raise RunFolderError(f"{self.path} is a file. Choose another --out")
             if self.config.exists():
-                raise RunFolderError(f"{self.path} already holds a run. {self._how_to_continue()}")
+                done = f" ({self.newest} generations are done)" if self.newest else ""
+                advice = f"Continue with `evo-cpg resume {self.path}`{done} or choose another --out"
+                if self.read_meta().get("replaced"):
+                    advice = (
+                        "It began in Python. To continue, start a new run from its genomes in "
+                        "another folder: `evo.train(..., start=...)`"
+                    )
+                raise RunFolderError(f"{self.path} already holds a run. {advice}")
             leftover = (
                 locks.FILE,
                 f".{self.config.name}.",
@@ -159,16 +166,6 @@ class RunFolder:
         # Write the config after the genomes: a folder with a config can be resumed.
         self.reopen(config_text)
         self.update_meta(**meta)
-
-    def _how_to_continue(self) -> str:
-        """Return advice on how to continue the existing run."""
-        if self.read_meta().get("replaced"):
-            return (
-                "It began in Python. To continue, start a new run from its genomes in another "
-                "folder: `evo.train(..., start=...)`"
-            )
-        done = f" ({self.newest} generations are done)" if self.newest else ""
-        return f"Continue with `evo-cpg resume {self.path}`{done} or choose another --out"
 
     def require(self) -> None:
         """Check that there is a run here, and finish interrupted writes.
@@ -259,7 +256,7 @@ class RunFolder:
         arrays = checkpoint_arrays(checkpoint, columns)
         write_whole(self._checkpoint(checkpoint.generation), lambda file: np.savez(file, **arrays))
         self.write_metrics(checkpoint.history)
-        for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
+        for _, old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
 
     def load(self) -> Checkpoint | None:
@@ -269,7 +266,7 @@ class RunFolder:
             RunFolderError: there are checkpoints, but none that can be read.
         """
         wrong: list[str] = []
-        for path in reversed(self._checkpoints()):
+        for _, path in reversed(self._checkpoints()):
             try:
                 return read_checkpoint(read_arrays(path))
             except FileNotFoundError:
@@ -324,7 +321,18 @@ class RunFolder:
             place = self._checkpoint(checkpoint.generation)
             writes[place] = lambda file: np.savez(file, **arrays)
         writes[self.champion] = _champion_writer(best, hashlib.sha256(config).hexdigest())
-        self._write_together(writes)
+        # Write all files or none, even after a kill.
+        gathered = self.path / _GATHERED
+        try:
+            shutil.rmtree(gathered, ignore_errors=True)
+            for path, write in writes.items():
+                place = gathered / path.relative_to(self.path)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(place, write)
+            os.replace(gathered, self.path / _DECIDED)
+        except OSError as error:
+            raise cannot_write(self.path, error) from None
+        self._move_decided()
 
     def save_lineage(self, lineage: Sequence[Champion]) -> None:
         """Write lineage.npz with at least one champion."""
@@ -366,7 +374,23 @@ class RunFolder:
             }
             fields["dof_names"] = tuple(str(name) for name in fields["dof_names"])
             recording = Recording(**fields)
-            require_shapes(recording)
+            instants, dofs = len(recording.time), len(recording.dof_names)
+            bodies = recording.position.shape[1] if recording.position.ndim > 1 else 0
+            shapes = {
+                "time": (instants,),
+                "position": (instants, bodies, 3),
+                "rotation": (instants, bodies, 3, 3),
+                "joint_angle": (instants, dofs),
+                "target_rate": (instants, dofs),
+                "cpg_output": (instants, dofs),
+                "torque": (instants, dofs),
+                "distance": (instants,),
+                "goal": (3,),
+            }
+            for name, shape in shapes.items():
+                found = getattr(recording, name).shape
+                if found != shape or not (instants and bodies):
+                    raise ValueError(f"its {name} has the shape {found}, not {shape}")
             return champion, recording, digests
         except DAMAGED as error:
             raise RunFolderError(
@@ -392,20 +416,6 @@ class RunFolder:
     def _checkpoint(self, generation: int) -> Path:
         return self.path / "checkpoints" / f"generation_{generation:06d}.npz"
 
-    def _write_together(self, writes: Mapping[Path, Callable[[IO[bytes]], object]]) -> None:
-        """Write several files of the run: all or none, even after a kill."""
-        gathered = self.path / _GATHERED
-        try:
-            shutil.rmtree(gathered, ignore_errors=True)
-            for path, write in writes.items():
-                place = gathered / path.relative_to(self.path)
-                place.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(place, write)
-            os.replace(gathered, self.path / _DECIDED)
-        except OSError as error:
-            raise cannot_write(self.path, error) from None
-        self._move_decided()
-
     def _move_decided(self) -> None:
         decided = self.path / _DECIDED
         try:
@@ -417,10 +427,12 @@ class RunFolder:
         except OSError as error:
             raise cannot_write(self.path, error) from None
 
-    def _checkpoints(self) -> list[Path]:
-        pattern = re.compile(r"generation_\d{6,}\.npz")
+    def _checkpoints(self) -> list[tuple[int, Path]]:
+        """Return the checkpoints with their generations, the newest last."""
         found = (self.path / "checkpoints").glob("generation_*.npz")
-        return sorted((path for path in found if pattern.fullmatch(path.name)), key=_generation_of)
+        named = ((re.fullmatch(r"generation_(\d{6,})\.npz", path.name), path) for path in found)
+        # Numbers sort beyond six digits.
+        return sorted((int(name[1]), path) for name, path in named if name)
 
     @property
     def newest(self) -> int:
@@ -429,7 +441,7 @@ class RunFolder:
         The file is not read, so this is quick.
         """
         found = self._checkpoints()
-        return _generation_of(found[-1]) if found else 0
+        return found[-1][0] if found else 0
 
     def write_metrics(self, history: list[dict[str, float]]) -> None:
         """Write metrics.csv."""
@@ -470,11 +482,6 @@ def refinements(meta: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the refinements of a run from meta.json: time, command and gain of each."""
     found = meta.get("refined")
     return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
-
-
-def _generation_of(checkpoint: Path) -> int:
-    """Return the generation in a file name as a number, for sorting beyond six digits."""
-    return int(checkpoint.stem.removeprefix("generation_"))
 
 
 def _champion_writer(

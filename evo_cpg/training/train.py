@@ -38,7 +38,7 @@ from evo_cpg.training.experiment import (
     placeholder_scales,
     situation_numbers,
 )
-from evo_cpg.training.lineage import extended, until
+from evo_cpg.training.lineage import extended
 from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
 from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
 
@@ -99,11 +99,6 @@ class Running:
         self._lineage = _lineage_until(folder, checkpoint)
         self._choice: Choice | None = None
 
-    @property
-    def finished(self) -> bool:
-        """Return whether the last generation is done and the champion is chosen."""
-        return is_finished(self._experiment, self.checkpoint)
-
     def trials(self) -> Trials:
         """Return the trials of the next generation or round."""
         genes, number = self._next()
@@ -156,7 +151,7 @@ class Running:
             done, population, tuple(records), history, scales, state_arrays(self._state)
         )
         # Save the lineage first: after a kill between the two writes it is ahead of the
-        # checkpoint, and `until` drops the newer champions.
+        # checkpoint, and `_lineage_until` drops the newer champions.
         if found:
             self._lineage = extended(self._lineage, found)
             self._folder.save_lineage(self._lineage)
@@ -183,8 +178,10 @@ class Running:
         else:
             self._choice.take(np.asarray(result.fitness))
         if self._choice.done:
-            self.checkpoint = checkpoint._replace(chosen=self._choice.chosen())
-            rows = self._choice.rows()
+            contests = self._choice.contests
+            chosen = tuple(contest.chosen() for contest in contests)
+            self.checkpoint = checkpoint._replace(chosen=chosen)
+            rows = [row for contest in contests for row in contest.rows()]
             if rows:
                 write_table(self._folder.path / CANDIDATES_FILE, rows)
             self._folder.save(self.checkpoint)
@@ -204,12 +201,16 @@ def compile_evolution(experiment: ExperimentParts) -> Evolution:
 
 
 def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
-    """Return the champions up to a checkpoint, or only the checkpoint's if the file is lost."""
+    """Return the champions up to a checkpoint, or only the checkpoint's if the file is lost.
+
+    The file may be a generation ahead of the checkpoint.
+    """
     lineage: list[Champion] = []
     with contextlib.suppress(RunFolderError):
         lineage = folder.load_lineage()
     lineage = [each for each in lineage if each.genes.shape == checkpoint.genes.shape[:1]]
-    return until(lineage, checkpoint.records, checkpoint.generation)
+    done = [each for each in lineage if each.generation < checkpoint.generation]
+    return extended(done, [each for each in checkpoint.records if each is not None])
 
 
 def _require_finite(
@@ -322,7 +323,11 @@ def train_together(
     trials = experiments[0].trials
     run_trials = compile_trials(experiments[0].simulation, mesh)
     compiled = False
-    while left := [number for number, each in enumerate(running) if not each.finished]:
+    while left := [
+        number
+        for number, each in enumerate(running)
+        if not is_finished(experiments[number], each.checkpoint)
+    ]:
         # After a kill some experiments may be one generation ahead of the others.
         fewest = min(running[number].checkpoint.generation for number in left)
         behind = [number for number in left if running[number].checkpoint.generation == fewest]

@@ -13,7 +13,6 @@ from evo_cpg.training.lineage import (
     lineage_arrays,
     read_lineage,
     representatives,
-    until,
 )
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
@@ -86,12 +85,19 @@ def test_landmarks_stay_exact_if_champions_are_rare():
         assert (one and one.generation) == expected
 
 
+def until(folder, lineage, champions, generation: int) -> list[Champion]:
+    """Return the lineage in a folder after a number of generations."""
+    folder.save_lineage(lineage)
+    known = Checkpoint(generation, np.zeros((2, 4), np.float32), tuple(champions), [], {})
+    return train._lineage_until(folder, known)
+
+
 @pytest.mark.parametrize("lost", [1, 2])
-def test_generations_repeated_after_a_kill_give_an_equal_lineage(lost):
+def test_generations_repeated_after_a_kill_give_an_equal_lineage(folder, lost):
     """The file may be one generation ahead of the checkpoint, or two if that was damaged."""
     for last in (5, 90, 200):
         whole = grown(range(last))
-        back = until(whole, [found_in(last - lost - 1)], last - lost)
+        back = until(folder, whole, [found_in(last - lost - 1)], last - lost)
         assert back[-1].generation == last - lost - 1
         assert_same(grown(range(last - lost, last), back), whole)
 
@@ -103,10 +109,10 @@ def test_each_run_has_its_own_lineage(folder):
     assert [each.generation for each in lineage if each.run == 1] == [0, 50, 100]
 
 
-def test_a_refined_champion_replaces_the_original():
+def test_a_refined_champion_replaces_the_original(folder):
     lineage = grown(range(4))
     better = lineage[-1]._replace(fitness=9.0)
-    assert_same(until(lineage, [better, None], 4), [*lineage[:-1], better])
+    assert_same(until(folder, lineage, [better, None], 4), [*lineage[:-1], better])
 
 
 def test_representatives_are_evenly_spaced():
