@@ -16,7 +16,6 @@ Individuals beyond the ranges belong to the nearest cell. Individuals without fi
 belong to none.
 """
 
-import abc
 import math
 from typing import NamedTuple
 
@@ -40,26 +39,7 @@ class Beginning(NamedTuple):
     genes: Float[Array, "g n"]
 
 
-class VaryParents(eqx.Module):
-    """Variation of parents on the map to children."""
-
-    @property
-    def gene_bound(self) -> float | None:
-        """Largest magnitude of a gene, or None without a bound."""
-        return None
-
-    @abc.abstractmethod
-    def __call__(
-        self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
-    ) -> Float[Array, "g n"]:
-        """Return children of the genomes on the map, one child of each pair of parents."""
-
-    @abc.abstractmethod
-    def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Return the genomes, each with a small random change."""
-
-
-class AlongTheLine(VaryParents):
+class AlongTheLine(eqx.Module):
     """Variation of real-valued genomes: noise, and a step along the line to the other parent.
 
     Attributes:
@@ -75,19 +55,19 @@ class AlongTheLine(VaryParents):
     def __call__(
         self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
     ) -> Float[Array, "g n"]:
-        """See `VaryParents`."""
+        """Return children of the genomes on the map, one child of each pair of parents."""
         iso_key, line_key = jax.random.split(key)
         a, b = genes[:, parents[0]], genes[:, parents[1]]
         along = self.line_sigma * jax.random.normal(line_key, (1, a.shape[1]), a.dtype)
         return self.copies(iso_key, a + along * (b - a))
 
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """See `VaryParents`."""
+        """Return the genomes, each with a small random change."""
         noise = self.iso_sigma * jax.random.normal(key, genes.shape, genes.dtype)
         return jnp.clip(genes + noise, -self.gene_bound, self.gene_bound)
 
 
-class OfBits(VaryParents):
+class OfBits(eqx.Module):
     """Variation of genomes of bits: crossover of the two parents, and mutation.
 
     Attributes:
@@ -95,7 +75,8 @@ class OfBits(VaryParents):
             parent.
         mutation_probability: probability that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes.
-        mutation: change of a mutated gene, one of ``bits.MUTATIONS``.
+        mutation: change of a mutated gene, one of ``operators.MUTATIONS``.
+        gene_bound: None, because bits have no bound.
     """
 
     crossover: float = 1.0
@@ -103,10 +84,12 @@ class OfBits(VaryParents):
     mutated_genes: tuple[int, int] = eqx.field(static=True, default=(2, 30))
     mutation: str = eqx.field(static=True, default="redraw")
 
+    gene_bound = None
+
     def __call__(
         self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
     ) -> Float[Array, "g n"]:
-        """See `VaryParents`."""
+        """Return children of the genomes on the map, one child of each pair of parents."""
         cross_key, mutate_key = jax.random.split(key)
         first, second = parents
         # Take the child of each pair that begins as the first parent.
@@ -116,7 +99,7 @@ class OfBits(VaryParents):
         )
 
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """See `VaryParents`."""
+        """Return the genomes, each with a small random change."""
         return bit_mutation(key, genes, 1.0, *self.mutated_genes, self.mutation)
 
 
@@ -129,10 +112,6 @@ class MapStrategy(Strategy):
     """
 
     axes: eqx.AbstractVar[tuple[Axis, ...]]
-
-    @abc.abstractmethod
-    def map_of(self, state: PyTree[Array]) -> Archive:
-        """Return the map in a state from `ask`."""
 
     @property
     def map_axes(self) -> tuple[Axis, ...]:
@@ -154,7 +133,9 @@ class MapStrategy(Strategy):
 
         ``mean_elite`` is the mean fitness of the elites.
         """
-        fitness = self.map_of(state).fitness
+        archive = self.map_of(state)
+        assert archive is not None
+        fitness = archive.fitness
         filled = jnp.isfinite(fitness)
         count = filled.sum()
         total = jnp.where(filled, fitness, 0.0).sum()
@@ -193,14 +174,15 @@ class MapStrategy(Strategy):
         places = jnp.where(wins, jnp.arange(count), count)
         first = jnp.full(self.cells, count).at[cell].min(places)
         taken, winner = first < count, jnp.minimum(first, count - 1)
-
-        def put(old: Array, new: Array) -> Array:
-            return jnp.where(taken, new[..., winner], old)
-
+        genes, fitness, found = jax.tree.map(
+            lambda old, new: jnp.where(taken, new[..., winner], old),
+            (archive.genes, archive.fitness, archive.descriptors),
+            (genes, fitness, found),
+        )
         return Archive(
-            put(archive.genes, genes),
-            put(archive.fitness, fitness),
-            put(archive.descriptors, found),
+            genes,
+            fitness,
+            found,
             jnp.where(taken, archive.told, archive.generation),
             jnp.where(taken, winner, archive.index),
             archive.told + 1,
@@ -218,7 +200,7 @@ class MapElites(MapStrategy):
 
     population: int = eqx.field(static=True)
     axes: tuple[Axis, ...] = eqx.field(static=True)
-    vary: VaryParents = AlongTheLine()
+    vary: AlongTheLine | OfBits = AlongTheLine()
 
     @property
     def gene_bound(self) -> float | None:
@@ -284,7 +266,7 @@ class Mapped(MapStrategy):
         return getattr(self.strategy, "gene_bound", None)
 
     def map_of(self, state: Charted) -> Archive:
-        """See `MapStrategy.map_of`."""
+        """See `Strategy.map_of`."""
         return state.archive
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Charted:

@@ -18,7 +18,7 @@ horizontal position's gradient.
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -89,11 +89,12 @@ class Backward(NamedTuple):
             if any(x in moving for x in equation.invars if not isinstance(x, Literal)):
                 moving.update(equation.outvars)
         left = {x for x in jaxpr.outvars if not isinstance(x, Literal) and x in moving}
-        kept = _bytes(x.aval for x in left)
+        kept = sum(x.aval.size * x.aval.dtype.itemsize for x in left)
         if self.copies * steps * kept <= machine_constants.LARGEST_RESIDUALS:
             return segment(steps, carry, 0)[0]
         # This length minimises the memory for states between segments plus one segment.
-        length = max(1, math.isqrt(steps * _bytes(jax.tree.leaves(carry)) // kept))
+        carried = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(carry))
+        length = max(1, math.isqrt(steps * carried // kept))
         count, rest = divmod(steps, length)
         whole_segment = jax.checkpoint(functools.partial(segment, length), prevent_cse=False)
         carry, _ = jax.lax.scan(whole_segment, carry, length * jnp.arange(count))
@@ -110,13 +111,16 @@ class Backward(NamedTuple):
         if self.retention is not None:
             kept = jnp.asarray(self.retention, state.q.dtype)
             moving = {name: getattr(state, name) for name in _FADING}
-            moving, nerves = _fading((moving, nerves), kept)
+            moving, nerves = jax.tree.map(
+                lambda x: _faded(x, kept) if jnp.issubdtype(x.dtype, jnp.inexact) else x,
+                (moving, nerves),
+            )
             if self.slides:
                 stays = np.isin(np.arange(len(state.q)), self.slides)
                 stays = expand_dims_like(stays, state.q)
                 moving["q"] = jnp.where(stays, state.q, moving["q"])
             if self.rough:
-                height = _fading(state.position[2:], kept)
+                height = _faded(state.position[2:], kept)
                 moving["position"] = jnp.concatenate([state.position[:2], height])
             state = dataclasses.replace(state, **moving)
         return _cut(self.slides, state) if self.rough else state, nerves
@@ -127,19 +131,9 @@ def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[n
     return np.exp(-1.0 / (horizon * control_rate))
 
 
-def _bytes(arrays: Iterable[Any]) -> int:
-    return sum(x.size * x.dtype.itemsize for x in arrays)
-
-
-def _fading(values: Values, factor: Array) -> Values:
-    """Return the values, with gradients with respect to them multiplied by the factor."""
-    return jax.tree.map(
-        lambda x: _faded(x, factor) if jnp.issubdtype(x.dtype, jnp.inexact) else x, values
-    )
-
-
 @jax.custom_jvp
 def _faded(x: Array, factor: Array) -> Array:
+    """Return x, with gradients with respect to it multiplied by the factor."""
     del factor
     return x
 

@@ -3,6 +3,7 @@
 The command is held for ``substeps`` physics steps.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -176,12 +177,8 @@ def push(
     simulation: Simulation, constants: EpisodeConstants, animal: AnimalState, index: Array
 ) -> AnimalState:
     """Return the animal after the random push (noise) of one control step."""
-    duration = 1.0 / simulation.control_rate
-
-    def disturb(state: State, keys: Array | None) -> State:
-        tree = simulation.world.tree
-        return disturb_motion(simulation.noise, tree, state, keys, index, duration)
-
+    given, duration = (simulation.noise, simulation.world.tree), 1.0 / simulation.control_rate
+    disturb = functools.partial(disturb_motion, *given, index=index, duration=duration)
     ndim = animal.state.position.ndim - 1
     return animal._replace(
         state=fuse(disturb, animal.state, constants.keys, batch_ndim=ndim, name="noise")

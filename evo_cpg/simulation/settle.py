@@ -270,7 +270,10 @@ class Settling:
             drift = np.linalg.norm(later.position - found.state.position)
             if drift < self.quiet * _RELEASE:
                 self._require_upright(start, found.state)
-                if self.world.tree.hanging is None and _is_alike_everywhere(self.world):
+                ground = self.world.ground
+                # Without ground or on level ground, all places and headings are equivalent.
+                alike = ground is None or ground.level is not None
+                if self.world.tree.hanging is None and alike:
                     state, friction = _put_back(start, found.state, found.friction)
                     found = found._replace(state=state, friction=friction)
                 return found
@@ -488,7 +491,8 @@ def settled(
         return True
 
     found = searched(lambda: settling().settle(situation), known)
-    alike_everywhere = chosen(lambda: _is_alike_everywhere(world))
+    ground = world.ground
+    alike_everywhere = chosen(lambda: ground is None or ground.level is not None)
     state = found.state
     if is_traced(world, situation):
         x, y, heading = found.start
@@ -524,11 +528,6 @@ def settled(
 def _is_compliant(tree: Tree) -> np.ndarray:
     """Return which degrees of freedom yield to a load: joints with a spring or without a motor."""
     return (tree.stiffness > 0) | (tree.servo_stiffness > 0) | (tree.servo_gain == 0)
-
-
-def _is_alike_everywhere(world: World) -> bool:
-    """Return whether all places and headings are equivalent: without ground, or on level ground."""
-    return world.ground is None or world.ground.level is not None
 
 
 def _put_back(start: State, state: State, friction: FrictionState) -> tuple[State, FrictionState]:

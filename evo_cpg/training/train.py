@@ -98,10 +98,15 @@ class Running:
         self.checkpoint = checkpoint
         self._lineage = _lineage_until(folder, checkpoint)
         self._choice: Choice | None = None
+        # Genomes of the last `trials`, and the generation number that selects their random numbers.
+        self._given = checkpoint.genes, checkpoint.generation
 
     def trials(self) -> Trials:
         """Return the trials of the next generation or round."""
-        genes, number = self._next()
+        genes, number = self.checkpoint.genes, self.checkpoint.generation
+        if self._choice:
+            genes, number = self._choice.genes(genes), self._choice.generation
+        self._given = genes, number
         keys = jax.device_get(self._programs.keys(np.int32(number)))
         if self._choice:
             keys = self._choice.keys(keys, self._experiment.trials)
@@ -111,7 +116,7 @@ class Running:
         return genes, keys, numbers
 
     def tell(self, outcome: Outcome, start: float) -> list[dict[str, float]]:
-        """Take the outcome of the trials, breed, and write a checkpoint.
+        """Take the outcome of the last `trials`, breed, and write a checkpoint.
 
         ``start`` is the time at which the generation started, by `time.perf_counter` (s).
 
@@ -119,7 +124,7 @@ class Running:
             The new rows of metrics.csv. There are none after a round that chooses champions.
         """
         experiment, before = self._experiment, self.checkpoint
-        genes, number = self._next()
+        genes, number = self._given
         scales = {name: np.array(values, np.float32) for name, values in before.scales.items()}
         result = jax.device_get(
             self._programs.breed(genes, outcome, np.int32(number), scales, self._state)
@@ -185,13 +190,6 @@ class Running:
             if rows:
                 write_table(self._folder.path / CANDIDATES_FILE, rows)
             self._folder.save(self.checkpoint)
-
-    def _next(self) -> tuple[np.ndarray, int]:
-        """Return the next genomes, and the generation number that selects their random numbers."""
-        genes = self.checkpoint.genes
-        if self._choice:
-            return self._choice.genes(genes), self._choice.generation
-        return genes, self.checkpoint.generation
 
 
 def compile_evolution(experiment: ExperimentParts) -> Evolution:
