@@ -1,7 +1,7 @@
 """Everything that a trial needs, and the meaning of the genes, which is defined here only.
 
 A genome is a vector of numbers. At present all of them belong to the controller. Anything else that
-evolves is counted, drawn, bounded and decoded here, and gets a field of `Phenotype`. Searches, run
+evolves is counted, drawn and decoded here, and gets a field of `Phenotype`. Searches, run
 folders, commands and the API treat a genome as a vector of `Genome.count` numbers.
 """
 
@@ -63,10 +63,6 @@ class Genome(NamedTuple):
     def decode(self, genes: Float[Array, "g *n"]) -> Phenotype:
         """Return the decoded genes. Called once per trial."""
         return Phenotype(self.controller.decode(genes))
-
-    def bound(self, largest: float) -> float | None:
-        """Return ``largest``, the largest magnitude of a real-valued gene, or None for bits."""
-        return None if self.binary else largest
 
     def misfit(self, genes: Float[np.ndarray, " _"]) -> str | None:
         """Return the reason why genes of one individual do not fit, or None if they fit."""

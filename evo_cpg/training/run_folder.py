@@ -254,7 +254,8 @@ class RunFolder:
         columns = history_columns(checkpoint.history, columns)
         self._columns = checkpoint.history, columns
         arrays = checkpoint_arrays(checkpoint, columns)
-        write_whole(self._checkpoint(checkpoint.generation), lambda file: np.savez(file, **arrays))
+        place = self.path / "checkpoints" / f"generation_{checkpoint.generation:06d}.npz"
+        write_whole(place, lambda file: np.savez(file, **arrays))
         self.write_metrics(checkpoint.history)
         for _, old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
@@ -318,7 +319,7 @@ class RunFolder:
             )
             best = checkpoint.champion or champion
             arrays = checkpoint_arrays(checkpoint)
-            place = self._checkpoint(checkpoint.generation)
+            place = self.path / "checkpoints" / f"generation_{checkpoint.generation:06d}.npz"
             writes[place] = lambda file: np.savez(file, **arrays)
         writes[self.champion] = _champion_writer(best, hashlib.sha256(config).hexdigest())
         # Write all files or none, even after a kill.
@@ -412,9 +413,6 @@ class RunFolder:
     def config_digest(self) -> str:
         """Return the SHA-256 of config.yaml."""
         return hashlib.sha256(self.config.read_bytes()).hexdigest()
-
-    def _checkpoint(self, generation: int) -> Path:
-        return self.path / "checkpoints" / f"generation_{generation:06d}.npz"
 
     def _move_decided(self) -> None:
         decided = self.path / _DECIDED
