@@ -113,6 +113,8 @@ class MapStrategy(Strategy):
 
     axes: eqx.AbstractVar[tuple[Axis, ...]]
 
+    metric_names = METRICS
+
     @property
     def map_axes(self) -> tuple[Axis, ...]:
         """See `Strategy.map_axes`."""
@@ -122,11 +124,6 @@ class MapStrategy(Strategy):
     def cells(self) -> int:
         """Number of cells of the map."""
         return math.prod(axis.cells for axis in self.axes)
-
-    @property
-    def metric_names(self) -> tuple[str, ...]:
-        """See `metrics`."""
-        return METRICS
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
         """Return ``coverage`` (fraction of filled cells) and ``mean_elite``.
@@ -292,7 +289,7 @@ class Mapped(MapStrategy):
     @property
     def metric_names(self) -> tuple[str, ...]:
         """See `metrics`."""
-        return (*self.strategy.metric_names, *super().metric_names)
+        return (*self.strategy.metric_names, *METRICS)
 
     def metrics(self, state: Charted) -> dict[str, Float[Array, ""]]:
         """Return the metrics of the strategy and the metrics of the map."""

@@ -172,19 +172,17 @@ def _cut_backward(slides: tuple[int, ...], _: None, gradient: State) -> tuple[St
     most = jnp.where(horizontal > 0, _STEEPEST * horizontal, jnp.inf)
     fraction = jnp.minimum(1.0, most / jnp.maximum(size, jnp.finfo(size.dtype).tiny))
     fraction = jnp.where(jnp.isfinite(size), fraction, 0.0)
-
-    def shrink(x: Array) -> Array:
-        return jnp.where(fraction[None] > 0, fraction[None] * x, 0.0)
-
     place = jnp.where(jnp.isfinite(place), place, 0.0)
-    cut = {name: shrink(x) for name, x in moving.items()}
+    cut = {
+        name: jnp.where(fraction[None] > 0, fraction[None] * x, 0.0)
+        for name, x in (moving | {"height": height}).items()
+    }
+    height = cut.pop("height")
     if slides:
         whole = jnp.where(jnp.isfinite(gradient.q), gradient.q, 0.0)
         cut["q"] = jnp.where(stays, whole, cut["q"])
         place = place[:2]
-    return (
-        dataclasses.replace(gradient, position=jnp.concatenate([place, shrink(height)]), **cut),
-    )
+    return (dataclasses.replace(gradient, position=jnp.concatenate([place, height]), **cut),)
 
 
 _cut.defvjp(_cut_forward, _cut_backward)

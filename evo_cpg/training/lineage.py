@@ -9,17 +9,12 @@ So a resumed run has the lineage of an uninterrupted run.
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
-import numpy as np
-
-from evo_cpg.training.checkpoint import SCALE_PREFIX, TERM_PREFIX, Champion, below
+from evo_cpg.training.checkpoint import Champion
 
 # Limit for each run. Landmarks take three per factor of ten: 19 for a million generations.
 KEPT = 32
-
-_OF_ALL = ("fitness", "generation", "run", "index")
 
 
 def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Champion]:
@@ -69,55 +64,6 @@ def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
         rest = [i for i in range(len(lineage)) if i not in chosen]
         chosen.add(min(rest, key=lambda i: abs(age[i] - target)))
     return [lineage[i] for i in sorted(chosen)]
-
-
-def lineage_arrays(lineage: Sequence[Champion]) -> dict[str, Any]:
-    """Return a lineage of at least one champion as named arrays, with a row for each champion."""
-    arrays: dict[str, Any] = {"genes": np.stack([each.genes for each in lineage])}
-    arrays |= {name: np.array([getattr(each, name) for each in lineage]) for name in _OF_ALL}
-    for prefix, rows in (
-        (TERM_PREFIX, [each.terms for each in lineage]),
-        (SCALE_PREFIX, [each.scales for each in lineage]),
-    ):
-        # Champions of one run may have different terms: the configuration's measures may have
-        # changed.
-        names = dict.fromkeys(name for one in rows for name in one)
-        arrays |= {
-            prefix + name: np.array([one.get(name, math.nan) for one in rows]) for name in names
-        }
-    return arrays
-
-
-def read_lineage(arrays: Mapping[str, np.ndarray]) -> list[Champion]:
-    """Read a lineage from `lineage_arrays`.
-
-    Raises:
-        KeyError: an array is missing.
-        ValueError: the arrays have different numbers of rows, or hold something else.
-    """
-    genes = arrays["genes"]
-    columns = {name: arrays[name].tolist() for name in _OF_ALL}
-    terms, scales = (
-        {name: values.tolist() for name, values in below(arrays, prefix).items()}
-        for prefix in (TERM_PREFIX, SCALE_PREFIX)
-    )
-    every = [*columns.values(), *terms.values(), *scales.values()]
-    rows = genes.ndim == 2 and all(isinstance(x, list) and len(x) == len(genes) for x in every)
-    counted = all(arrays[name].dtype.kind in "iu" for name in _OF_ALL[1:])
-    if not rows or not counted:
-        raise ValueError("its arrays do not describe champions")
-    return [
-        Champion(
-            genes[i],
-            columns["fitness"][i],
-            columns["generation"][i],
-            {name: values[i] for name, values in terms.items()},
-            {name: values[i] for name, values in scales.items()},
-            columns["run"][i],
-            columns["index"][i],
-        )
-        for i in range(len(genes))
-    ]
 
 
 def landmarks(last: int) -> list[int]:

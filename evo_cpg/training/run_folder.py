@@ -44,8 +44,11 @@ from evo_cpg.files import cannot_write, read_json, write_text, write_whole
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import (
     DAMAGED,
+    SCALE_PREFIX,
+    TERM_PREFIX,
     Champion,
     Checkpoint,
+    below,
     champion_arrays,
     checkpoint_arrays,
     history_columns,
@@ -53,7 +56,6 @@ from evo_cpg.training.checkpoint import (
     read_champion,
     read_checkpoint,
 )
-from evo_cpg.training.lineage import lineage_arrays, read_lineage
 
 CANDIDATES_FILE = "candidates.csv"
 """File with the results of the candidates for champion (see `evo_cpg.training.reevaluation`)."""
@@ -66,6 +68,8 @@ _RECORDING_PREFIX = "recording."
 # Keys of meta.json that code relies on, with their types.
 _META = {"devices": int, "config": str, "replaced": list, "fingerprint": dict}
 _MOST_DEVICES = 4096
+# Numbers of each champion of a lineage.
+_OF_ALL = ("fitness", "generation", "run", "index")
 _DIGESTS = ("config_sha256", "genes_sha256", "outcome_sha256")
 
 
@@ -337,7 +341,18 @@ class RunFolder:
 
     def save_lineage(self, lineage: Sequence[Champion]) -> None:
         """Write lineage.npz with at least one champion."""
-        arrays = lineage_arrays(lineage)
+        arrays: dict[str, Any] = {"genes": np.stack([each.genes for each in lineage])}
+        arrays |= {name: np.array([getattr(each, name) for each in lineage]) for name in _OF_ALL}
+        for prefix, rows in (
+            (TERM_PREFIX, [each.terms for each in lineage]),
+            (SCALE_PREFIX, [each.scales for each in lineage]),
+        ):
+            # Champions of one run may have different terms: the configuration's measures may have
+            # changed.
+            names = dict.fromkeys(name for one in rows for name in one)
+            arrays |= {
+                prefix + name: np.array([one.get(name, math.nan) for one in rows]) for name in names
+            }
         write_whole(self.lineage, lambda file: np.savez(file, **arrays))
 
     def load_lineage(self) -> list[Champion]:
@@ -349,7 +364,32 @@ class RunFolder:
         if not self.lineage.is_file():
             raise RunFolderError(f"{self.path} has no lineage.npz: no champion was found yet")
         try:
-            return read_lineage(read_arrays(self.lineage))
+            arrays = read_arrays(self.lineage)
+            genes = arrays["genes"]
+            columns = {name: arrays[name].tolist() for name in _OF_ALL}
+            terms, scales = (
+                {name: values.tolist() for name, values in below(arrays, prefix).items()}
+                for prefix in (TERM_PREFIX, SCALE_PREFIX)
+            )
+            every = [*columns.values(), *terms.values(), *scales.values()]
+            rows = genes.ndim == 2 and all(
+                isinstance(x, list) and len(x) == len(genes) for x in every
+            )
+            counted = all(arrays[name].dtype.kind in "iu" for name in _OF_ALL[1:])
+            if not rows or not counted:
+                raise ValueError("its arrays do not describe champions")
+            return [
+                Champion(
+                    genes[i],
+                    columns["fitness"][i],
+                    columns["generation"][i],
+                    {name: values[i] for name, values in terms.items()},
+                    {name: values[i] for name, values in scales.items()},
+                    columns["run"][i],
+                    columns["index"][i],
+                )
+                for i in range(len(genes))
+            ]
         except DAMAGED as error:
             raise RunFolderError(
                 f"{self.lineage} is damaged ({error}). The run can continue, but its earlier "

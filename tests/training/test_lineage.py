@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 
 from evo_cpg.training import train
-from evo_cpg.training.checkpoint import Champion, Checkpoint
-from evo_cpg.training.lineage import (
-    KEPT,
-    champion_at,
-    extended,
-    landmarks,
-    lineage_arrays,
-    read_lineage,
-    representatives,
-)
+from evo_cpg.training.checkpoint import Champion, Checkpoint, read_arrays
+from evo_cpg.training.lineage import KEPT, champion_at, extended, landmarks, representatives
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 
@@ -53,11 +45,10 @@ def test_a_lineage_is_read_back_exactly(folder):
         assert arrays["genes"].shape == (3, 2)
 
 
-def test_measures_added_later_are_nan_before():
+def test_measures_added_later_are_nan_before(folder):
     early, late = found_in(0), found_in(1)._replace(terms={"way": 1.0, "slip": 0.5})
-    first, second = read_lineage(
-        {k: np.asarray(v) for k, v in lineage_arrays([early, late]).items()}
-    )
+    folder.save_lineage([early, late])
+    first, second = folder.load_lineage()
     assert np.isnan(first.terms["slip"]) and second.terms["slip"] == 0.5
 
 
@@ -134,7 +125,8 @@ def test_a_missing_or_damaged_lineage_is_named(folder):
         {"generation": np.zeros(3)},
         {"term.way": np.float64(1.0)},
     ):
-        np.savez(folder.lineage, **(lineage_arrays(lineage) | change))
+        folder.save_lineage(lineage)
+        np.savez(folder.lineage, **(read_arrays(folder.lineage) | change))
         with pytest.raises(RunFolderError, match="its arrays do not"):
             folder.load_lineage()
     folder.lineage.write_bytes(b"no archive")
