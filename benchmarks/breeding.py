@@ -22,6 +22,7 @@ from benchmarks.plan import Plan, experiment_of
 from benchmarks.rows import Row
 from benchmarks.timing import Contender, count_lasting, race, ratio_quartiles
 from evo_cpg.evolution.genetics import BitGenetics, Genetics
+from evo_cpg.evolution.strategy import Evaluation
 
 SIZE, GENES = 200, 3000
 _QUICK_GENES = 300
@@ -57,7 +58,7 @@ def _ours(genetics: Genetics, gene_count: int) -> tuple[Breeder, float]:
 
     def generation(key: jax.Array, genes: jax.Array) -> tuple[jax.Array, jax.Array]:
         key, now = jax.random.split(key)
-        return key, genetics.next_generation(now, genes, fitness)
+        return key, genetics.tell(now, (), genes, Evaluation(fitness, {}, {}))
 
     return _compiled(jax.jit(generation), jax.random.key(1), first)
 

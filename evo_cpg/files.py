@@ -59,7 +59,12 @@ def beside(path: Path, folder: bool = False) -> Iterator[Path]:
     A killed process leaves its temporary file behind, but loses its lock on the file. The next
     block in the same folder therefore deletes all temporary files that nobody has locked.
     """
-    _delete_abandoned(path.parent)
+    with contextlib.suppress(OSError), os.scandir(path.parent) as entries:
+        for abandoned in [each.path for each in entries if _TEMPORARY.fullmatch(each.name)]:
+            lock = _locked(abandoned, wait=False)
+            if lock is not None:
+                _delete(abandoned)
+                os.close(lock)
     # A unique name, because several programs may write the same file.
     prefix, suffix = f".{path.name}{_PARTIAL}", path.suffix.lower()
     while True:
@@ -78,17 +83,6 @@ def beside(path: Path, folder: bool = False) -> Iterator[Path]:
         _delete(name)
         if lock is not None:
             os.close(lock)
-
-
-def _delete_abandoned(folder: Path) -> None:
-    """Delete temporary files and folders of killed processes."""
-    with contextlib.suppress(OSError), os.scandir(folder) as entries:
-        found = [entry.path for entry in entries if _TEMPORARY.fullmatch(entry.name)]
-        for name in found:
-            lock = _locked(name, wait=False)
-            if lock is not None:
-                _delete(name)
-                os.close(lock)
 
 
 def _delete(name: str) -> None:

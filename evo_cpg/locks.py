@@ -20,6 +20,16 @@ from pathlib import Path
 from evo_cpg.errors import UserError
 from evo_cpg.files import OutputError, cannot_write, make_folder
 
+# Error of a lock that another process has.
+if sys.platform == "win32":
+    import msvcrt
+
+    _TAKEN = PermissionError
+else:
+    import fcntl
+
+    _TAKEN = BlockingIOError
+
 FILE = ".lock"
 """Name of the file, in the folder that it locks."""
 
@@ -27,6 +37,8 @@ FILE = ".lock"
 _LONGEST = 120
 # Largest number of bytes of the lock file that are read.
 _MOST = 1 << 14
+# Byte that Windows locks. No process can read a locked byte, so it lies beyond the text.
+_PLACE = 1 << 20
 
 # Folders that this process has locked, by their real paths.
 _held: set[str] = set()
@@ -48,58 +60,65 @@ def locked(folder: Path, make: bool = False) -> Iterator[None]:
         LockedError: another process holds the lock.
         OutputError: the folder cannot be written.
     """
-    with contextlib.ExitStack() as stack:
-        if make:
-            stack.enter_context(_made(folder))
-        descriptor = stack.enter_context(_taken(folder))
-        _name_holder(descriptor)
-        name = os.path.realpath(folder)
-        _held.add(name)
-        stack.callback(_held.discard, name)
-        yield
-
-
-def holds(folder: Path) -> bool:
-    """Return whether this process has locked a folder."""
-    return os.path.realpath(folder) in _held
-
-
-@contextlib.contextmanager
-def _made(folder: Path) -> Iterator[None]:
-    # Unlike methods of Path, these functions raise no error for names that no folder can have.
-    if os.path.exists(folder) and not os.path.isdir(folder):
-        raise OutputError(f"{folder} is a file. Choose another --out")
-    missing = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
-    make_folder(folder)
+    missing: list[Path] = []
+    if make:
+        # Unlike methods of Path, these functions raise no error for names that no folder can have.
+        if os.path.exists(folder) and not os.path.isdir(folder):
+            raise OutputError(f"{folder} is a file. Choose another --out")
+        missing = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
+        make_folder(folder)
+    path = folder / FILE
     try:
-        yield
+        while True:
+            descriptor = _open(path)
+            if not _lock_alone(descriptor):
+                holder = _holder(descriptor)
+                os.close(descriptor)
+                raise LockedError(
+                    f"{folder} is in use by {holder}. Wait until that process ends, or end it"
+                )
+            # The previous holder may have deleted the file meanwhile.
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(descriptor), os.stat(path)):
+                    break
+            os.close(descriptor)
+        name = os.path.realpath(folder)
+        try:
+            command = [Path(sys.argv[0]).name if sys.argv else "", *sys.argv[1:]]
+            if command[0] == "__main__.py":
+                command[0] = "evo-cpg"
+            own = {
+                "process": os.getpid(),
+                "host": platform.node(),
+                "command": shlex.join(command)[:_LONGEST],
+                "since": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            }
+            # The lock does not need the text, which a full disk cannot store.
+            with contextlib.suppress(OSError):
+                os.ftruncate(descriptor, 0)
+                os.lseek(descriptor, 0, os.SEEK_SET)
+                os.write(descriptor, json.dumps(own).encode())
+            _held.add(name)
+            yield
+        finally:
+            _held.discard(name)
+            # Windows does not delete an open file. Elsewhere, delete the file while no other
+            # process can lock it.
+            if sys.platform == "win32":
+                os.close(descriptor)
+            with contextlib.suppress(OSError):
+                path.unlink()
+            if sys.platform != "win32":
+                os.close(descriptor)
     finally:
         with contextlib.suppress(OSError):
             for each in missing:
                 each.rmdir()
 
 
-@contextlib.contextmanager
-def _taken(folder: Path) -> Iterator[int]:
-    """Open the lock file and lock it, and release the lock after the block."""
-    path = folder / FILE
-    while True:
-        descriptor = _open(path)
-        if not _lock_alone(descriptor):
-            holder = _holder(descriptor)
-            os.close(descriptor)
-            raise LockedError(
-                f"{folder} is in use by {holder}. Wait until that process ends, or end it"
-            )
-        # The previous holder may have deleted the file meanwhile.
-        with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(descriptor), os.stat(path)):
-                break
-        os.close(descriptor)
-    try:
-        yield descriptor
-    finally:
-        _release(descriptor, path)
+def holds(folder: Path) -> bool:
+    """Return whether this process has locked a folder."""
+    return os.path.realpath(folder) in _held
 
 
 def _open(path: Path) -> int:
@@ -110,23 +129,6 @@ def _open(path: Path) -> int:
         with contextlib.suppress(OSError):
             return os.open(path, os.O_RDONLY)
         raise cannot_write(path.parent, error) from None
-
-
-def _name_holder(descriptor: int) -> None:
-    command = [Path(sys.argv[0]).name if sys.argv else "", *sys.argv[1:]]
-    if command[0] == "__main__.py":
-        command[0] = "evo-cpg"
-    holder = {
-        "process": os.getpid(),
-        "host": platform.node(),
-        "command": shlex.join(command)[:_LONGEST],
-        "since": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-    }
-    # The lock does not need the text, which a full disk cannot store.
-    with contextlib.suppress(OSError):
-        os.ftruncate(descriptor, 0)
-        os.lseek(descriptor, 0, os.SEEK_SET)
-        os.write(descriptor, json.dumps(holder).encode())
 
 
 def _holder(descriptor: int) -> str:
@@ -144,45 +146,17 @@ def _holder(descriptor: int) -> str:
     return "".join(each if each.isprintable() else "?" for each in words[: 3 * _LONGEST])
 
 
-if sys.platform == "win32":
-    import msvcrt
-
-    # No process can read a locked byte, so this byte lies beyond the text.
-    _PLACE = 1 << 20
-
-    def _lock_alone(descriptor: int) -> bool:
-        """Lock a file, or return False if another process has locked it."""
-        os.lseek(descriptor, _PLACE, os.SEEK_SET)
-        try:
+def _lock_alone(descriptor: int) -> bool:
+    """Lock a file, or return False if another process has locked it."""
+    try:
+        if sys.platform == "win32":
+            os.lseek(descriptor, _PLACE, os.SEEK_SET)
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except PermissionError:
-            return False
-        except OSError:
-            return True
-        return True
-
-    def _release(descriptor: int, path: Path) -> None:
-        # Windows does not delete an open file.
-        os.close(descriptor)
-        with contextlib.suppress(OSError):
-            path.unlink()
-
-else:
-    import fcntl
-
-    def _lock_alone(descriptor: int) -> bool:
-        """Lock a file, or return False if another process has locked it."""
-        try:
+        else:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-        except OSError:
-            # The file system has no locks.
-            return True
+    except _TAKEN:
+        return False
+    except OSError:
+        # The file system has no locks.
         return True
-
-    def _release(descriptor: int, path: Path) -> None:
-        # Delete the file while no other process can lock it.
-        with contextlib.suppress(OSError):
-            path.unlink()
-        os.close(descriptor)
+    return True

@@ -14,7 +14,6 @@ import shutil
 import sys
 import tempfile
 import textwrap
-from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
 from typing import IO
@@ -38,12 +37,6 @@ def working_folder() -> Path | None:
         return Path.cwd()
     except OSError:
         return None
-
-
-def with_working_folder(folders: Iterable[Path]) -> list[Path]:
-    """Return the given folders, followed by the working folder if it exists."""
-    here = working_folder()
-    return [*folders, here] if here else [*folders]
 
 
 def resolved(path: Path) -> Path:
@@ -124,25 +117,19 @@ def command_for(extra: str) -> str:
         extra: name of the extra in ``pyproject.toml``, such as ``mujoco``.
     """
     pip = f"{_quoted(_shown(sys.executable or 'python'))} -m pip install"
-    checkout = _editable()
+    # The source folder, if the installation is editable.
+    checkout = None
+    wrong = KeyError, OSError, TypeError, ValueError, metadata.PackageNotFoundError
+    with contextlib.suppress(*wrong):
+        origin = json.loads(metadata.distribution(_NAME).read_text("direct_url.json") or "")
+        if origin["dir_info"]["editable"]:
+            checkout = url2pathname(urlsplit(origin["url"]).path)
     if checkout is None:
         return f"{pip} {_quoted(f'{_NAME}[{extra}]')}"
     constraints = os.path.join(checkout, "constraints.txt")
     if os.path.isfile(constraints):
         pip += f" -c {_quoted(_shown(constraints))}"
     return f"{pip} -e {_quoted(f'{_shown(checkout)}[{extra}]')}"
-
-
-def _editable() -> str | None:
-    """Return the source folder of an editable installation, or None for another installation."""
-    try:
-        text = metadata.distribution(_NAME).read_text("direct_url.json") or ""
-        origin = json.loads(text)
-        if origin["dir_info"]["editable"]:
-            return url2pathname(urlsplit(origin["url"]).path)
-    except (KeyError, OSError, TypeError, ValueError, metadata.PackageNotFoundError):
-        pass
-    return None
 
 
 def _quoted(word: str) -> str:

@@ -67,9 +67,11 @@ def crowd_panel(opened: Run, generation: int, trial: int, film: Film) -> Panel:
         crowd = motion(np.split(genes, experiment.runs, axis=1)[number], generation)
     if not crowd.count:
         raise RunFolderError(f"{run}: every animal of generation {generation} diverges")
-    leader, others = crowd.led(experiment.creature.root_index, simulation.task.heading)
+    root = experiment.creature.root_index
+    leader = int(crowd.advance(root, simulation.task.heading).argmax())
+    others = crowd.of(np.delete(np.arange(crowd.count), leader))
     title = f"generation {generation}: {crowd.count} animals"
-    return panel_of(experiment, leader, title)._replace(crowd=others)
+    return panel_of(experiment, crowd.recording(leader, root), title)._replace(crowd=others)
 
 
 def lineage_panels(

@@ -267,9 +267,8 @@ def _crowds(
                 own[:, 0] = best.genes
             crowd = motion(own, generation)
             if best is None:
-                leader = crowd.leader(
-                    experiment.creature.root_index, experiment.simulation.task.heading
-                )
+                root = experiment.creature.root_index
+                leader = crowd.advance(root, experiment.simulation.task.heading).argmax()
                 crowd = crowd.of(np.argsort(np.arange(crowd.count) != leader, kind="stable"))
             crowds.append((generation, crowd))
     return [(generation, crowd) for generation, crowd in crowds if crowd.count]

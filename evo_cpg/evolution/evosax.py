@@ -79,12 +79,8 @@ class Evosax(Strategy):
     options: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
 
     def __post_init__(self):
-        known = [field.name for field in dataclasses.fields(self._built[1])]
-        unknown = [name for name, _ in self.params if name not in known]
-        if unknown:
-            raise ValueError(
-                f"it has no parameter {', '.join(unknown)} (valid: {', '.join(known) or 'none'})"
-            )
+        # Build it now, so that wrong parameters are reported.
+        _ = self._tuned
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Sample:
         """Return a state with the first genomes."""
@@ -122,7 +118,8 @@ class Evosax(Strategy):
         """Return the algorithm's state after the first population."""
         algorithm, params = self._tuned
         with jax.numpy_rank_promotion("allow"):
-            if type(algorithm) in _evosax().population_based_algorithms.values():
+            evosax: Any = importlib.import_module("evosax.algorithms")
+            if type(algorithm) in evosax.population_based_algorithms.values():
                 return algorithm.init(key, numbers.T, -fitness, params)
             better = rank_order(fitness)[: -(-len(fitness) // 2)]
             return algorithm.init(key, numbers[:, better].mean(1), params)
@@ -148,22 +145,10 @@ class Evosax(Strategy):
         return self.sigma * (2.0 * genes - 1.0) if self.binary else genes
 
     @property
-    def _built(self) -> tuple[Any, Any]:
-        return _build(
-            self.algorithm,
-            self.population,
-            self.gene_count,
-            self.sigma,
-            self.learning_rate,
-            self.options,
-        )
-
-    @property
     def _tuned(self) -> tuple[Any, Any]:
         """The algorithm, and its parameters with the changes in `params`."""
-        algorithm, params = self._built
-        given = {"std_init": self.sigma} if hasattr(params, "std_init") else {}
-        return algorithm, params.replace(**given | dict(self.params))
+        numbers = self.population, self.gene_count, self.sigma, self.learning_rate
+        return _build(self.algorithm, *numbers, self.options, self.params)
 
 
 def algorithms() -> list[str]:
@@ -172,13 +157,9 @@ def algorithms() -> list[str]:
     Raises:
         ImportError: evosax is not installed.
     """
-    evosax = _evosax()
+    evosax = importlib.import_module("evosax.algorithms")
     tables = evosax.distribution_based_algorithms, evosax.population_based_algorithms
     return sorted(kind.__name__ for table in tables for kind in table.values())
-
-
-def _evosax() -> Any:
-    return importlib.import_module("evosax.algorithms")
 
 
 @functools.lru_cache(maxsize=16)
@@ -189,12 +170,16 @@ def _build(
     sigma: float,
     learning_rate: float,
     options: tuple[tuple[str, Any], ...],
+    changes: tuple[tuple[str, float | bool], ...],
 ) -> tuple[Any, Any]:
-    """Build the algorithm and its default parameters, once for equal settings.
+    """Build the algorithm and its parameters, once for equal settings.
 
     `jax.jit` compares algorithms by identity, and would compile again for a new object.
+
+    Raises:
+        ValueError: the algorithm does not have a parameter.
     """
-    kind = getattr(_evosax(), name)
+    kind = getattr(importlib.import_module("evosax.algorithms"), name)
     taken, given = inspect.signature(kind).parameters, dict(options)
     if "std_schedule" in taken:
         given.setdefault("std_schedule", optax.constant_schedule(sigma))
@@ -204,4 +189,12 @@ def _build(
     with jax.ensure_compile_time_eval():
         genome = jnp.zeros(gene_count, jnp.float32)
         algorithm = kind(population_size=population, solution=genome, **given)
-        return algorithm, algorithm.default_params
+        params = algorithm.default_params
+    known = [field.name for field in dataclasses.fields(params)]
+    unknown = [name for name, _ in changes if name not in known]
+    if unknown:
+        raise ValueError(
+            f"it has no parameter {', '.join(unknown)} (valid: {', '.join(known) or 'none'})"
+        )
+    first = {"std_init": sigma} if hasattr(params, "std_init") else {}
+    return algorithm, params.replace(**first | dict(changes))

@@ -19,8 +19,6 @@ A bit is a gene of 0.0 or 1.0, so that one type of array serves all genomes. Gen
 individuals last, ``(g, n)``.
 """
 
-import abc
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -41,7 +39,10 @@ from evo_cpg.evolution.strategy import Evaluation, Strategy
 
 
 class Genetics(Strategy):
-    """A genetic algorithm. Its state is the next population to evaluate.
+    """A genetic algorithm. Its state is the next population: elites, best first, then children.
+
+    An individual without a finite fitness never becomes an elite. A child fills any place that no
+    finite individual can take.
 
     Attributes:
         population: number of individuals.
@@ -64,33 +65,6 @@ class Genetics(Strategy):
         """
         del key
         return state, ()
-
-    def tell(
-        self, key: Array, state: tuple, genes: Float[Array, "g n"], evaluation: Evaluation
-    ) -> Float[Array, "g n"]:
-        """Return the next population."""
-        del state
-        return self.next_generation(key, genes, evaluation.fitness, evaluation.trial_fitness)
-
-    @abc.abstractmethod
-    def next_generation(
-        self,
-        key: Array,
-        genes: Float[Array, "g n"],
-        fitness: Float[Array, " n"],
-        trial_fitness: Float[Array, "trials n"] | None = None,
-    ) -> Float[Array, "g n"]:
-        """Return genomes of the next generation: the elites, best first, then the children.
-
-        An individual without a finite fitness never becomes an elite. A child fills any place that
-        no finite individual can take.
-
-        Args:
-            key: random key.
-            genes: the population.
-            fitness: fitness of each individual, maximised.
-            trial_fitness: fitness of each individual in each trial, or None for a single trial.
-        """
 
 
 class RealGenetics(Genetics):
@@ -116,19 +90,16 @@ class RealGenetics(Genetics):
     gene_bound: float
     selection: str = eqx.field(static=True, default="rank")
 
-    def next_generation(
-        self,
-        key: Array,
-        genes: Float[Array, "g n"],
-        fitness: Float[Array, " n"],
-        trial_fitness: Float[Array, "trials n"] | None = None,
+    def tell(
+        self, key: Array, state: tuple, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Float[Array, "g n"]:
         """Return elites, and mutated children of parents drawn by rank or lexicase selection."""
-        count = self.population
+        del state
+        count, fitness = self.population, evaluation.fitness
         parent_key, cross_key, mutate_key = jax.random.split(key, 3)
         pairs = -(-count // 2)
         if self.selection == "lexicase":
-            each = fitness[None] if trial_fitness is None else trial_fitness
+            each = evaluation.trial_fitness
             parents = draw_by_lexicase(parent_key, fitness, each, 2 * pairs)
         else:
             probabilities = linear_rank_probabilities(count, self.parent_fraction)
@@ -246,19 +217,16 @@ class BitGenetics(Genetics):
         if self.mutation not in MUTATIONS:
             raise ValueError(f"mutation must be {' or '.join(MUTATIONS)}, got {self.mutation!r}")
 
-    def next_generation(
-        self,
-        key: Array,
-        genes: Float[Array, "g n"],
-        fitness: Float[Array, " n"],
-        trial_fitness: Float[Array, "trials n"] | None = None,
+    def tell(
+        self, key: Array, state: tuple, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Float[Array, "g n"]:
         """Return elites, and children of parents drawn by rank, with siblings adjacent.
 
         Raises:
             ValueError: genomes have fewer genes than a mutation may change.
         """
-        del trial_fitness
+        del state
+        fitness = evaluation.fitness
         parent_key, cross_key, mutate_key = jax.random.split(key, 3)
         # Make children for every place, because the number of finite elites is known only at run
         # time.

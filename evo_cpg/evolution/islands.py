@@ -59,7 +59,8 @@ class Islands(Strategy):
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Archipelago:
         """See `Strategy.init`."""
         first = jax.vmap(self.strategy.init, in_axes=(0, 1))
-        return Archipelago(jnp.int32(0), first(self._keys(key), self._apart(genes)))
+        apart = genes.reshape(len(genes), self.count, -1)
+        return Archipelago(jnp.int32(0), first(self._keys(key), apart))
 
     def ask(self, key: Array, state: Archipelago) -> tuple[Float[Array, "g n"], Archipelago]:
         """See `Strategy.ask`."""
@@ -72,17 +73,25 @@ class Islands(Strategy):
     ) -> Archipelago:
         """See `Strategy.tell`."""
         done = state.generation + 1
-        arrived = self._arrivals(evaluation.fitness, done % self.every == 0)
+        size = self.population // self.count
+        first = size * np.arange(self.count)[:, None]
+        order = first + jax.vmap(rank_order)(evaluation.fitness.reshape(self.count, -1))
+        best, worst = order[:, : self.migrants], order[:, size - self.migrants :]
+        # Index of the individual to copy to every place: itself, or a migrant.
+        own = jnp.arange(self.population)
+        moved = own.at[worst].set(jnp.roll(best, 1, axis=0))
+        arrived = jnp.where(done % self.every == 0, moved, own)
         genes, evaluation = jax.tree.map(lambda x: x[..., arrived], (genes, evaluation))
-        tell = jax.vmap(self.strategy.tell, in_axes=(0, 0, 1, -2))
-        apart = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], self.count, -1), evaluation)
-        islands = tell(self._keys(key), state.islands, self._apart(genes), apart)
-        return Archipelago(done, islands)
+        tell = jax.vmap(self.strategy.tell, in_axes=(0, 0, -2, -2))
+        given = genes, evaluation
+        apart = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], self.count, -1), given)
+        return Archipelago(done, tell(self._keys(key), state.islands, *apart))
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """See `Strategy.around`. The first individual of every island stays unchanged."""
         about = jax.vmap(self.strategy.around, in_axes=(0, 1), out_axes=1)
-        return about(self._keys(key), self._apart(genes)).reshape(len(genes), -1)
+        apart = genes.reshape(len(genes), self.count, -1)
+        return about(self._keys(key), apart).reshape(len(genes), -1)
 
     @property
     def metric_names(self) -> tuple[str, ...]:
@@ -93,18 +102,6 @@ class Islands(Strategy):
         """Return means over the islands, see `Strategy.metrics`."""
         found = jax.vmap(self.strategy.metrics, axis_size=self.count)(state.islands)
         return {name: values.mean() for name, values in found.items()}
-
-    def _arrivals(self, fitness: Float[Array, " n"], now: Array) -> Int[Array, " n"]:
-        """Return the index of the individual to copy to every place: itself, or a migrant."""
-        size = self.population // self.count
-        first = size * np.arange(self.count)[:, None]
-        order = first + jax.vmap(rank_order)(fitness.reshape(self.count, -1))
-        best, worst = order[:, : self.migrants], order[:, size - self.migrants :]
-        moved = jnp.arange(self.population).at[worst].set(jnp.roll(best, 1, axis=0))
-        return jnp.where(now, moved, jnp.arange(self.population))
-
-    def _apart(self, genes: Float[Array, "g n"]) -> Float[Array, "g islands each"]:
-        return genes.reshape(len(genes), self.count, -1)
 
     def _keys(self, key: Array) -> Array:
         return jax.vmap(lambda island: jax.random.fold_in(key, island))(jnp.arange(self.count))

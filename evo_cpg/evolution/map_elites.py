@@ -16,7 +16,6 @@ Individuals beyond the ranges belong to the nearest cell. Individuals without fi
 belong to none.
 """
 
-import abc
 import math
 from typing import NamedTuple
 
@@ -40,26 +39,7 @@ class Beginning(NamedTuple):
     genes: Float[Array, "g n"]
 
 
-class VaryParents(eqx.Module):
-    """Variation of parents on the map to children."""
-
-    @property
-    def gene_bound(self) -> float | None:
-        """Largest magnitude of a gene, or None without a bound."""
-        return None
-
-    @abc.abstractmethod
-    def __call__(
-        self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
-    ) -> Float[Array, "g n"]:
-        """Return children of the genomes on the map, one child of each pair of parents."""
-
-    @abc.abstractmethod
-    def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Return the genomes, each with a small random change."""
-
-
-class AlongTheLine(VaryParents):
+class AlongTheLine(eqx.Module):
     """Variation of real-valued genomes: noise, and a step along the line to the other parent.
 
     Attributes:
@@ -75,19 +55,19 @@ class AlongTheLine(VaryParents):
     def __call__(
         self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
     ) -> Float[Array, "g n"]:
-        """See `VaryParents`."""
+        """Return children of the genomes on the map, one child of each pair of parents."""
         iso_key, line_key = jax.random.split(key)
         a, b = genes[:, parents[0]], genes[:, parents[1]]
         along = self.line_sigma * jax.random.normal(line_key, (1, a.shape[1]), a.dtype)
         return self.copies(iso_key, a + along * (b - a))
 
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """See `VaryParents`."""
+        """Return the genomes, each with a small random change."""
         noise = self.iso_sigma * jax.random.normal(key, genes.shape, genes.dtype)
         return jnp.clip(genes + noise, -self.gene_bound, self.gene_bound)
 
 
-class OfBits(VaryParents):
+class OfBits(eqx.Module):
     """Variation of genomes of bits: crossover of the two parents, and mutation.
 
     Attributes:
@@ -95,7 +75,8 @@ class OfBits(VaryParents):
             parent.
         mutation_probability: probability that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes.
-        mutation: change of a mutated gene, one of ``bits.MUTATIONS``.
+        mutation: change of a mutated gene, one of ``operators.MUTATIONS``.
+        gene_bound: None, because bits have no bound.
     """
 
     crossover: float = 1.0
@@ -103,10 +84,12 @@ class OfBits(VaryParents):
     mutated_genes: tuple[int, int] = eqx.field(static=True, default=(2, 30))
     mutation: str = eqx.field(static=True, default="redraw")
 
+    gene_bound = None
+
     def __call__(
         self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
     ) -> Float[Array, "g n"]:
-        """See `VaryParents`."""
+        """Return children of the genomes on the map, one child of each pair of parents."""
         cross_key, mutate_key = jax.random.split(key)
         first, second = parents
         # Take the child of each pair that begins as the first parent.
@@ -116,7 +99,7 @@ class OfBits(VaryParents):
         )
 
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """See `VaryParents`."""
+        """Return the genomes, each with a small random change."""
         return bit_mutation(key, genes, 1.0, *self.mutated_genes, self.mutation)
 
 
@@ -130,9 +113,7 @@ class MapStrategy(Strategy):
 
     axes: eqx.AbstractVar[tuple[Axis, ...]]
 
-    @abc.abstractmethod
-    def map_of(self, state: PyTree[Array]) -> Archive:
-        """Return the map in a state from `ask`."""
+    metric_names = METRICS
 
     @property
     def map_axes(self) -> tuple[Axis, ...]:
@@ -142,38 +123,20 @@ class MapStrategy(Strategy):
     @property
     def cells(self) -> int:
         """Number of cells of the map."""
-        return math.prod(self.shape)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Number of cells along each axis."""
-        return tuple(axis.cells for axis in self.axes)
-
-    @property
-    def metric_names(self) -> tuple[str, ...]:
-        """See `metrics`."""
-        return METRICS
+        return math.prod(axis.cells for axis in self.axes)
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
         """Return ``coverage`` (fraction of filled cells) and ``mean_elite``.
 
         ``mean_elite`` is the mean fitness of the elites.
         """
-        fitness = self.map_of(state).fitness
+        archive = self.map_of(state)
+        assert archive is not None
+        fitness = archive.fitness
         filled = jnp.isfinite(fitness)
         count = filled.sum()
         total = jnp.where(filled, fitness, 0.0).sum()
         return {"coverage": count / self.cells, "mean_elite": total / count}
-
-    def cell_of(self, descriptors: Float[Array, "k n"]) -> Int[Array, " n"]:
-        """Return the cell of each individual. A descriptor that is not finite counts as ``low``."""
-        number = jnp.zeros(descriptors.shape[1:], jnp.int32)
-        for axis, value in zip(self.axes, descriptors, strict=True):
-            place = (value - axis.low) / (axis.high - axis.low) * axis.cells
-            place = jnp.where(jnp.isfinite(place), place, 0.0)
-            inside = jnp.clip(jnp.floor(place), 0, axis.cells - 1).astype(jnp.int32)
-            number = number * axis.cells + inside
-        return number
 
     def empty(self, genes: Float[Array, "g n"]) -> Archive:
         """Return an empty map for genomes like these."""
@@ -194,7 +157,13 @@ class MapStrategy(Strategy):
         known: dict[str, ArrayLike] = {**evaluation.terms, **evaluation.descriptors}
         found = jnp.stack([jnp.asarray(known[axis.name]) for axis in self.axes])
         fitness = jnp.where(jnp.isfinite(found).all(0), evaluation.fitness, -jnp.inf)
-        cell = self.cell_of(found)
+        cell = jnp.zeros(found.shape[1:], jnp.int32)
+        for axis, value in zip(self.axes, found, strict=True):
+            # A descriptor that is not finite counts as ``low``.
+            place = (value - axis.low) / (axis.high - axis.low) * axis.cells
+            place = jnp.where(jnp.isfinite(place), place, 0.0)
+            inside = jnp.clip(jnp.floor(place), 0, axis.cells - 1).astype(jnp.int32)
+            cell = cell * axis.cells + inside
         # Best individual for each cell, the first among equals.
         best = jnp.full(self.cells, -jnp.inf, fitness.dtype).at[cell].max(fitness)
         wins = (fitness == best[cell]) & (fitness > archive.fitness[cell])
@@ -202,14 +171,15 @@ class MapStrategy(Strategy):
         places = jnp.where(wins, jnp.arange(count), count)
         first = jnp.full(self.cells, count).at[cell].min(places)
         taken, winner = first < count, jnp.minimum(first, count - 1)
-
-        def put(old: Array, new: Array) -> Array:
-            return jnp.where(taken, new[..., winner], old)
-
+        genes, fitness, found = jax.tree.map(
+            lambda old, new: jnp.where(taken, new[..., winner], old),
+            (archive.genes, archive.fitness, archive.descriptors),
+            (genes, fitness, found),
+        )
         return Archive(
-            put(archive.genes, genes),
-            put(archive.fitness, fitness),
-            put(archive.descriptors, found),
+            genes,
+            fitness,
+            found,
             jnp.where(taken, archive.told, archive.generation),
             jnp.where(taken, winner, archive.index),
             archive.told + 1,
@@ -227,7 +197,7 @@ class MapElites(MapStrategy):
 
     population: int = eqx.field(static=True)
     axes: tuple[Axis, ...] = eqx.field(static=True)
-    vary: VaryParents = AlongTheLine()
+    vary: AlongTheLine | OfBits = AlongTheLine()
 
     @property
     def gene_bound(self) -> float | None:
@@ -293,7 +263,7 @@ class Mapped(MapStrategy):
         return getattr(self.strategy, "gene_bound", None)
 
     def map_of(self, state: Charted) -> Archive:
-        """See `MapStrategy.map_of`."""
+        """See `Strategy.map_of`."""
         return state.archive
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Charted:
@@ -319,7 +289,7 @@ class Mapped(MapStrategy):
     @property
     def metric_names(self) -> tuple[str, ...]:
         """See `metrics`."""
-        return (*self.strategy.metric_names, *super().metric_names)
+        return (*self.strategy.metric_names, *METRICS)
 
     def metrics(self, state: Charted) -> dict[str, Float[Array, ""]]:
         """Return the metrics of the strategy and the metrics of the map."""

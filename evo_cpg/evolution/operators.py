@@ -197,13 +197,6 @@ def random_places(key: Array, count: int, rate: float) -> UInt32[Array, " m"]:
     return ends - 1
 
 
-def random_bits(
-    key: Array, gene_count: int, population: int, dtype: jnp.dtype | type
-) -> Float[Array, "g n"]:
-    """Return random genomes: 0 or 1 with equal chances."""
-    return jax.random.bernoulli(key, 0.5, (gene_count, population)).astype(dtype)
-
-
 def bit_mutation(
     key: Array,
     genes: Float[Array, "g n"],
@@ -236,7 +229,7 @@ def bit_mutation(
     if mutation == "flip":
         values = 1.0 - changed.get(mode="fill", fill_value=0.0)
     else:
-        values = random_bits(value_key, most, individuals, genes.dtype)
+        values = jax.random.bernoulli(value_key, 0.5, (most, individuals)).astype(genes.dtype)
     return changed.set(values, mode="drop")
 
 

@@ -15,7 +15,7 @@ cell.
 
 import abc
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -107,6 +107,8 @@ class Strategy(eqx.Module):
     Attributes:
         population: number of individuals in every generation.
         checks_genes: True if a run stops when `ask` returns genes that are not finite.
+        map_axes: axes of the map of behaviour that the search fills, or () for no map.
+        metric_names: names of the `metrics`, distinct from the other columns of metrics.csv.
 
     Example:
         A hill climber, with normal noise about the best genome so far::
@@ -134,6 +136,8 @@ class Strategy(eqx.Module):
     population: eqx.AbstractVar[int]
 
     checks_genes = True
+    map_axes: ClassVar[tuple[Axis, ...]] = ()
+    metric_names: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def init(self, key: Array, genes: Float[Array, "g n"]) -> PyTree[Array]:
@@ -178,20 +182,10 @@ class Strategy(eqx.Module):
         del key
         return genes
 
-    @property
-    def map_axes(self) -> tuple[Axis, ...]:
-        """Axes of the map of behaviour that the search fills. There are none unless overridden."""
-        return ()
-
     def map_of(self, state: PyTree[Array]) -> Archive | None:
         """Return the map of behaviour in a state from `ask`, or None without `map_axes`."""
         del state
         return None
-
-    @property
-    def metric_names(self) -> tuple[str, ...]:
-        """Names of the `metrics`, distinct from the other columns of metrics.csv."""
-        return ()
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
         """Return numbers of a state from `ask` for metrics.csv, by name.

@@ -38,7 +38,7 @@ from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.sensors import Sensor, place_sensors
 from evo_cpg.simulation.simulation import Rules, Simulation
 from evo_cpg.simulation.task import Task, term_names
-from evo_cpg.system import resolved, with_working_folder
+from evo_cpg.system import resolved
 from evo_cpg.training.experiment import ExperimentParts, Learning
 
 # Default number of elites that learn: a full vector on one core.
@@ -81,7 +81,7 @@ def build_experiment(
     """
     with located(source, config.model_dump(mode="json")):
         folders = (Path(source).parent, *folders)
-        for folder in with_working_folder(code_folders(folders)):
+        for folder in code_folders(folders):
             if str(resolved(folder)) not in sys.path:
                 sys.path.append(str(resolved(folder)))
         require_code(config, folders)

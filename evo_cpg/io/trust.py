@@ -16,7 +16,7 @@ from typing import Any
 from evo_cpg.io.errors import Key, KeyProblem
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
-from evo_cpg.system import resolved, with_working_folder, working_folder
+from evo_cpg.system import resolved, working_folder
 
 # Largest file that is read. The finest mesh of a body has a tenth of this size.
 LARGEST = 32 * 2**20
@@ -136,9 +136,10 @@ def read_small(path: Path) -> str:
 
 
 def code_folders(folders: Iterable[Path]) -> list[Path]:
-    """Return the folders that are searched for a user's own classes."""
+    """Return the folders that are searched for a user's own classes, with the working folder."""
     here = working_folder()
-    return [folder for folder in folders if is_trusted() or (here and resolved(folder) == here)]
+    found = [folder for folder in folders if is_trusted() or (here and resolved(folder) == here)]
+    return [*found, here] if here else found
 
 
 def own_parts(config: ExperimentConfig) -> dict[Key, CustomConfig]:
@@ -182,9 +183,10 @@ def require_code(config: ExperimentConfig, folders: Iterable[Path]) -> None:
                     break
             raise KeyProblem(place, problem)
         found = Path(spec.origin).resolve() if spec.origin else None
-        searched = with_working_folder(code_folders(folders))
         files = (
-            folder / name for folder in searched for name in (f"{top}/__init__.py", f"{top}.py")
+            folder / name
+            for folder in code_folders(folders)
+            for name in (f"{top}/__init__.py", f"{top}.py")
         )
         own = next((file.resolve() for file in files if file.is_file()), None)
         if None not in (own, found) and own != found:

@@ -18,7 +18,7 @@ horizontal position's gradient.
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -71,25 +71,34 @@ class Backward(NamedTuple):
             steps: number of steps.
         """
 
-        def segment(length: int) -> Callable:
-            def walk(carry: Carry, first: ArrayLike) -> tuple[Carry, None]:
-                numbers = first + jnp.arange(length)
-                return jax.lax.scan(step, carry, numbers)[0], None
-
-            return walk
-
         def step(carry: Carry, number: ArrayLike) -> tuple[Carry, None]:
             return advance(carry, number)[0], None
 
-        kept = _kept_bytes(step, carry)
+        def segment(length: int, carry: Carry, first: ArrayLike) -> tuple[Carry, None]:
+            return jax.lax.scan(step, carry, first + jnp.arange(length))[0], None
+
+        # Bytes that each control step keeps for the backward pass.
+        pure, shared = jax.closure_convert(lambda carry: step(carry, jnp.zeros((), int))[0], carry)
+
+        def leave(carry: Any, *shared: Array) -> list[Array]:
+            return jax.tree.leaves(jax.vjp(pure, carry, *shared)[1])
+
+        jaxpr = jax.make_jaxpr(leave)(carry, *shared).jaxpr
+        moving = set(jaxpr.invars[: len(jax.tree.leaves(carry))])
+        for equation in jaxpr.eqns:
+            if any(x in moving for x in equation.invars if not isinstance(x, Literal)):
+                moving.update(equation.outvars)
+        left = {x for x in jaxpr.outvars if not isinstance(x, Literal) and x in moving}
+        kept = sum(x.aval.size * x.aval.dtype.itemsize for x in left)
         if self.copies * steps * kept <= machine_constants.LARGEST_RESIDUALS:
-            return segment(steps)(carry, 0)[0]
+            return segment(steps, carry, 0)[0]
         # This length minimises the memory for states between segments plus one segment.
-        length = max(1, math.isqrt(steps * _bytes(jax.tree.leaves(carry)) // kept))
+        carried = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(carry))
+        length = max(1, math.isqrt(steps * carried // kept))
         count, rest = divmod(steps, length)
-        whole_segment = jax.checkpoint(segment(length), prevent_cse=False)
+        whole_segment = jax.checkpoint(functools.partial(segment, length), prevent_cse=False)
         carry, _ = jax.lax.scan(whole_segment, carry, length * jnp.arange(count))
-        return segment(rest)(carry, count * length)[0] if rest else carry
+        return segment(rest, carry, count * length)[0] if rest else carry
 
     def forget(self, state: State, nerves: Any) -> tuple[State, Any]:
         """Return body and nerves unchanged, but fade and cut gradients that pass back through.
@@ -102,13 +111,16 @@ class Backward(NamedTuple):
         if self.retention is not None:
             kept = jnp.asarray(self.retention, state.q.dtype)
             moving = {name: getattr(state, name) for name in _FADING}
-            moving, nerves = _fading((moving, nerves), kept)
+            moving, nerves = jax.tree.map(
+                lambda x: _faded(x, kept) if jnp.issubdtype(x.dtype, jnp.inexact) else x,
+                (moving, nerves),
+            )
             if self.slides:
                 stays = np.isin(np.arange(len(state.q)), self.slides)
                 stays = expand_dims_like(stays, state.q)
                 moving["q"] = jnp.where(stays, state.q, moving["q"])
             if self.rough:
-                height = _fading(state.position[2:], kept)
+                height = _faded(state.position[2:], kept)
                 moving["position"] = jnp.concatenate([state.position[:2], height])
             state = dataclasses.replace(state, **moving)
         return _cut(self.slides, state) if self.rough else state, nerves
@@ -119,35 +131,9 @@ def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[n
     return np.exp(-1.0 / (horizon * control_rate))
 
 
-def _kept_bytes(step: Callable, carry: Any) -> int:
-    """Return the bytes that each control step keeps for the backward pass."""
-    pure, shared = jax.closure_convert(lambda carry: step(carry, jnp.zeros((), int))[0], carry)
-
-    def leave(carry: Any, *shared: Array) -> list[Array]:
-        return jax.tree.leaves(jax.vjp(pure, carry, *shared)[1])
-
-    jaxpr = jax.make_jaxpr(leave)(carry, *shared).jaxpr
-    moving = set(jaxpr.invars[: len(jax.tree.leaves(carry))])
-    for equation in jaxpr.eqns:
-        if any(x in moving for x in equation.invars if not isinstance(x, Literal)):
-            moving.update(equation.outvars)
-    left = {x for x in jaxpr.outvars if not isinstance(x, Literal) and x in moving}
-    return _bytes(x.aval for x in left)
-
-
-def _bytes(arrays: Iterable[Any]) -> int:
-    return sum(x.size * x.dtype.itemsize for x in arrays)
-
-
-def _fading(values: Values, factor: Array) -> Values:
-    """Return the values, with gradients with respect to them multiplied by the factor."""
-    return jax.tree.map(
-        lambda x: _faded(x, factor) if jnp.issubdtype(x.dtype, jnp.inexact) else x, values
-    )
-
-
 @jax.custom_jvp
 def _faded(x: Array, factor: Array) -> Array:
+    """Return x, with gradients with respect to it multiplied by the factor."""
     del factor
     return x
 
@@ -186,19 +172,17 @@ def _cut_backward(slides: tuple[int, ...], _: None, gradient: State) -> tuple[St
     most = jnp.where(horizontal > 0, _STEEPEST * horizontal, jnp.inf)
     fraction = jnp.minimum(1.0, most / jnp.maximum(size, jnp.finfo(size.dtype).tiny))
     fraction = jnp.where(jnp.isfinite(size), fraction, 0.0)
-
-    def shrink(x: Array) -> Array:
-        return jnp.where(fraction[None] > 0, fraction[None] * x, 0.0)
-
     place = jnp.where(jnp.isfinite(place), place, 0.0)
-    cut = {name: shrink(x) for name, x in moving.items()}
+    cut = {
+        name: jnp.where(fraction[None] > 0, fraction[None] * x, 0.0)
+        for name, x in (moving | {"height": height}).items()
+    }
+    height = cut.pop("height")
     if slides:
         whole = jnp.where(jnp.isfinite(gradient.q), gradient.q, 0.0)
         cut["q"] = jnp.where(stays, whole, cut["q"])
         place = place[:2]
-    return (
-        dataclasses.replace(gradient, position=jnp.concatenate([place, shrink(height)]), **cut),
-    )
+    return (dataclasses.replace(gradient, position=jnp.concatenate([place, height]), **cut),)
 
 
 _cut.defvjp(_cut_forward, _cut_backward)

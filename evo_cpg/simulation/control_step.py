@@ -3,6 +3,7 @@
 The command is held for ``substeps`` physics steps.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -176,12 +177,8 @@ def push(
     simulation: Simulation, constants: EpisodeConstants, animal: AnimalState, index: Array
 ) -> AnimalState:
     """Return the animal after the random push (noise) of one control step."""
-    duration = 1.0 / simulation.control_rate
-
-    def disturb(state: State, keys: Array | None) -> State:
-        tree = simulation.world.tree
-        return disturb_motion(simulation.noise, tree, state, keys, index, duration)
-
+    given, duration = (simulation.noise, simulation.world.tree), 1.0 / simulation.control_rate
+    disturb = functools.partial(disturb_motion, *given, index=index, duration=duration)
     ndim = animal.state.position.ndim - 1
     return animal._replace(
         state=fuse(disturb, animal.state, constants.keys, batch_ndim=ndim, name="noise")
@@ -193,11 +190,10 @@ def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalSta
     world, state = simulation.world, animal.state
 
     def read_built_in(state: State, light: Array | None) -> tuple[Array, Array, Array, Array]:
-        kin = kinematics(world.tree, state)
-        place = _light_of(constants, light, state.position)
-        return *light_readings(simulation.sensors, kin, place), depth_readings(
-            simulation.sensors, world, kin
-        )
+        snapshot = snapshot_of(simulation, constants._replace(light=light), state)
+        sensors, kin = simulation.sensors, snapshot.kinematics
+        seen = light_readings(sensors, kin, snapshot.light_position)
+        return *seen, depth_readings(sensors, world, kin)
 
     def read(state: State, forces: Forces, light: Array | None) -> Array:
         snapshot = snapshot_of(simulation, constants._replace(light=light), state)
@@ -254,7 +250,7 @@ def move(
     """Take the physics steps of a control step (see `control_step`)."""
     world, h, state = simulation.world, simulation.step_length, animal.state
     batch = state.position.shape[1:]
-    motors = motor_command(command)
+    motors, fraction = motor_command(command), 1.0 / simulation.substeps
 
     def advance(carry, _):
         before, warmstart, energy, airborne, forces, ground_force, residual = carry
@@ -266,7 +262,13 @@ def move(
         if effort.contact_frame_force is not None:
             in_air = jnp.all(effort.contact_frame_force[2] <= 0, axis=0).astype(in_air.dtype)
         airborne = airborne + in_air / simulation.substeps
-        forces = _add_fraction(forces, effort, 1.0 / simulation.substeps)
+        # Means over the control step.
+        added = effort.torque, effort.contact_force, effort.pair_force, effort.holding
+        means: list[Any] = [
+            mean if mean is None or force is None else mean + fraction * force
+            for mean, force in zip(forces, added, strict=True)
+        ]
+        forces = Forces(*means)
         energy = energy + effort.energy
         residual = jax.tree.map(jnp.maximum, residual, effort.residual)
         carry = state, effort.warmstart, energy, airborne, forces, ground_force, residual
@@ -305,14 +307,10 @@ def transition(
 
 def snapshot_of(simulation: Simulation, constants: EpisodeConstants, state: State) -> Snapshot:
     """Return the animal in a state, as tasks and sensors see it."""
-    light = _light_of(constants, constants.light, state.position)
+    light = constants.common_light if constants.light is None else constants.light
+    if light is not None:
+        light = expand_dims_like(light, state.position)
     return Snapshot(simulation.world, 1.0 / simulation.control_rate, state, light)
-
-
-def _light_of(constants: EpisodeConstants, own: Array | None, position: Array) -> Array | None:
-    """Return the place of the light, with the batch axes of ``position``, or None in the dark."""
-    place = constants.common_light if own is None else own
-    return None if place is None else expand_dims_like(place, position)
 
 
 def no_forces(simulation: Simulation, state: State) -> Forces:
@@ -325,18 +323,3 @@ def no_forces(simulation: Simulation, state: State) -> Forces:
     between = jnp.zeros((meeting, *batch), dtype)
     held = jnp.zeros_like(state.velocity) if simulation.world.held else None
     return Forces(jnp.zeros_like(state.q), contact, between, held)
-
-
-def _add_fraction(forces: Forces, effort: Effort, fraction: float) -> Forces:
-    """Add the forces of a physics step, times a fraction, to the mean of the control step."""
-
-    def plus(mean: Array, force: Array | None) -> Array:
-        return mean if force is None else mean + fraction * force
-
-    held = forces.holding
-    return Forces(
-        plus(forces.torque, effort.torque),
-        plus(forces.contact_force, effort.contact_force),
-        plus(forces.pair_force, effort.pair_force),
-        None if held is None else plus(held, effort.holding),
-    )

@@ -94,15 +94,13 @@ class Judge(Observer):
             happened = transition(simulation, constants._replace(light=light), effects, index)
             return update_tally(simulation, own, happened)
 
-        def keep(state: State, energy: Array) -> Array:
-            assert simulation.rules is not None
-            duration = 1 / simulation.control_rate
-            return keeps(simulation.rules, simulation.world, state, energy, duration)
-
         name = f"{type(simulation.task).__name__}.update"
         own = fuse(update, own, effects, constants.light, batch_ndim=ndim, name=name)
         sane = fuse(is_sane, animal.state, batch_ndim=ndim)
         if simulation.rules is not None:
+            duration = 1 / simulation.control_rate
+            given = simulation.rules, simulation.world
+            keep = functools.partial(keeps, *given, duration=duration)
             sane &= fuse(keep, effects.after, effects.energy, batch_ndim=ndim, name="rules")
         return own, alive & sane
 
@@ -134,7 +132,8 @@ def begin_tally(
 ) -> tuple[PyTree, PyTree]:
     """Return the tallies of the task and of the measures of gait before a trial."""
     own = simulation.task.begin(batch, dtype, simulation.steps)
-    return own, simulation.measures.begin(simulation.world, batch, dtype)
+    gait = (one.begin(simulation.world, batch, dtype) for one in simulation.measures.each)
+    return own, tuple(gait)
 
 
 def update_tally(
@@ -143,7 +142,8 @@ def update_tally(
     """Return both tallies after one more control step."""
     own, gait = tally
     own = simulation.task.update(own, happened, simulation.steps)
-    return own, simulation.measures.update(gait, happened)
+    pairs = zip(simulation.measures.each, gait, strict=True)
+    return own, tuple(one.update(tally, happened) for one, tally in pairs)
 
 
 def finish_tally(simulation: Simulation, tally: tuple[PyTree, PyTree]) -> dict[str, Array]:
@@ -151,7 +151,9 @@ def finish_tally(simulation: Simulation, tally: tuple[PyTree, PyTree]) -> dict[s
     own, gait = tally
     trial = Trial(simulation.world, simulation.duration)
     terms = simulation.task.terms(own, simulation.steps)
-    return terms | simulation.measures.finish(gait, trial)
+    names, each = simulation.measures.names, simulation.measures.each
+    triples = zip(names, each, gait, strict=True)
+    return terms | {name: one.finish(tally, trial) for name, one, tally in triples}
 
 
 def is_sane(state: State) -> Bool[Array, " *n"]:

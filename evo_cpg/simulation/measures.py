@@ -36,7 +36,7 @@ there is no touch-down to detect, and equation (1) has derivatives.
 """
 
 import abc
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -116,10 +116,6 @@ class Slip(NamedTuple):
         """Return the slip speed, m/s, or 0 if nothing has touched the ground."""
         return self.slide / jnp.maximum(self.load, _NO_LOAD)
 
-    def plus(self, other: "Slip") -> "Slip":
-        """Return the sums with further control steps."""
-        return Slip(self.slide + other.slide, self.load + other.load)
-
 
 def slip_of_points(force: Float[Array, "3 p *n"], velocity: Float[Array, "3 p *n"]) -> Slip:
     """Return the slip of contact points at an instant.
@@ -131,11 +127,6 @@ def slip_of_points(force: Float[Array, "3 p *n"], velocity: Float[Array, "3 p *n
     x, y, _ = velocity
     load = jnp.maximum(force[2], 0.0)
     return Slip((load * jnp.sqrt(x * x + y * y + _FLOOR)).sum(0), load.sum(0))
-
-
-def slip_of_step(transition: Transition) -> Slip:
-    """Return the slip in a control step: mean load, and velocities at the end of the step."""
-    return slip_of_points(transition.forces.contact_force, transition.after.contact_velocity)
 
 
 class RootDisplacement(Measure):
@@ -173,34 +164,6 @@ class RootDisplacement(Measure):
         return jnp.sqrt(jnp.sum((tally.end - tally.start) ** 2, 0))
 
 
-def _tilt(seen: Transition) -> Float[Array, " *n"]:
-    """Return 1 - cos(angle between the root's z axis and the vertical) before the step."""
-    _, x, y, _ = seen.before.state.orientation
-    return 2.0 * (x * x + y * y)
-
-
-def _turned(
-    old: tuple[Float[Array, "d *n"], Float[Array, "d *n"]], rate: Float[Array, "d *n"]
-) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
-    """Return the signs of the joints' velocities and the number of their changes so far."""
-    sign, changes = old
-    new = jnp.where(rate > 0, 1.0, jnp.where(rate < 0, -1.0, sign)).astype(rate.dtype)
-    return new, changes + jnp.where(new * sign < 0, 1.0, 0.0).astype(rate.dtype)
-
-
-def _touched(seen: Transition, groups: Sequence[tuple[int, ...]]) -> Array:
-    """Return whether any body of each group touches the ground in a control step, ``(g, *n)``.
-
-    A control step with any contact counts as a whole, however short the contact is.
-    """
-    force = seen.forces.contact_force
-    # Every contact force has a normal component. So the force vector is not zero in any axes.
-    touched = (force * force).sum(0) > 0
-    owners = seen.before.contact_bodies
-    rows = [touched[np.flatnonzero(np.isin(owners, group))].any(0) for group in groups]
-    return jnp.stack(rows)
-
-
 def _distance(tallies: dict[str, Any], world: World) -> Float[Array, " *n"]:
     """Return the length of the displacement, m. If there is ground, z does not count."""
     x, y, z = tallies["displacement"].end - tallies["displacement"].start
@@ -208,25 +171,10 @@ def _distance(tallies: dict[str, Any], world: World) -> Float[Array, " *n"]:
     return jnp.sqrt(level if world.contact_model is not None else level + z * z)
 
 
-def _mean_of_touching(tallies: dict[str, Any], trial: Trial) -> Float[Array, " *n"]:
-    """Return the mean fraction of time on the ground of the groups that ever touch it."""
-    time = tallies["contact"]
-    ever = (time > 0).astype(time.dtype).sum(0)
-    return time.sum(0) / (jnp.maximum(ever, 1.0) * trial.duration)
-
-
 def _frequency(tallies: dict[str, Any], trial: Trial) -> Float[Array, " *n"]:
     """Return the mean frequency of the turning axes, from sign changes of their velocities, Hz."""
     changes = _of_angles(tallies["strides"][1], trial.world)
     return changes.sum(0) / (2.0 * changes.shape[0] * trial.duration)
-
-
-def _amplitude(tallies: dict[str, Any], trial: Trial) -> Float[Array, " *n"]:
-    """Return the standard deviation of the joints' angles, mean of all turning axes, rad."""
-    angle, square = (_of_angles(tallies[name], trial.world) for name in ("angle", "square"))
-    mean = angle / trial.duration
-    variance = jnp.maximum(square / trial.duration - mean * mean, 0.0)
-    return jnp.sqrt(variance).sum(0) / variance.shape[0]
 
 
 def _of_angles(each: Float[Array, "d *n"], world: World) -> Float[Array, "k *n"]:
@@ -238,74 +186,20 @@ def _of_angles(each: Float[Array, "d *n"], world: World) -> Float[Array, "k *n"]
     return each if slides.all() or not slides.any() else each[np.flatnonzero(~slides)]
 
 
-# Tallies that measures of gait share, by name. Each follows the control steps as the table says,
-# given the old tally, the step, and the groups of bodies whose contact counts.
-_TALLIES: dict[str, Callable[[Any, Transition, Sequence[tuple[int, ...]]], Any]] = {
-    "displacement": lambda old, seen, _: old.moved(
-        seen.step, seen.before.state.position, seen.after.state.position
-    ),
-    "slip": lambda old, seen, _: old.plus(slip_of_step(seen)),
-    # Energy of the motors, J.
-    "energy": lambda old, seen, _: old + seen.energy,
-    # Time in the air, s.
-    "airborne": lambda old, seen, _: old + seen.airborne * seen.before.control_step,
-    # Turn to the left, rad.
-    "turn": lambda old, seen, _: (
-        old + seen.after.state.angular_velocity[2] * seen.before.control_step
-    ),
-    "tilt": lambda old, seen, _: old + _tilt(seen) * seen.before.control_step,
-    # Time integrals of the joints' angles, and of their squares.
-    "angle": lambda old, seen, _: old + seen.before.control_step * seen.after.state.q,
-    "square": lambda old, seen, _: (
-        old + seen.before.control_step * seen.after.state.q * seen.after.state.q
-    ),
-    # For each joint axis: last sign of its velocity (0 at first), and number of sign changes.
-    "strides": lambda old, seen, _: _turned(old, seen.after.state.qd),
-    # Time on the ground of each group of bodies, s.
-    "contact": lambda old, seen, groups: (
-        old + seen.before.control_step * _touched(seen, groups).astype(old.dtype)
-    ),
-}
-
-
-class _Formula(NamedTuple):
-    """Tallies that a measure of gait needs, and the measure computed from them."""
-
-    tallies: tuple[str, ...]
-    of: Callable[[dict[str, Any], Trial], Array]
-
-
-MEASURES: dict[str, _Formula] = {
-    "airborne": _Formula(("airborne",), lambda x, trial: x["airborne"] / trial.duration),
-    "amplitude": _Formula(("angle", "square"), _amplitude),
-    "cost_of_transport": _Formula(
-        ("energy", "displacement"),
-        lambda x, trial: (
-            x["energy"] / (trial.world.weight * jnp.maximum(_distance(x, trial.world), _NOWHERE))
-        ),
-    ),
-    "duty_factor": _Formula(("contact",), _mean_of_touching),
-    "frequency": _Formula(("strides",), _frequency),
-    "limb_duty_factor": _Formula(("contact",), _mean_of_touching),
-    "power": _Formula(("energy",), lambda x, trial: x["energy"] / trial.duration),
-    "relative_slip": _Formula(
-        ("slip", "displacement"),
-        lambda x, trial: (
-            x["slip"].speed() * trial.duration / jnp.maximum(_distance(x, trial.world), _NOWHERE)
-        ),
-    ),
-    "speed": _Formula(
-        ("displacement",), lambda x, trial: _distance(x, trial.world) / trial.duration
-    ),
-    # Less than one stride counts as one.
-    "stride_length": _Formula(
-        ("strides", "displacement"),
-        lambda x, trial: (
-            _distance(x, trial.world) / jnp.maximum(_frequency(x, trial) * trial.duration, 1.0)
-        ),
-    ),
-    "tilt": _Formula(("tilt",), lambda x, trial: x["tilt"] / trial.duration),
-    "turning": _Formula(("turn",), lambda x, trial: x["turn"] / trial.duration),
+# Tallies from which each measure of gait is computed.
+MEASURES: dict[str, tuple[str, ...]] = {
+    "airborne": ("airborne",),
+    "amplitude": ("angle", "square"),
+    "cost_of_transport": ("energy", "displacement"),
+    "duty_factor": ("contact",),
+    "frequency": ("strides",),
+    "limb_duty_factor": ("contact",),
+    "power": ("energy",),
+    "relative_slip": ("slip", "displacement"),
+    "speed": ("displacement",),
+    "stride_length": ("strides", "displacement"),
+    "tilt": ("tilt",),
+    "turning": ("turn",),
 }
 
 # Measures that mean nothing without ground.
@@ -338,16 +232,87 @@ class GaitMeasure(Measure):
             "strides": (joints, joints),
             "contact": contact,
         }
-        return {name: special.get(name, none) for name in MEASURES[self.name].tallies}
+        return {name: special.get(name, none) for name in MEASURES[self.name]}
 
     def update(self, tally: dict[str, Any], transition: Transition) -> dict[str, Any]:
         """See `Measure.update`."""
-        groups = self._groups(transition.before.world)
-        return {name: _TALLIES[name](old, transition, groups) for name, old in tally.items()}
+        before, state = transition.before, transition.after.state
+        duration, new = before.control_step, {}
+        for name, old in tally.items():
+            match name:
+                case "displacement":
+                    now = old.moved(transition.step, before.state.position, state.position)
+                case "slip":
+                    # Mean load, and velocities at the end of the step.
+                    force = transition.forces.contact_force
+                    slide, load = slip_of_points(force, transition.after.contact_velocity)
+                    now = Slip(old.slide + slide, old.load + load)
+                case "energy":  # of the motors, J
+                    now = old + transition.energy
+                case "airborne":  # time in the air, s
+                    now = old + transition.airborne * duration
+                case "turn":  # to the left, rad
+                    now = old + state.angular_velocity[2] * duration
+                case "tilt":
+                    # 1 - cos(angle between the root's z axis and the vertical).
+                    _, x, y, _ = before.state.orientation
+                    now = old + 2.0 * (x * x + y * y) * duration
+                case "angle":
+                    now = old + duration * state.q
+                case "square":
+                    now = old + duration * state.q * state.q
+                case "strides":
+                    # For each joint axis: last sign of its velocity, 0 at first, and number of sign
+                    # changes.
+                    sign, changes = old
+                    last = jnp.where(state.qd > 0, 1.0, jnp.where(state.qd < 0, -1.0, sign))
+                    last = last.astype(state.qd.dtype)
+                    change = jnp.where(last * sign < 0, 1.0, 0.0).astype(state.qd.dtype)
+                    now = last, changes + change
+                case _:
+                    # Time on the ground of each group of bodies, s. A control step with any contact
+                    # counts as a whole. Every contact force has a normal component, so the force
+                    # vector is not zero in any axes.
+                    force = transition.forces.contact_force
+                    touched, owners = (force * force).sum(0) > 0, before.contact_bodies
+                    rows = [
+                        touched[np.flatnonzero(np.isin(owners, group))].any(0)
+                        for group in self._groups(before.world)
+                    ]
+                    now = old + duration * jnp.stack(rows).astype(old.dtype)
+            new[name] = now
+        return new
 
     def finish(self, tally: dict[str, Any], trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
-        return MEASURES[self.name].of(tally, trial)
+        world, duration = trial
+        match self.name:
+            case "amplitude":
+                angle, square = (_of_angles(tally[name], world) for name in ("angle", "square"))
+                mean = angle / duration
+                variance = jnp.maximum(square / duration - mean * mean, 0.0)
+                return jnp.sqrt(variance).sum(0) / variance.shape[0]
+            case "cost_of_transport":
+                return tally["energy"] / (
+                    world.weight * jnp.maximum(_distance(tally, world), _NOWHERE)
+                )
+            case "duty_factor" | "limb_duty_factor":
+                time = tally["contact"]
+                ever = (time > 0).astype(time.dtype).sum(0)
+                return time.sum(0) / (jnp.maximum(ever, 1.0) * duration)
+            case "frequency":
+                return _frequency(tally, trial)
+            case "relative_slip":
+                farthest = jnp.maximum(_distance(tally, world), _NOWHERE)
+                return tally["slip"].speed() * duration / farthest
+            case "speed":
+                return _distance(tally, world) / duration
+            case "stride_length":
+                # Less than one stride counts as one.
+                strides = jnp.maximum(_frequency(tally, trial) * duration, 1.0)
+                return _distance(tally, world) / strides
+        (total,) = tally.values()
+        return total / duration
 
     def _groups(self, world: World) -> Sequence[tuple[int, ...]]:
         """Return the limbs, or all bodies with contact points but the root, which is body 0."""
@@ -365,20 +330,6 @@ class Measures(eqx.Module):
 
     def __or__(self, other: "Measures") -> "Measures":
         return Measures(self.names + other.names, self.each + other.each)
-
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> tuple[PyTree, ...]:
-        """Return the tallies before a trial."""
-        return tuple(one.begin(world, batch, dtype) for one in self.each)
-
-    def update(self, tallies: tuple[PyTree, ...], transition: Transition) -> tuple[PyTree, ...]:
-        """Return the tallies after one more control step."""
-        pairs = zip(self.each, tallies, strict=True)
-        return tuple(one.update(tally, transition) for one, tally in pairs)
-
-    def finish(self, tallies: tuple[PyTree, ...], trial: Trial) -> dict[str, Float[Array, " *n"]]:
-        """Return the numbers by name."""
-        triples = zip(self.names, self.each, tallies, strict=True)
-        return {name: one.finish(tally, trial) for name, one, tally in triples}
 
 
 def measures(*names: str, limbs: tuple[tuple[int, ...], ...] = ()) -> Measures:

@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like
 from evo_cpg.creature.axis_kinds import kind_named
-from evo_cpg.creature.creature import Creature
 from evo_cpg.errors import UserError
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.tree.kinematics import kinematics
@@ -70,53 +69,6 @@ class Recording(NamedTuple):
         return (
             f"Recording({len(self.time)} instants{span}, {self.position.shape[1]} bodies, "
             f"{len(self.dof_names)} joint axes)"
-        )
-
-
-def require_shapes(recording: Recording) -> None:
-    """Check that the arrays of a recording belong to one motion.
-
-    Raises:
-        RecordingError: arrays are empty, or differ in numbers of instants, bodies or joints.
-    """
-    instants, dofs = len(recording.time), len(recording.dof_names)
-    bodies = recording.position.shape[1] if recording.position.ndim > 1 else 0
-    shapes = {
-        "time": (instants,),
-        "position": (instants, bodies, 3),
-        "rotation": (instants, bodies, 3, 3),
-        "joint_angle": (instants, dofs),
-        "target_rate": (instants, dofs),
-        "cpg_output": (instants, dofs),
-        "torque": (instants, dofs),
-        "distance": (instants,),
-        "goal": (3,),
-    }
-    for name, shape in shapes.items():
-        found = getattr(recording, name).shape
-        if found != shape or not (instants and bodies):
-            raise RecordingError(f"its {name} has the shape {found}, not {shape}")
-
-
-def require_whole(recording: Recording, creature: Creature) -> None:
-    """Check that a recording shows a creature in a complete motion.
-
-    Raises:
-        RecordingError: the recording has no instants, has other bodies, or is not finite.
-    """
-    if not len(recording.time):
-        raise RecordingError("the recording is empty: it holds no instant")
-    if recording.position.shape[1] != len(creature.bodies):
-        raise RecordingError(
-            f"the recording has {recording.position.shape[1]} bodies, "
-            f"but {creature.name!r} has {len(creature.bodies)}"
-        )
-    finite = np.isfinite(recording.position).all((1, 2))
-    finite &= np.isfinite(recording.rotation).all((1, 2, 3))
-    if not finite.all():
-        raise RecordingError(
-            f"the recording diverges at {recording.time[finite.argmin()]:g} s: "
-            "from then on positions or rotations are not finite"
         )
 
 

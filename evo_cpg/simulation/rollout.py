@@ -66,47 +66,36 @@ def rollout(
     keys = None if simulation.noise.silent else keys
     trial = None if len(simulation.situations) == 1 else trial
 
+    physics = any(one.physics for one in jax.tree.leaves(observers))
+
     def run(genes: Array, keys: Array | None, trial: Array | None) -> Any:
-        return _run(simulation, genes, keys, trial, observers, backward, begin)
+        constants, animal = begin_episode(simulation, genes, keys, trial)
+        if begin is not None:
+            animal = animal._replace(state=begin(animal.state))
+
+        def advance(carry, index):
+            animal, tally = carry
+            if backward is not None:
+                inner = animal.nerves, animal.warmstart
+                state, (nerves, warmstart) = backward.forget(animal.state, inner)
+                animal = animal._replace(state=state, nerves=nerves, warmstart=warmstart)
+            # Each control step is a program, or a part of the program of the trial.
+            animal, effects = control_step(simulation, constants, animal, index, physics)
+            seen = Seen(simulation, constants, index, animal, effects)
+            tally = jax.tree.map(lambda one, own: one.update(own, seen), observers, tally)
+            return (animal, tally), jax.tree.map(lambda one: one.of_step(seen), observers)
+
+        tally = jax.tree.map(lambda one: one.begin(simulation, animal), observers)
+        carry, steps = (animal, tally), simulation.steps
+        if backward is None:
+            (_, tally), kept = jax.lax.scan(advance, carry, jnp.arange(steps))
+        else:
+            _, tally = backward.scan(advance, carry, steps)
+            kept = jax.tree.map(lambda one: (), observers)
+        return jax.tree.map(lambda one, *own: one.finish(simulation, *own), observers, tally, kept)
 
     with using(simulation.engine):
         # Results stacked along time cannot become native code, but control steps can.
         if any(one.every_step for one in jax.tree.leaves(observers)) or backward is not None:
             return run(genes, keys, trial)
         return fuse(run, genes, keys, trial, batch_ndim=genes.ndim - 1, name="a trial")
-
-
-def _run(
-    simulation: Simulation,
-    genes: Array,
-    keys: Array | None,
-    trial: Array | None,
-    observers: Observers,
-    backward: Backward | None,
-    begin: Callable[[State], State] | None,
-) -> Any:
-    """Run one trial. Each control step is a program, or a part of the program of the trial."""
-    physics = any(one.physics for one in jax.tree.leaves(observers))
-    constants, animal = begin_episode(simulation, genes, keys, trial)
-    if begin is not None:
-        animal = animal._replace(state=begin(animal.state))
-
-    def advance(carry, index):
-        animal, tally = carry
-        if backward is not None:
-            inner = animal.nerves, animal.warmstart
-            state, (nerves, warmstart) = backward.forget(animal.state, inner)
-            animal = animal._replace(state=state, nerves=nerves, warmstart=warmstart)
-        animal, effects = control_step(simulation, constants, animal, index, physics)
-        seen = Seen(simulation, constants, index, animal, effects)
-        tally = jax.tree.map(lambda one, own: one.update(own, seen), observers, tally)
-        return (animal, tally), jax.tree.map(lambda one: one.of_step(seen), observers)
-
-    tally = jax.tree.map(lambda one: one.begin(simulation, animal), observers)
-    carry, steps = (animal, tally), simulation.steps
-    if backward is None:
-        (_, tally), kept = jax.lax.scan(advance, carry, jnp.arange(steps))
-    else:
-        _, tally = backward.scan(advance, carry, steps)
-        kept = jax.tree.map(lambda one: (), observers)
-    return jax.tree.map(lambda one, *own: one.finish(simulation, *own), observers, tally, kept)

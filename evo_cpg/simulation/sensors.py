@@ -98,7 +98,8 @@ def pressure_readings(
     bodies = np.array(sensors.pressure_bodies, int)
     if force is None or world.contact_model is None or not len(bodies):
         return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
-    owners = _touching_bodies(world)
+    # A further part counts as its body.
+    owners = np.array(world.tree.wholes)[np.array(world.contact_model.bodies)]
     normal = jnp.stack([take(force[2], np.flatnonzero(owners == i), 0).sum(0) for i in bodies])
     pressing = jnp.zeros_like(normal)
     if world.water is not None and world.water.surface is not None:
@@ -126,7 +127,8 @@ def body_loads(world: World, force: Float[Array, "3 p *n"]) -> Float[Array, "b *
     count, none = len(world.tree.names), jnp.zeros_like(force[0, :0].sum(0))
     if world.contact_model is None:
         return jnp.stack([none] * count)
-    owners = _touching_bodies(world)
+    # A further part counts as its body.
+    owners = np.array(world.tree.wholes)[np.array(world.contact_model.bodies)]
     upward = [np.flatnonzero(owners == body) for body in range(count)]
     weight = jnp.asarray(world.weight, force.dtype)
     of_bodies = [take(force[2], own, 0).sum(0) if len(own) else none for own in upward]
@@ -147,12 +149,6 @@ def depth_readings(sensors: Sensors, world: World, kin: Kinematics) -> Float[Arr
         return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
     depth = _depth(world.water.surface, kin, bodies, sensors.depth_positions)
     return jnp.clip(depth / expand_dims_like(sensors.depth_scales, depth), 0.0, 1.0)
-
-
-def _touching_bodies(world: World) -> np.ndarray:
-    """Return the index of the body of each contact point. A further part counts as its body."""
-    assert world.contact_model is not None
-    return np.array(world.tree.wholes)[np.array(world.contact_model.bodies)]
 
 
 def _depth(

@@ -174,8 +174,22 @@ class Settling:
     """
 
     def __init__(self, world: World, h: float):
-        _require_support(world)
-        tree = world.tree
+        tree, water = world.tree, world.water
+        # The joint of a root that hangs may carry the creature, and so may a user's force law.
+        carried = tree.hanging is not None or not all(law.of_water for law in world.forces)
+        if world.gravity and not carried:
+            if water is None and world.contact_model is None:
+                raise NoRestError("it falls, because there is neither ground nor water to carry it")
+            own = float(tree.mass.sum())
+            displaced = own if water is None else water.density * float(tree.volume.sum())
+            weights = (
+                f"its mass is {own:.6g} kg, and it displaces at most {displaced:.6g} kg of water"
+            )
+            if water is not None and abs(own - displaced) >= _EXACT * own:
+                if own > displaced and world.contact_model is None:
+                    raise NoRestError(f"it sinks, because there is no ground ({weights})")
+                if own < displaced and water.surface is None:
+                    raise NoRestError(f"it rises, because the water has no surface ({weights})")
         self.world, self.h = world, h
         # Coordinates y are lengths in radii of gyration, and angles in rad. Forces are in units of
         # the weight, and moments in units of the weight times the radius of gyration.
@@ -196,9 +210,9 @@ class Settling:
         self.frequency = frequency
         lock = _LOCK * tree.mass.sum() * self.size**2 * frequency
         still = world
-        if world.water is not None:
+        if water is not None:
             # A current would carry the creature away.
-            water = dataclasses.replace(world.water, streams=(Current(),))
+            water = dataclasses.replace(water, streams=(Current(),))
             still = dataclasses.replace(world, water=water)
         search, numbers = _searches.of(still, self.free, h)
         given = numbers, self.scale, moment
@@ -256,7 +270,10 @@ class Settling:
             drift = np.linalg.norm(later.position - found.state.position)
             if drift < self.quiet * _RELEASE:
                 self._require_upright(start, found.state)
-                if self.world.tree.hanging is None and _is_alike_everywhere(self.world):
+                ground = self.world.ground
+                # Without ground or on level ground, all places and headings are equivalent.
+                alike = ground is None or ground.level is not None
+                if self.world.tree.hanging is None and alike:
                     state, friction = _put_back(start, found.state, found.friction)
                     found = found._replace(state=state, friction=friction)
                 return found
@@ -287,7 +304,9 @@ class Settling:
                 give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
                 return Rest(state, np.asarray(here.touch.normal_force), values, friction, give)
             direction = modes[:, 0] * np.sign(modes[np.abs(modes[:, 0]).argmax(), 0])
-            state, friction = self._move(_KICK * direction, state, friction)
+            y = _KICK * direction
+            touch = self._at(y, state, friction).touch
+            state, friction = self._go(jnp.asarray(y), state, friction, touch)
         return None
 
     def _at(self, y: np.ndarray, state: State, friction: FrictionState) -> _Here:
@@ -307,19 +326,29 @@ class Settling:
         slip = self._at(x, later, friction).touch.slip
         return friction._replace(slip=jnp.where(touch.normal_force > 0, slip, 0.0))
 
-    def _move(
-        self, y: np.ndarray, state: State, friction: FrictionState
-    ) -> tuple[State, FrictionState]:
-        """Return the pose with the coordinates y, and the state of friction in it."""
-        return self._go(jnp.asarray(y), state, friction, self._at(y, state, friction).touch)
-
     def _root(self, state: State, friction: FrictionState) -> tuple[State, FrictionState] | None:
         """Search downhill for a pose in which all forces balance, with friction within its cone."""
         for round_ in range(_ROUNDS):
-            lower = self._descend(state, friction)
-            if lower is None:
+            for _ in range(_STEPS):
+                here = self._at(np.zeros(len(self.free)), state, friction)
+                largest = np.abs(here.force).max(initial=0.0)
+                if largest < _EXACT:
+                    break
+                if not np.isfinite(largest):
+                    return None
+                values, modes = np.linalg.eigh(here.stiffness)
+                # Directions with little stiffness follow the force, at most by the radius of
+                # gyration.
+                stiff = np.maximum(np.abs(values), largest)
+                stay = np.diag(largest * self.stay)
+                y = np.linalg.solve((modes * stiff) @ modes.T + stay, here.force)
+                far = np.abs(y) / np.where(self.free < root.LENGTHS, self.farthest, _LARGEST_TURN)
+                y = y / max(1.0, far.max())
+                y = y * self._step_length(y, here, state, friction)
+                touch = self._at(y, state, friction).touch
+                state, friction = self._go(jnp.asarray(y), state, friction, touch)
+            else:
                 return None
-            state, friction = lower
             touch = self._at(np.zeros(len(self.free)), state, friction).touch
             # Later rounds take the mean of old and new cones. Otherwise the search may alternate
             # between two poses.
@@ -329,26 +358,6 @@ class Settling:
             here = self._at(np.zeros(len(self.free)), state, friction)
             if np.abs(here.force).max(initial=0.0) < _EXACT:
                 return state, friction
-        return None
-
-    def _descend(self, state: State, friction: FrictionState) -> tuple[State, FrictionState] | None:
-        """Go downhill until the forces are small. Return None if they do not become small."""
-        for _ in range(_STEPS):
-            here = self._at(np.zeros(len(self.free)), state, friction)
-            largest = np.abs(here.force).max(initial=0.0)
-            if largest < _EXACT:
-                return state, friction
-            if not np.isfinite(largest):
-                return None
-            values, modes = np.linalg.eigh(here.stiffness)
-            # Directions with little stiffness follow the force, at most by the radius of gyration.
-            stiff = np.maximum(np.abs(values), largest)
-            stay = np.diag(largest * self.stay)
-            y = np.linalg.solve((modes * stiff) @ modes.T + stay, here.force)
-            far = np.abs(y) / np.where(self.free < root.LENGTHS, self.farthest, _LARGEST_TURN)
-            y = y / max(1.0, far.max())
-            y = y * self._step_length(y, here, state, friction)
-            state, friction = self._move(y, state, friction)
         return None
 
     def _step_length(
@@ -430,7 +439,7 @@ class _Search:
             return state.placed(tree), taken
 
         def force(
-            y: Array, given: tuple, base: State, friction: FrictionState
+            given: tuple, y: Array, base: State, friction: FrictionState
         ) -> tuple[Array, tuple[Array, Array, Touch]]:
             numbers, length, moment = given
             world = plan.world(numbers)
@@ -438,9 +447,6 @@ class _Search:
             total, touch = static_forces(world, h, base, friction, x)
             scaled = total[free] * length / moment
             return scaled, (scaled, total, touch)
-
-        def evaluate(given: tuple, y: Array, base: State, friction: FrictionState) -> tuple:
-            return jax.jacfwd(force, has_aux=True)(y, given, base, friction)
 
         def go(
             given: tuple, y: Array, base: State, friction: FrictionState, touch: Touch
@@ -453,8 +459,8 @@ class _Search:
             x = jnp.zeros(root.ROOT_DOFS + world.tree.dof_count).at[free].set(length * y)
             return base.displaced(world.tree, x), friction
 
-        self.fall, self.evaluate = quick_jit(fall), quick_jit(evaluate)
-        self.go = quick_jit(go)
+        self.fall, self.go = quick_jit(fall), quick_jit(go)
+        self.evaluate = quick_jit(jax.jacfwd(force, argnums=1, has_aux=True))
 
 
 _searches = Programs(_Search)
@@ -485,7 +491,8 @@ def settled(
         return True
 
     found = searched(lambda: settling().settle(situation), known)
-    alike_everywhere = chosen(lambda: _is_alike_everywhere(world))
+    ground = world.ground
+    alike_everywhere = chosen(lambda: ground is None or ground.level is not None)
     state = found.state
     if is_traced(world, situation):
         x, y, heading = found.start
@@ -521,38 +528,6 @@ def settled(
 def _is_compliant(tree: Tree) -> np.ndarray:
     """Return which degrees of freedom yield to a load: joints with a spring or without a motor."""
     return (tree.stiffness > 0) | (tree.servo_stiffness > 0) | (tree.servo_gain == 0)
-
-
-def _require_support(world: World) -> None:
-    """Check that something can carry the creature.
-
-    Raises:
-        NoRestError: nothing can carry it.
-    """
-    tree, water = world.tree, world.water
-    if tree.hanging is not None:
-        # The joint of the root may carry it.
-        return
-    if not world.gravity or not all(law.of_water for law in world.forces):
-        # A user's force law may carry it.
-        return
-    if water is None:
-        if world.contact_model is None:
-            raise NoRestError("it falls, because there is neither ground nor water to carry it")
-        return
-    own, displaced = float(tree.mass.sum()), water.density * float(tree.volume.sum())
-    if abs(own - displaced) < _EXACT * own:
-        return
-    weights = f"its mass is {own:.6g} kg, and it displaces at most {displaced:.6g} kg of water"
-    if own > displaced and world.contact_model is None:
-        raise NoRestError(f"it sinks, because there is no ground ({weights})")
-    if own < displaced and water.surface is None:
-        raise NoRestError(f"it rises, because the water has no surface ({weights})")
-
-
-def _is_alike_everywhere(world: World) -> bool:
-    """Return whether all places and headings are equivalent: without ground, or on level ground."""
-    return world.ground is None or world.ground.level is not None
 
 
 def _put_back(start: State, state: State, friction: FrictionState) -> tuple[State, FrictionState]:

@@ -1,7 +1,7 @@
 """Everything that a trial needs, and the meaning of the genes, which is defined here only.
 
 A genome is a vector of numbers. At present all of them belong to the controller. Anything else that
-evolves is counted, drawn, bounded and decoded here, and gets a field of `Phenotype`. Searches, run
+evolves is counted, drawn and decoded here, and gets a field of `Phenotype`. Searches, run
 folders, commands and the API treat a genome as a vector of `Genome.count` numbers.
 """
 
@@ -60,17 +60,9 @@ class Genome(NamedTuple):
         """Return genes of a first generation, which a controller may draw as integers or bits."""
         return jnp.asarray(self.controller.random_genes(key, batch, dtype), dtype)
 
-    def with_controller(self, genes: Float[np.ndarray, "g *n"]) -> Float[np.ndarray, "g *n"]:
-        """Return whole genomes that have these genes of the controller."""
-        return genes
-
     def decode(self, genes: Float[Array, "g *n"]) -> Phenotype:
         """Return the decoded genes. Called once per trial."""
         return Phenotype(self.controller.decode(genes))
-
-    def bound(self, largest: float) -> float | None:
-        """Return ``largest``, the largest magnitude of a real-valued gene, or None for bits."""
-        return None if self.binary else largest
 
     def misfit(self, genes: Float[np.ndarray, " _"]) -> str | None:
         """Return the reason why genes of one individual do not fit, or None if they fit."""

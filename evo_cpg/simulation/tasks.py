@@ -58,7 +58,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.numerics import Number, Triple
-from evo_cpg.simulation.measures import Displacement, Slip, no_displacement, slip_of_step
+from evo_cpg.simulation.measures import Displacement, Slip, no_displacement, slip_of_points
 from evo_cpg.simulation.task import Task, Transition
 
 # Upper limit of the distance relative to the initial distance. So one individual that flees from
@@ -208,14 +208,15 @@ class Distance(Task):
     def terms(self, tally: Displacement, steps: int) -> dict[str, Float[Array, " *n"]]:
         """Return ``distance`` and its ``forward`` part (m)."""
         del steps
-        return _measured(tally)
+        ahead, aside, _ = tally.end - tally.start
+        return {"distance": jnp.sqrt(ahead * ahead + aside * aside), "forward": ahead}
 
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
         """Return D, m."""
         del scales
-        return _headed(terms, self.heading)
+        return terms["distance" if self.heading == "any" else "forward"]
 
 
 class Walk(Task):
@@ -264,8 +265,10 @@ class Walk(Task):
         slip, cost = tally.slip, tally.cost
         if slip is not None:
             # The slip of a step is a path (N m) here, instead of a speed.
-            slide, load = slip_of_step(transition)
-            slip = slip.plus(Slip(transition.before.control_step * slide, load))
+            force = transition.forces.contact_force
+            slide, load = slip_of_points(force, transition.after.contact_velocity)
+            slide = transition.before.control_step * slide
+            slip = Slip(slip.slide + slide, slip.load + load)
         if cost is not None:
             cost = cost + transition.energy / transition.before.world.weight
         return Gait(
@@ -282,7 +285,10 @@ class Walk(Task):
     def terms(self, tally: Gait, steps: int) -> dict[str, Float[Array, " *n"]]:
         """Return the terms of the module's table, without slip and cost if they are free."""
         mean = tally.rise / steps
-        terms = _measured(tally.displacement) | {
+        ahead, aside, _ = tally.displacement.end - tally.displacement.start
+        terms = {
+            "distance": jnp.sqrt(ahead * ahead + aside * aside),
+            "forward": ahead,
             "tilt": tally.tilt / steps,
             "bounce": jnp.sqrt(jnp.maximum(tally.squared_rise / steps - mean * mean, 0.0)),
             "airborne": tally.airborne / steps,
@@ -298,8 +304,9 @@ class Walk(Task):
     ) -> Float[Array, " *n"]:
         """Return the weighted displacement minus the prices of all other terms."""
         del scales
+        distance = terms["distance" if self.heading == "any" else "forward"]
         fitness = (
-            self.distance_weight * _headed(terms, self.heading) / self.torso_length
+            self.distance_weight * distance / self.torso_length
             - self.tilt_weight * terms["tilt"]
             - self.bounce_weight * terms["bounce"] / self.torso_length
             - self.airborne_weight * terms["airborne"]
@@ -309,12 +316,3 @@ class Walk(Task):
         if self.cost_weight is not None:
             fitness = fitness - self.cost_weight * terms["cost"] / self.torso_length
         return fitness
-
-
-def _measured(displacement: Displacement) -> dict[str, Float[Array, " *n"]]:
-    ahead, aside, _ = displacement.end - displacement.start
-    return {"distance": jnp.sqrt(ahead * ahead + aside * aside), "forward": ahead}
-
-
-def _headed(terms: Mapping[str, Float[Array, " *n"]], heading: Heading) -> Float[Array, " *n"]:
-    return terms["distance" if heading == "any" else "forward"]

@@ -234,7 +234,7 @@ def light_tables(
         words = beside(fitness, random)[evolved]
         rows.append({"": "evolution beats random search", "fitness": words})
         simulation = workshop.member(evolved).experiment.simulation
-        silent = simulation.genome.with_controller(silent_genes(simulation.controller)[:, None])
+        silent = silent_genes(simulation.controller)[:, None]
         terms = {key: x.mean() for key, x in evaluate(simulation, silent).items()}
         scales = {key: jnp.asarray(x) for key, x in workshop.champions(evolved)[0].scales.items()}
         worth = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)

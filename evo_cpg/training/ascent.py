@@ -45,49 +45,8 @@ _LONGEST = 10.0
 _LENGTH_DECAY = 0.9
 
 
-class GradientLengths(NamedTuple):
-    """State of `clip_long_gradients`.
-
-    Attributes:
-        mean: exponential moving average of the gradients' norm after the guard, or 0 before the
-            first gradient.
-        finite: number of finite gradients.
-    """
-
-    mean: Float[Array, ""]
-    finite: Int[Array, ""]
-
-
-def clip_long_gradients() -> optax.GradientTransformation:
-    """Return a guard against exploding gradients, which would dominate Adam's moments.
-
-    A gradient that is not finite counts as zero. A gradient much longer than earlier ones is scaled
-    down. (`optax.adaptive_grad_clip` compares a gradient with the parameters. Their size says
-    nothing about cliffs of the fitness.)
-    """
-
-    def init(params: Any) -> GradientLengths:
-        del params
-        return GradientLengths(jnp.zeros(()), jnp.zeros((), jnp.int32))
-
-    def update(updates: Any, state: Any, params: Any = None) -> tuple[Any, GradientLengths]:
-        del params
-        length = optax.tree.norm(updates)
-        finite = jnp.isfinite(length)
-        first = state.mean == 0
-        longest = jnp.where(first, length, _LONGEST * state.mean)
-        factor = jnp.minimum(1.0, longest / jnp.maximum(length, jnp.finfo(length.dtype).tiny))
-        kept = jax.tree.map(lambda x: jnp.where(finite, factor * x, 0.0), updates)
-        usual = _LENGTH_DECAY * state.mean + (1 - _LENGTH_DECAY) * factor * length
-        mean = jnp.where(finite, jnp.where(first, length, usual), state.mean)
-        return kept, GradientLengths(mean, state.finite + finite)
-
-    return optax.GradientTransformation(init, update)
-
-
 # Adam's mean of squares decays faster than usual (b2 = 0.999), because an ascent has few steps.
 _ADAM = optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-12)
-_GUARDED_ADAM = optax.chain(clip_long_gradients(), _ADAM, optax.scale(-1.0))
 
 
 class _Descended(eqx.Module):
@@ -96,31 +55,51 @@ class _Descended(eqx.Module):
     Attributes:
         best: parameters at the best point.
         least: value of the objective at the best point.
-        transformed: state of the guard and of Adam, in this order.
+        length: exponential moving average of the gradients' norm after the guard, or 0 before the
+            first gradient.
+        finite: number of finite gradients.
+        adam: state of Adam.
         move: next change of the parameters, for a step size of 1.
     """
 
     best: Any
     least: Array
-    transformed: Any
+    length: Array
+    finite: Array
+    adam: Any
     move: Any
 
 
 class GuardedAdam(optimistix.AbstractDescent):
-    """Descent direction of Adam (Kingma and Ba 2015) by optax, after `clip_long_gradients`."""
+    """Descent direction of Adam (Kingma and Ba 2015) by optax, guarded against long gradients.
+
+    Exploding gradients would dominate Adam's moments. A gradient that is not finite counts as zero.
+    A gradient much longer than earlier ones is scaled down. (`optax.adaptive_grad_clip` compares a
+    gradient with the parameters. Their size says nothing about cliffs of the fitness.)
+    """
 
     def init(self, y: Any, f_info_struct: Any) -> _Descended:
         """Return the initial state, with an infinite best loss."""
         del f_info_struct
         move = jax.tree.map(jnp.zeros_like, y)
-        return _Descended(y, jnp.full((), jnp.inf), _GUARDED_ADAM.init(y), move)
+        none, count = jnp.zeros(()), jnp.zeros((), jnp.int32)
+        return _Descended(y, jnp.full((), jnp.inf), none, count, _ADAM.init(y), move)
 
     def query(self, y: Any, f_info: Any, state: _Descended) -> _Descended:
         """Update the state with the value and the gradient at ``y``."""
-        move, transformed = _GUARDED_ADAM.update(f_info.grad, state.transformed, y)
+        length = optax.tree.norm(f_info.grad)
+        finite, first = jnp.isfinite(length), state.length == 0
+        longest = jnp.where(first, length, _LONGEST * state.length)
+        factor = jnp.minimum(1.0, longest / jnp.maximum(length, jnp.finfo(length.dtype).tiny))
+        kept = jax.tree.map(lambda x: jnp.where(finite, factor * x, 0.0), f_info.grad)
+        usual = _LENGTH_DECAY * state.length + (1 - _LENGTH_DECAY) * factor * length
+        mean = jnp.where(finite, jnp.where(first, length, usual), state.length)
+        ascent, adam = _ADAM.update(kept, state.adam, y)
+        move = jax.tree.map(lambda x: -1.0 * x, ascent)
         better = f_info.f < state.least
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), y, state.best)
-        return _Descended(best, jnp.where(better, f_info.f, state.least), transformed, move)
+        least, count = jnp.where(better, f_info.f, state.least), state.finite + finite
+        return _Descended(best, least, mean, count, adam, move)
 
     def step(self, step_size: Array, state: _Descended) -> tuple[Any, optimistix.RESULTS]:
         """Return the next move: about ``step_size`` for each gene whose gradient keeps its sign."""
@@ -278,8 +257,7 @@ def compile_ascent(
             throw=False,
         )
         memory = solution.state.descent_state
-        lengths, *_ = memory.transformed
-        return memory.best, -memory.least, lengths.finite
+        return memory.best, -memory.least, memory.finite
 
     program = sharded(jax.vmap(climb, in_axes=-1, out_axes=-1), mesh, (2, 1, 1, 3))
 

@@ -61,10 +61,6 @@ class CrowdMotion(NamedTuple):
         moved = (end - start)[:, :2]
         return moved[:, 0] if heading == "forward" else np.linalg.norm(moved, axis=-1)
 
-    def leader(self, root: int, heading: str) -> int:
-        """Return the animal that has come farthest at the end, see `advance`."""
-        return int(self.advance(root, heading).argmax())
-
     @property
     def count(self) -> int:
         """Number of animals."""
@@ -73,11 +69,6 @@ class CrowdMotion(NamedTuple):
     def of(self, animals: Int[np.ndarray, " n"]) -> "CrowdMotion":
         """Return the motion of some of the animals."""
         return self._replace(position=self.position[:, animals], rotation=self.rotation[:, animals])
-
-    def led(self, root: int, heading: str) -> tuple[Recording, "CrowdMotion"]:
-        """Return the motion of the leader, and of the others, see `leader`."""
-        leader = self.leader(root, heading)
-        return self.recording(leader, root), self.of(np.delete(np.arange(self.count), leader))
 
     def recording(self, animal: int, root: int) -> Recording:
         """Return the motion of one animal, without joints and commands."""

@@ -210,30 +210,10 @@ def keep_compiled_programs() -> Path | None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_SECONDS)
     if not jax.config.values["jax_enable_compilation_cache"]:
         return None
-    folder = compiled_folder()
-    if folder is None:
+    chosen = jax.config.values["jax_compilation_cache_dir"]
+    if chosen:
+        keep_code_in(Path(chosen))
         return None
-    if jax.config.values["jax_compilation_cache_dir"]:
-        keep_code_in(folder)
-        return None
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _prune(folder, _MOST)
-    except OSError:
-        return None
-    # In a read-only folder JAX would warn about each program.
-    if not is_writable(folder):
-        return None
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    keep_code_in(folder)
-    return folder
-
-
-def compiled_folder() -> Path | None:
-    """Return the folder for compiled programs, which may not exist yet. None without a home."""
-    own = jax.config.values["jax_compilation_cache_dir"]
-    if own:
-        return Path(own)
     home = home_folder()
     cache = os.environ.get("XDG_CACHE_HOME") or (home and home / ".cache")
     if not cache:
@@ -243,18 +223,23 @@ def compiled_folder() -> Path | None:
     lines = described_by(Path("/proc/cpuinfo")).splitlines()
     kind += sorted({line for line in lines if line.startswith(("flags", "Features", "model"))})
     processor = hashlib.sha256("\n".join(kind).encode()).hexdigest()[:16]
-    return Path(cache) / "evo_cpg" / "compiled" / processor
-
-
-def _prune(folder: Path, most: int) -> None:
-    """Delete the oldest files until the rest take up at most ``most`` bytes."""
-    found = []
-    for file in folder.iterdir():
-        # Another process may have renamed or deleted the file.
-        with contextlib.suppress(FileNotFoundError):
-            found.append((file, file.stat()))
-    total = 0
-    for file, status in sorted(found, key=lambda pair: pair[1].st_mtime, reverse=True):
-        total += status.st_size
-        if total > most:
-            file.unlink(missing_ok=True)
+    folder = Path(cache) / "evo_cpg" / "compiled" / processor
+    found, total = [], 0
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in folder.iterdir():
+            # Another process may have renamed or deleted the file.
+            with contextlib.suppress(FileNotFoundError):
+                found.append((file, file.stat()))
+        for file, status in sorted(found, key=lambda pair: pair[1].st_mtime, reverse=True):
+            total += status.st_size
+            if total > _MOST:
+                file.unlink(missing_ok=True)
+    except OSError:
+        return None
+    # In a read-only folder JAX would warn about each program.
+    if not is_writable(folder):
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    keep_code_in(folder)
+    return folder

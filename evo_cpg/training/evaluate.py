@@ -99,10 +99,6 @@ def compile_trials(
         own = BatchedSimulation(simulation, inputs, values) if inputs else simulation
         return rollout(own, genes, keys, trial, observers)
 
-    @functools.cache
-    def program(busy: Mesh) -> Any:
-        return sharded(rollouts, busy, (2, 2, 2, 1))
-
     def prepared(
         genes: Float[np.ndarray, "g individuals"],
         keys: UInt32[np.ndarray, "w n"] | None = None,
@@ -121,15 +117,18 @@ def compile_trials(
         return Layout(mesh, width) if width else layout(count, mesh), count, pick
 
     compiled: dict[Mesh, Callable] = {}
+    ranks = 2, 2, 2, 1
     if ahead is not None:
         spread, _, pick = prepared(*ahead)
         block = placed(pick(np.zeros(spread.block, int)), spread.mesh)
-        compiled[spread.mesh] = program(spread.mesh).lower(*block).compile()
+        program = sharded(rollouts, spread.mesh, ranks)
+        compiled[spread.mesh] = program.lower(*block).compile()
 
     def run(*given: Any) -> Any:
         spread, count, pick = prepared(*given)
-        own = compiled.get(spread.mesh) or program(spread.mesh)
-        return run_in_blocks(own, spread, count, pick)
+        if spread.mesh not in compiled:
+            compiled[spread.mesh] = sharded(rollouts, spread.mesh, ranks)
+        return run_in_blocks(compiled[spread.mesh], spread, count, pick)
 
     return run
 

@@ -127,7 +127,8 @@ def begin(
         return jnp.asarray(next_genes, given.dtype), state
 
     given = None if start is None else start.reshape(len(start), experiment.runs, -1)
-    genes, state = jax.vmap(of_run, in_axes=(0, 1), out_axes=(1, 0))(_seeds(experiment), given)
+    seeds = experiment.seed + jnp.arange(experiment.runs)
+    genes, state = jax.vmap(of_run, in_axes=(0, 1), out_axes=(1, 0))(seeds, given)
     return genes.reshape(len(genes), -1), state
 
 
@@ -156,7 +157,8 @@ def trial_keys(
             key = jax.random.fold_in(key, number)
         return jax.random.key_data(key)
 
-    return jax.vmap(of_trial, out_axes=1)(_seeds(experiment)[run], individual, trial)
+    seeds = experiment.seed + jnp.arange(experiment.runs)
+    return jax.vmap(of_trial, out_axes=1)(seeds[run], individual, trial)
 
 
 def champion_keys(
@@ -237,7 +239,7 @@ def breed(
     runs, gene_count = experiment.runs, len(genes)
     places = (runs, experiment.strategy.population, experiment.trials)
     result = jax.vmap(of_run, in_axes=(0, 1, 0, 0, 0))(
-        _seeds(experiment),
+        experiment.seed + jnp.arange(runs),
         genes.reshape(gene_count, runs, -1),
         jax.tree.map(lambda x: x.reshape(places), outcome),
         scales,
@@ -288,10 +290,6 @@ def judge_each(
 ) -> Float[Array, "trials *n"]:
     """Return the fitness in each trial, or -inf if the individual diverged or broke a rule."""
     return jax.vmap(lambda trial: score(task, trial, scales), in_axes=-1)(outcome)
-
-
-def _seeds(experiment: ExperimentParts) -> Int[Array, " runs"]:
-    return experiment.seed + jnp.arange(experiment.runs)
 
 
 def _stream(seed: ArrayLike, tag: int) -> Shaped[Array, ""]:

@@ -9,17 +9,12 @@ So a resumed run has the lineage of an uninterrupted run.
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
-import numpy as np
-
-from evo_cpg.training.checkpoint import SCALE_PREFIX, TERM_PREFIX, Champion, below
+from evo_cpg.training.checkpoint import Champion
 
 # Limit for each run. Landmarks take three per factor of ten: 19 for a million generations.
 KEPT = 32
-
-_OF_ALL = ("fitness", "generation", "run", "index")
 
 
 def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Champion]:
@@ -43,23 +38,9 @@ def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Cha
                 for i in range(1, len(own) - 1)
                 if not any(born[i] <= mark < born[i + 1] for mark in marks)
             ]
-            del own[min(free, key=lambda i: _age(born[i + 1]) - _age(born[i - 1]))]
+            del own[min(free, key=lambda i: math.log1p(born[i + 1]) - math.log1p(born[i - 1]))]
         kept += own
     return kept
-
-
-def until(
-    lineage: Sequence[Champion], champions: Sequence[Champion | None], generation: int
-) -> list[Champion]:
-    """Return the lineage after a number of generations.
-
-    Args:
-        lineage: lineage from the run folder, perhaps empty or a generation ahead of the checkpoint.
-        champions: champion of every run in the checkpoint.
-        generation: number of finished generations.
-    """
-    done = [each for each in lineage if each.generation < generation]
-    return extended(done, [each for each in champions if each is not None])
 
 
 def champion_at(lineage: Sequence[Champion], generation: int) -> Champion | None:
@@ -75,7 +56,8 @@ def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
     """
     if count < 2 or len(lineage) <= count:
         return list(lineage)[-count:]
-    age = [_age(each.generation) for each in lineage]
+    # On a logarithmic scale.
+    age = [math.log1p(each.generation) for each in lineage]
     chosen = {0, len(lineage) - 1}
     for place in range(1, count - 1):
         target = age[0] + (age[-1] - age[0]) * place / (count - 1)
@@ -84,62 +66,8 @@ def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
     return [lineage[i] for i in sorted(chosen)]
 
 
-def lineage_arrays(lineage: Sequence[Champion]) -> dict[str, Any]:
-    """Return a lineage of at least one champion as named arrays, with a row for each champion."""
-    arrays: dict[str, Any] = {"genes": np.stack([each.genes for each in lineage])}
-    arrays |= {name: np.array([getattr(each, name) for each in lineage]) for name in _OF_ALL}
-    for prefix, rows in (
-        (TERM_PREFIX, [each.terms for each in lineage]),
-        (SCALE_PREFIX, [each.scales for each in lineage]),
-    ):
-        # Champions of one run may have different terms: the configuration's measures may have
-        # changed.
-        names = dict.fromkeys(name for one in rows for name in one)
-        arrays |= {
-            prefix + name: np.array([one.get(name, math.nan) for one in rows]) for name in names
-        }
-    return arrays
-
-
-def read_lineage(arrays: Mapping[str, np.ndarray]) -> list[Champion]:
-    """Read a lineage from `lineage_arrays`.
-
-    Raises:
-        KeyError: an array is missing.
-        ValueError: the arrays have different numbers of rows, or hold something else.
-    """
-    genes = arrays["genes"]
-    columns = {name: arrays[name].tolist() for name in _OF_ALL}
-    terms, scales = (
-        {name: values.tolist() for name, values in below(arrays, prefix).items()}
-        for prefix in (TERM_PREFIX, SCALE_PREFIX)
-    )
-    every = [*columns.values(), *terms.values(), *scales.values()]
-    rows = genes.ndim == 2 and all(isinstance(x, list) and len(x) == len(genes) for x in every)
-    counted = all(arrays[name].dtype.kind in "iu" for name in _OF_ALL[1:])
-    if not rows or not counted:
-        raise ValueError("its arrays do not describe champions")
-    return [
-        Champion(
-            genes[i],
-            columns["fitness"][i],
-            columns["generation"][i],
-            {name: values[i] for name, values in terms.items()},
-            {name: values[i] for name, values in scales.items()},
-            columns["run"][i],
-            columns["index"][i],
-        )
-        for i in range(len(genes))
-    ]
-
-
 def landmarks(last: int) -> list[int]:
     """Return the generations 0, 1, 2, 5, 10, 20, 50, ... up to a last one."""
     powers = range(len(str(max(last, 1))))
     round_ones = (step * 10**power for power in powers for step in (1, 2, 5))
     return [0, *(each for each in round_ones if each <= last)]
-
-
-def _age(generation: int) -> float:
-    """Return a generation on a logarithmic scale."""
-    return math.log1p(generation)

@@ -31,20 +31,17 @@ class TooLargeError(UserError):
     """Error for a run that needs more memory than the machine has, shown to the user."""
 
 
-def needed(experiment: ExperimentParts) -> int:
-    """Return an estimate of the bytes that training needs at most."""
+def needed(experiment: ExperimentParts) -> tuple[int, int]:
+    """Return an estimate of the bytes that training needs at most, and of the search state's bytes.
+
+    The search state of all runs is without their populations. Checkpoints hold it.
+    """
+    # Only shapes are evaluated here.
+    leaves = jax.tree.leaves(jax.eval_shape(lambda: begin(experiment))[1])
+    state = sum(math.prod(x.shape) * x.dtype.itemsize for x in leaves)
     genes = experiment.simulation.genome.count
     genomes = _GENE * genes * experiment.runs * experiment.strategy.population
-    return _REST + _COPIES * (genomes + remembered(experiment))
-
-
-def remembered(experiment: ExperimentParts) -> int:
-    """Return the bytes of the search state of all runs, without their populations.
-
-    Checkpoints hold this state. Only shapes are evaluated here.
-    """
-    state = jax.eval_shape(lambda: begin(experiment))[1]
-    return sum(math.prod(x.shape) * x.dtype.itemsize for x in jax.tree.leaves(state))
+    return _REST + _COPIES * (genomes + state), state
 
 
 def available() -> int | None:
@@ -65,12 +62,11 @@ def require_memory(experiment: ExperimentParts) -> None:
     Raises:
         TooLargeError: the run does not fit.
     """
-    need, there = needed(experiment), available()
+    (need, state), there = needed(experiment), available()
     if there is None or need <= there:
         return
     genes = experiment.simulation.genome.count
     individuals = experiment.runs * experiment.strategy.population
-    state = remembered(experiment)
     most = (there - _REST - _COPIES * state) // (_COPIES * _GENE * genes) // experiment.runs
     searched = f" and {state / 2**30:.2g} GiB of search state" if state > _MENTIONED else ""
     smaller = (

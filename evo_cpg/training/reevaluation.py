@@ -123,22 +123,23 @@ class Choice:
 
     Attributes:
         generation: generation number that selects the random numbers of the next round.
+        contests: contest of each run.
     """
 
     def __init__(self, contests: Sequence[Contest]):
         self.generation = FIRST_ROUND
-        self._contests = tuple(contests)
+        self.contests = tuple(contests)
 
     @property
     def done(self) -> bool:
         """Return whether all contests are done."""
-        return all(contest.done for contest in self._contests)
+        return all(contest.done for contest in self.contests)
 
     def genes(self, genes: Float[np.ndarray, "g all"]) -> Float[np.ndarray, "g all"]:
         """Return the genomes of the next round. Runs with a finished contest keep theirs."""
-        population = genes.shape[1] // len(self._contests)
+        population = genes.shape[1] // len(self.contests)
         population_genes = genes.copy()
-        for run, contest in enumerate(self._contests):
+        for run, contest in enumerate(self.contests):
             if not contest.done:
                 given = np.stack([one.genes for one in contest.candidates], axis=1)
                 own = slice(run * population, (run + 1) * population)
@@ -147,23 +148,15 @@ class Choice:
 
     def keys(self, keys: UInt32[np.ndarray, "w n"], trials: int) -> UInt32[np.ndarray, "w n"]:
         """Return the random keys of the next round's trials, given those of `generation`."""
-        by_place = keys.reshape(len(keys), len(self._contests), -1, trials).copy()
-        for run, contest in enumerate(self._contests):
+        by_place = keys.reshape(len(keys), len(self.contests), -1, trials).copy()
+        for run, contest in enumerate(self.contests):
             if not contest.done:
                 by_place[:, run] = by_place[:, run, contest.places()[1]]
         return by_place.reshape(keys.shape)
 
     def take(self, fitness: Float[np.ndarray, "runs population"]) -> None:
         """Take the results of a round."""
-        for contest, own in zip(self._contests, fitness, strict=True):
+        for contest, own in zip(self.contests, fitness, strict=True):
             if not contest.done:
                 contest.take(own)
         self.generation += 1
-
-    def chosen(self) -> tuple[Champion | None, ...]:
-        """Return the best candidate of every run, see `Contest.chosen`."""
-        return tuple(contest.chosen() for contest in self._contests)
-
-    def rows(self) -> list[dict[str, float]]:
-        """Return the rows of candidates.csv."""
-        return [row for contest in self._contests for row in contest.rows()]

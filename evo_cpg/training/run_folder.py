@@ -41,11 +41,14 @@ from jaxtyping import Float
 from evo_cpg import locks
 from evo_cpg.errors import UserError
 from evo_cpg.files import cannot_write, read_json, write_text, write_whole
-from evo_cpg.simulation.recording import Recording, require_shapes
+from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import (
     DAMAGED,
+    SCALE_PREFIX,
+    TERM_PREFIX,
     Champion,
     Checkpoint,
+    below,
     champion_arrays,
     checkpoint_arrays,
     history_columns,
@@ -53,7 +56,6 @@ from evo_cpg.training.checkpoint import (
     read_champion,
     read_checkpoint,
 )
-from evo_cpg.training.lineage import lineage_arrays, read_lineage
 
 CANDIDATES_FILE = "candidates.csv"
 """File with the results of the candidates for champion (see `evo_cpg.training.reevaluation`)."""
@@ -66,6 +68,8 @@ _RECORDING_PREFIX = "recording."
 # Keys of meta.json that code relies on, with their types.
 _META = {"devices": int, "config": str, "replaced": list, "fingerprint": dict}
 _MOST_DEVICES = 4096
+# Numbers of each champion of a lineage.
+_OF_ALL = ("fitness", "generation", "run", "index")
 _DIGESTS = ("config_sha256", "genes_sha256", "outcome_sha256")
 
 
@@ -137,7 +141,14 @@ class RunFolder:
             if self.path.exists() and not self.path.is_dir():
                 raise RunFolderError(f"{self.path} is a file. Choose another --out")
             if self.config.exists():
-                raise RunFolderError(f"{self.path} already holds a run. {self._how_to_continue()}")
+                done = f" ({self.newest} generations are done)" if self.newest else ""
+                advice = f"Continue with `evo-cpg resume {self.path}`{done} or choose another --out"
+                if self.read_meta().get("replaced"):
+                    advice = (
+                        "It began in Python. To continue, start a new run from its genomes in "
+                        "another folder: `evo.train(..., start=...)`"
+                    )
+                raise RunFolderError(f"{self.path} already holds a run. {advice}")
             leftover = (
                 locks.FILE,
                 f".{self.config.name}.",
@@ -159,16 +170,6 @@ class RunFolder:
         # Write the config after the genomes: a folder with a config can be resumed.
         self.reopen(config_text)
         self.update_meta(**meta)
-
-    def _how_to_continue(self) -> str:
-        """Return advice on how to continue the existing run."""
-        if self.read_meta().get("replaced"):
-            return (
-                "It began in Python. To continue, start a new run from its genomes in another "
-                "folder: `evo.train(..., start=...)`"
-            )
-        done = f" ({self.newest} generations are done)" if self.newest else ""
-        return f"Continue with `evo-cpg resume {self.path}`{done} or choose another --out"
 
     def require(self) -> None:
         """Check that there is a run here, and finish interrupted writes.
@@ -257,9 +258,10 @@ class RunFolder:
         columns = history_columns(checkpoint.history, columns)
         self._columns = checkpoint.history, columns
         arrays = checkpoint_arrays(checkpoint, columns)
-        write_whole(self._checkpoint(checkpoint.generation), lambda file: np.savez(file, **arrays))
+        place = self.path / "checkpoints" / f"generation_{checkpoint.generation:06d}.npz"
+        write_whole(place, lambda file: np.savez(file, **arrays))
         self.write_metrics(checkpoint.history)
-        for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
+        for _, old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
 
     def load(self) -> Checkpoint | None:
@@ -269,7 +271,7 @@ class RunFolder:
             RunFolderError: there are checkpoints, but none that can be read.
         """
         wrong: list[str] = []
-        for path in reversed(self._checkpoints()):
+        for _, path in reversed(self._checkpoints()):
             try:
                 return read_checkpoint(read_arrays(path))
             except FileNotFoundError:
@@ -321,14 +323,36 @@ class RunFolder:
             )
             best = checkpoint.champion or champion
             arrays = checkpoint_arrays(checkpoint)
-            place = self._checkpoint(checkpoint.generation)
+            place = self.path / "checkpoints" / f"generation_{checkpoint.generation:06d}.npz"
             writes[place] = lambda file: np.savez(file, **arrays)
         writes[self.champion] = _champion_writer(best, hashlib.sha256(config).hexdigest())
-        self._write_together(writes)
+        # Write all files or none, even after a kill.
+        gathered = self.path / _GATHERED
+        try:
+            shutil.rmtree(gathered, ignore_errors=True)
+            for path, write in writes.items():
+                place = gathered / path.relative_to(self.path)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(place, write)
+            os.replace(gathered, self.path / _DECIDED)
+        except OSError as error:
+            raise cannot_write(self.path, error) from None
+        self._move_decided()
 
     def save_lineage(self, lineage: Sequence[Champion]) -> None:
         """Write lineage.npz with at least one champion."""
-        arrays = lineage_arrays(lineage)
+        arrays: dict[str, Any] = {"genes": np.stack([each.genes for each in lineage])}
+        arrays |= {name: np.array([getattr(each, name) for each in lineage]) for name in _OF_ALL}
+        for prefix, rows in (
+            (TERM_PREFIX, [each.terms for each in lineage]),
+            (SCALE_PREFIX, [each.scales for each in lineage]),
+        ):
+            # Champions of one run may have different terms: the configuration's measures may have
+            # changed.
+            names = dict.fromkeys(name for one in rows for name in one)
+            arrays |= {
+                prefix + name: np.array([one.get(name, math.nan) for one in rows]) for name in names
+            }
         write_whole(self.lineage, lambda file: np.savez(file, **arrays))
 
     def load_lineage(self) -> list[Champion]:
@@ -340,7 +364,32 @@ class RunFolder:
         if not self.lineage.is_file():
             raise RunFolderError(f"{self.path} has no lineage.npz: no champion was found yet")
         try:
-            return read_lineage(read_arrays(self.lineage))
+            arrays = read_arrays(self.lineage)
+            genes = arrays["genes"]
+            columns = {name: arrays[name].tolist() for name in _OF_ALL}
+            terms, scales = (
+                {name: values.tolist() for name, values in below(arrays, prefix).items()}
+                for prefix in (TERM_PREFIX, SCALE_PREFIX)
+            )
+            every = [*columns.values(), *terms.values(), *scales.values()]
+            rows = genes.ndim == 2 and all(
+                isinstance(x, list) and len(x) == len(genes) for x in every
+            )
+            counted = all(arrays[name].dtype.kind in "iu" for name in _OF_ALL[1:])
+            if not rows or not counted:
+                raise ValueError("its arrays do not describe champions")
+            return [
+                Champion(
+                    genes[i],
+                    columns["fitness"][i],
+                    columns["generation"][i],
+                    {name: values[i] for name, values in terms.items()},
+                    {name: values[i] for name, values in scales.items()},
+                    columns["run"][i],
+                    columns["index"][i],
+                )
+                for i in range(len(genes))
+            ]
         except DAMAGED as error:
             raise RunFolderError(
                 f"{self.lineage} is damaged ({error}). The run can continue, but its earlier "
@@ -366,7 +415,23 @@ class RunFolder:
             }
             fields["dof_names"] = tuple(str(name) for name in fields["dof_names"])
             recording = Recording(**fields)
-            require_shapes(recording)
+            instants, dofs = len(recording.time), len(recording.dof_names)
+            bodies = recording.position.shape[1] if recording.position.ndim > 1 else 0
+            shapes = {
+                "time": (instants,),
+                "position": (instants, bodies, 3),
+                "rotation": (instants, bodies, 3, 3),
+                "joint_angle": (instants, dofs),
+                "target_rate": (instants, dofs),
+                "cpg_output": (instants, dofs),
+                "torque": (instants, dofs),
+                "distance": (instants,),
+                "goal": (3,),
+            }
+            for name, shape in shapes.items():
+                found = getattr(recording, name).shape
+                if found != shape or not (instants and bodies):
+                    raise ValueError(f"its {name} has the shape {found}, not {shape}")
             return champion, recording, digests
         except DAMAGED as error:
             raise RunFolderError(
@@ -389,23 +454,6 @@ class RunFolder:
         """Return the SHA-256 of config.yaml."""
         return hashlib.sha256(self.config.read_bytes()).hexdigest()
 
-    def _checkpoint(self, generation: int) -> Path:
-        return self.path / "checkpoints" / f"generation_{generation:06d}.npz"
-
-    def _write_together(self, writes: Mapping[Path, Callable[[IO[bytes]], object]]) -> None:
-        """Write several files of the run: all or none, even after a kill."""
-        gathered = self.path / _GATHERED
-        try:
-            shutil.rmtree(gathered, ignore_errors=True)
-            for path, write in writes.items():
-                place = gathered / path.relative_to(self.path)
-                place.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(place, write)
-            os.replace(gathered, self.path / _DECIDED)
-        except OSError as error:
-            raise cannot_write(self.path, error) from None
-        self._move_decided()
-
     def _move_decided(self) -> None:
         decided = self.path / _DECIDED
         try:
@@ -417,10 +465,12 @@ class RunFolder:
         except OSError as error:
             raise cannot_write(self.path, error) from None
 
-    def _checkpoints(self) -> list[Path]:
-        pattern = re.compile(r"generation_\d{6,}\.npz")
+    def _checkpoints(self) -> list[tuple[int, Path]]:
+        """Return the checkpoints with their generations, the newest last."""
         found = (self.path / "checkpoints").glob("generation_*.npz")
-        return sorted((path for path in found if pattern.fullmatch(path.name)), key=_generation_of)
+        named = ((re.fullmatch(r"generation_(\d{6,})\.npz", path.name), path) for path in found)
+        # Numbers sort beyond six digits.
+        return sorted((int(name[1]), path) for name, path in named if name)
 
     @property
     def newest(self) -> int:
@@ -429,7 +479,7 @@ class RunFolder:
         The file is not read, so this is quick.
         """
         found = self._checkpoints()
-        return _generation_of(found[-1]) if found else 0
+        return found[-1][0] if found else 0
 
     def write_metrics(self, history: list[dict[str, float]]) -> None:
         """Write metrics.csv."""
@@ -470,11 +520,6 @@ def refinements(meta: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the refinements of a run from meta.json: time, command and gain of each."""
     found = meta.get("refined")
     return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
-
-
-def _generation_of(checkpoint: Path) -> int:
-    """Return the generation in a file name as a number, for sorting beyond six digits."""
-    return int(checkpoint.stem.removeprefix("generation_"))
 
 
 def _champion_writer(

@@ -38,7 +38,7 @@ from evo_cpg.training.experiment import (
     placeholder_scales,
     situation_numbers,
 )
-from evo_cpg.training.lineage import extended, until
+from evo_cpg.training.lineage import extended
 from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
 from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
 
@@ -98,15 +98,15 @@ class Running:
         self.checkpoint = checkpoint
         self._lineage = _lineage_until(folder, checkpoint)
         self._choice: Choice | None = None
-
-    @property
-    def finished(self) -> bool:
-        """Return whether the last generation is done and the champion is chosen."""
-        return is_finished(self._experiment, self.checkpoint)
+        # Genomes of the last `trials`, and the generation number that selects their random numbers.
+        self._given = checkpoint.genes, checkpoint.generation
 
     def trials(self) -> Trials:
         """Return the trials of the next generation or round."""
-        genes, number = self._next()
+        genes, number = self.checkpoint.genes, self.checkpoint.generation
+        if self._choice:
+            genes, number = self._choice.genes(genes), self._choice.generation
+        self._given = genes, number
         keys = jax.device_get(self._programs.keys(np.int32(number)))
         if self._choice:
             keys = self._choice.keys(keys, self._experiment.trials)
@@ -116,7 +116,7 @@ class Running:
         return genes, keys, numbers
 
     def tell(self, outcome: Outcome, start: float) -> list[dict[str, float]]:
-        """Take the outcome of the trials, breed, and write a checkpoint.
+        """Take the outcome of the last `trials`, breed, and write a checkpoint.
 
         ``start`` is the time at which the generation started, by `time.perf_counter` (s).
 
@@ -124,7 +124,7 @@ class Running:
             The new rows of metrics.csv. There are none after a round that chooses champions.
         """
         experiment, before = self._experiment, self.checkpoint
-        genes, number = self._next()
+        genes, number = self._given
         scales = {name: np.array(values, np.float32) for name, values in before.scales.items()}
         result = jax.device_get(
             self._programs.breed(genes, outcome, np.int32(number), scales, self._state)
@@ -156,7 +156,7 @@ class Running:
             done, population, tuple(records), history, scales, state_arrays(self._state)
         )
         # Save the lineage first: after a kill between the two writes it is ahead of the
-        # checkpoint, and `until` drops the newer champions.
+        # checkpoint, and `_lineage_until` drops the newer champions.
         if found:
             self._lineage = extended(self._lineage, found)
             self._folder.save_lineage(self._lineage)
@@ -183,18 +183,13 @@ class Running:
         else:
             self._choice.take(np.asarray(result.fitness))
         if self._choice.done:
-            self.checkpoint = checkpoint._replace(chosen=self._choice.chosen())
-            rows = self._choice.rows()
+            contests = self._choice.contests
+            chosen = tuple(contest.chosen() for contest in contests)
+            self.checkpoint = checkpoint._replace(chosen=chosen)
+            rows = [row for contest in contests for row in contest.rows()]
             if rows:
                 write_table(self._folder.path / CANDIDATES_FILE, rows)
             self._folder.save(self.checkpoint)
-
-    def _next(self) -> tuple[np.ndarray, int]:
-        """Return the next genomes, and the generation number that selects their random numbers."""
-        genes = self.checkpoint.genes
-        if self._choice:
-            return self._choice.genes(genes), self._choice.generation
-        return genes, self.checkpoint.generation
 
 
 def compile_evolution(experiment: ExperimentParts) -> Evolution:
@@ -204,12 +199,16 @@ def compile_evolution(experiment: ExperimentParts) -> Evolution:
 
 
 def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
-    """Return the champions up to a checkpoint, or only the checkpoint's if the file is lost."""
+    """Return the champions up to a checkpoint, or only the checkpoint's if the file is lost.
+
+    The file may be a generation ahead of the checkpoint.
+    """
     lineage: list[Champion] = []
     with contextlib.suppress(RunFolderError):
         lineage = folder.load_lineage()
     lineage = [each for each in lineage if each.genes.shape == checkpoint.genes.shape[:1]]
-    return until(lineage, checkpoint.records, checkpoint.generation)
+    done = [each for each in lineage if each.generation < checkpoint.generation]
+    return extended(done, [each for each in checkpoint.records if each is not None])
 
 
 def _require_finite(
@@ -322,7 +321,11 @@ def train_together(
     trials = experiments[0].trials
     run_trials = compile_trials(experiments[0].simulation, mesh)
     compiled = False
-    while left := [number for number, each in enumerate(running) if not each.finished]:
+    while left := [
+        number
+        for number, each in enumerate(running)
+        if not is_finished(experiments[number], each.checkpoint)
+    ]:
         # After a kill some experiments may be one generation ahead of the others.
         fewest = min(running[number].checkpoint.generation for number in left)
         behind = [number for number in left if running[number].checkpoint.generation == fewest]

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane
-from evo_cpg.simulation.recording import Recording, require_whole
+from evo_cpg.simulation.recording import Recording, RecordingError
 from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.view.camera import course
@@ -217,7 +217,21 @@ def check_panel(panel: Panel) -> None:
         )
     if panel.world not in STYLES:
         raise ValueError(f"world is {panel.world!r}. Allowed: {', '.join(STYLES)}")
-    require_whole(panel.recording, panel.creature)
+    recording, bodies = panel.recording, len(panel.creature.bodies)
+    if not len(recording.time):
+        raise RecordingError("the recording is empty: it holds no instant")
+    if recording.position.shape[1] != bodies:
+        raise RecordingError(
+            f"the recording has {recording.position.shape[1]} bodies, "
+            f"but {panel.creature.name!r} has {bodies}"
+        )
+    finite = np.isfinite(recording.position).all((1, 2))
+    finite &= np.isfinite(recording.rotation).all((1, 2, 3))
+    if not finite.all():
+        raise RecordingError(
+            f"the recording diverges at {recording.time[finite.argmin()]:g} s: "
+            "from then on positions or rotations are not finite"
+        )
 
 
 class Marks(NamedTuple):

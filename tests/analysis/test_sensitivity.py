@@ -88,7 +88,7 @@ def test_speed_needs_no_term_of_task_or_measures(monkeypatch, names):
     def fake_rollout(simulation, genes, keys):
         moved = Displacement(start, end)
         *own, _ = simulation.measures.each
-        tallies = *(dict.fromkeys(gait.MEASURES[one.name].tallies, moved) for one in own), moved
+        tallies = *(dict.fromkeys(gait.MEASURES[one.name], moved) for one in own), moved
         return Outcome(finish_tally(simulation, (jnp.array([7.0]), tallies)), jnp.array([True]))
 
     monkeypatch.setattr(sensitivity, "rollout", fake_rollout)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from evo_cpg.training.lineage import lineage_arrays
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, PAIR
 
@@ -144,7 +143,7 @@ def test_a_damaged_lineage_is_refused(refuse, two_runs, tmp_path):
     assert "is from generation 3" in refuse(run, "--lineage", "2", "--run", 0)
     assert "has no champion of run 1" in refuse(run, "--lineage", "auto", "--run", 1)
     other = lineage[0]._replace(genes=lineage[0].genes[1:])
-    np.savez(folder.lineage, **lineage_arrays([other]))
+    folder.save_lineage([other])
     assert "lineage.npz: generation 0: the genome has" in refuse(run, "--lineage", "0", "--run", 0)
     folder.lineage.write_bytes(b"")
     assert "lineage.npz is damaged" in refuse(run, "--lineage", "auto")

@@ -12,7 +12,8 @@ from scipy.stats import binomtest, chisquare
 
 from creatures import quick_jit
 from evo_cpg.evolution.genetics import BitGenetics
-from evo_cpg.evolution.operators import MUTATIONS, bit_mutation, different_places, random_bits
+from evo_cpg.evolution.operators import MUTATIONS, bit_mutation, different_places
+from evo_cpg.evolution.strategy import Evaluation
 
 POPULATION, ELITES, GENES = 15, 7, 192
 RANKS = np.array([0.30, 0.20, 0.20, 0.10, 0.10, 0.05, 0.03, 0.02])
@@ -25,10 +26,19 @@ ONE_AND_TWO_COPIES = (CHANGED, {"best_copies": 2, **CHANGED})
 FITNESS = np.arange(POPULATION)
 
 
+def generation_of(genetics):
+    """Return the function that breeds the next generation."""
+
+    def breed(key, genes, fitness):
+        return genetics.tell(key, (), genes, Evaluation(fitness, {}, {}))
+
+    return breed
+
+
 @functools.cache
 def compiled(*settings: tuple):
     """Return one program with the generation step of each of these settings, on equal draws."""
-    steps = [BitGenetics(**dict(changes)).next_generation for changes in settings]
+    steps = [generation_of(BitGenetics(**dict(changes))) for changes in settings]
     return quick_jit(lambda *given: [step(*given) for step in steps])
 
 
@@ -48,7 +58,8 @@ def bred(genes, fitness=FITNESS, seed: int = 0, **changes) -> np.ndarray:
 
 def bits(seed: int = 99, dtype=jnp.float32) -> jax.Array:
     """Return a population in which all individuals differ."""
-    return random_bits(jax.random.key(seed), GENES, POPULATION, dtype)
+    drawn = jax.random.bernoulli(jax.random.key(seed), 0.5, (GENES, POPULATION))
+    return drawn.astype(dtype)
 
 
 def ranks(genes: int = GENES) -> jax.Array:
@@ -59,7 +70,7 @@ def ranks(genes: int = GENES) -> jax.Array:
 @pytest.fixture(scope="module")
 def picks():
     """Ranks of 100,000 parents, which are all pairs of 12,500 generations."""
-    step = BitGenetics(mutation_probability=0.0, mutated_genes=(2, 2)).next_generation
+    step = generation_of(BitGenetics(mutation_probability=0.0, mutated_genes=(2, 2)))
     keys = jax.random.split(jax.random.key(1), 12_500)
     fitness = jnp.asarray(FITNESS, jnp.float32)
     children = quick_jit(jax.vmap(lambda key: step(key, ranks(2), fitness)))(keys)
@@ -165,7 +176,7 @@ def mutant(seed: int, genes, probability: float, fewest: int, most: int, mutatio
 def genes_changed(seed: int, fewest: int, most: int) -> list[jax.Array]:
     """Return the number of changed genes (of 9) of each individual, by flips and by redraws."""
     key = jax.random.key(seed)
-    genes = random_bits(key, 9, 40, jnp.float32)
+    genes = jax.random.bernoulli(key, 0.5, (9, 40)).astype(jnp.float32)
     mutants = [bit_mutation(key, genes, 1.0, fewest, most, kind) for kind in ("flip", "redraw")]
     return [(mutated != genes).sum(0) for mutated in mutants]
 
@@ -208,7 +219,7 @@ def test_half_of_the_redrawn_genes_change():
 
 
 def test_about_half_of_the_children_of_a_generation_mutate():
-    step = BitGenetics(mutation="flip").next_generation
+    step = generation_of(BitGenetics(mutation="flip"))
     keys = jax.random.split(jax.random.key(4), 1000)
     zeros = jnp.zeros((GENES, POPULATION))
     children = quick_jit(jax.vmap(lambda key: step(key, zeros, ranks()[0])))(keys)
@@ -221,18 +232,9 @@ def test_about_half_of_the_children_of_a_generation_mutate():
     assert chisquare(np.bincount(both.ravel(), minlength=4)).pvalue > 0.01
 
 
-def test_random_bits_are_0_and_1_equally_often():
-    drawn = np.asarray(random_bits(jax.random.key(5), GENES, 1000, jnp.int8))
-    assert drawn.shape == (GENES, 1000) and drawn.dtype == np.int8
-    assert np.isin(drawn, [0.0, 1.0]).all()
-    assert binomtest(int(drawn.astype(int).sum()), drawn.size, 0.5).pvalue > 0.01
-    assert chisquare(drawn.sum(1, dtype=int)).pvalue > 0.01
-
-
 def test_the_key_alone_decides():
     genes = bits()
     np.testing.assert_array_equal(bred(genes, seed=1), bred(genes, seed=1))
-    np.testing.assert_array_equal(random_bits(jax.random.key(99), GENES, 15, jnp.float32), genes)
     assert (bred(genes, seed=1) != bred(genes, seed=2)).any(0)[ELITES:].all()
 
 
@@ -241,18 +243,10 @@ def test_batched_runs_equal_single_runs():
     keys = jnp.stack([jax.random.key(seed) for seed in seeds])
     genes = jnp.stack([bits(seed) for seed in seeds])
     fitness = jnp.stack([jnp.roll(jnp.asarray(FITNESS, jnp.float32), seed) for seed in seeds])
-    together = quick_jit(jax.vmap(BitGenetics().next_generation))(keys, genes, fitness)
+    together = quick_jit(jax.vmap(generation_of(BitGenetics())))(keys, genes, fitness)
     for seed in seeds:
         alone = bred(genes[seed], fitness[seed], seed)
         np.testing.assert_array_equal(together[seed], alone)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_uncompiled_generations_equal_compiled_ones(seed):
-    fitness = jnp.roll(jnp.asarray(FITNESS, jnp.float32), seed)
-    uncompiled = BitGenetics().next_generation(jax.random.key(seed), bits(seed), fitness)
-    np.testing.assert_array_equal(uncompiled, bred(bits(seed), fitness, seed))
 
 
 @pytest.mark.parametrize(
@@ -279,6 +273,5 @@ def test_settings_outside_their_range_are_refused(words, wrong):
 
 def test_a_genome_shorter_than_a_mutation_is_refused():
     with pytest.raises(ValueError, match=r"30 genes, .* only 24"):
-        jax.eval_shape(
-            BitGenetics().next_generation, jax.random.key(0), ranks(24), jnp.asarray(FITNESS, float)
-        )
+        breed = generation_of(BitGenetics())
+        jax.eval_shape(breed, jax.random.key(0), ranks(24), jnp.asarray(FITNESS, float))

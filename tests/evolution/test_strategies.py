@@ -274,10 +274,11 @@ def test_islands_without_migration_evolve_as_if_alone():
         _, state = islands.ask(jax.random.key(0), islands.init(jax.random.key(0), genes))
         return islands.ask(key, islands.tell(key, state, genes, worth))[0]
 
-    together, breed_alone = search_together(genes), jax.jit(genetics.next_generation)
+    together, breed_alone = search_together(genes), jax.jit(genetics.tell)
     for i in range(3):
         own = slice(8 * i, 8 * i + 8)
-        alone = breed_alone(jax.random.fold_in(key, i), genes[:, own], worth.fitness[own])
+        own_worth = Evaluation(worth.fitness[own], {}, {})
+        alone = breed_alone(jax.random.fold_in(key, i), (), genes[:, own], own_worth)
         np.testing.assert_array_equal(together[:, own], alone)
 
 

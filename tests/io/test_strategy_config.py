@@ -78,14 +78,16 @@ def test_lexicase_selection():
 def test_axes_of_a_map_are_measured():
     made = build(WALKER, f"evolution={{type: map_elites, axes: {AXES}}}")
     assert isinstance(made.strategy, MapElites)
-    assert made.strategy.shape == (10, 4) and made.strategy.vary == OfBits()
+    assert [axis.cells for axis in made.strategy.axes] == [10, 4] and made.strategy.vary == OfBits()
     assert made.simulation.measures.names == ("speed", "duty_factor")
     swimmer = build(CONFIG, "evolution={type: map_elites, axes: [{name: energy, range: [0, 9]}]}")
     # A term of the task needs no measure.
     assert not swimmer.simulation.measures.names and swimmer.strategy.vary == AlongTheLine()
     assert swimmer.strategy.gene_bound == 8.0
     mapped = build(WALKER, f"evolution.axes={AXES}")
-    assert isinstance(mapped.strategy, Mapped) and mapped.strategy.shape == (10, 4)
+    assert isinstance(mapped.strategy, Mapped) and [
+        axis.cells for axis in mapped.strategy.axes
+    ] == [10, 4]
     assert mapped.simulation.measures.names == ("speed", "duty_factor")
     with pytest.raises(ConfigError, match=r"evolution: axes: at least one is needed"):
         build(CONFIG, "evolution={type: map_elites, axes: []}")

@@ -22,10 +22,9 @@ class _Switches(SineController):
         return jax.random.bernoulli(key, 0.5, (self.gene_count, *batch))
 
 
-def test_bits_are_drawn_as_floats_and_have_no_bound():
+def test_bits_are_drawn_as_floats():
     genes = Genome(_Switches()).random(jax.random.key(0), (50,))
     assert genes.dtype == jnp.float32 and set(np.asarray(genes).ravel()) == {0.0, 1.0}
-    assert Genome(_Switches()).bound(8.0) is None and Genome(SineController()).bound(8.0) == 8.0
 
 
 def test_a_genome_of_another_length_does_not_fit():

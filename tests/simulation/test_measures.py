@@ -14,7 +14,7 @@ from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.load import load_config
 from evo_cpg.physics.step.world import World
-from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Trial
+from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, GaitMeasure, Trial
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from tiny_run import REPOSITORY
@@ -65,9 +65,10 @@ def test_frequency_and_amplitude_leave_out_slides():
     assert tree.dof_kinds == (Slide(), Turn())
     trial = Trial(World(tree, 9.81), 2.0)
     changes, angle, square = (np.array(x) for x in ([0.0, 16.0], [50.0, 0.0], [900.0, 0.5]))
-    assert float(MEASURES["frequency"].of({"strides": (changes, changes)}, trial)) == 4.0
+    strides = {"strides": (changes, changes)}
+    assert float(GaitMeasure("frequency").finish(strides, trial)) == 4.0
     swing = {"angle": angle, "square": square}
-    assert float(MEASURES["amplitude"].of(swing, trial)) == pytest.approx(0.5)
+    assert float(GaitMeasure("amplitude").finish(swing, trial)) == pytest.approx(0.5)
 
 
 def test_measures_equal_numbers_from_a_recording(evaluated):

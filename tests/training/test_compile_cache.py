@@ -5,7 +5,8 @@ import os
 import jax
 import pytest
 
-from evo_cpg.training.devices import _prune, keep_compiled_programs
+from evo_cpg.training import devices
+from evo_cpg.training.devices import keep_compiled_programs
 
 OPTIONS = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
 
@@ -39,16 +40,27 @@ def test_nothing_is_kept_without_a_writable_folder(tmp_path):
     assert jax.config.jax_compilation_cache_dir is None
 
 
-def test_the_oldest_programs_are_deleted_first(tmp_path):
+def keep_again(monkeypatch, most: int) -> None:
+    """Keep programs in the default folder, and at most this many bytes of them."""
+    jax.config.update("jax_compilation_cache_dir", None)
+    monkeypatch.setattr(devices, "_MOST", most)
+    assert keep_compiled_programs() is not None
+
+
+def test_the_oldest_programs_are_deleted_first(monkeypatch):
+    folder = keep_compiled_programs()
+    assert folder is not None
     for age, name in enumerate(("new", "middle", "old")):
-        (tmp_path / name).write_bytes(bytes(100))
-        os.utime(tmp_path / name, (1000 - age, 1000 - age))
-    _prune(tmp_path, 250)
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["middle", "new"]
+        (folder / name).write_bytes(bytes(100))
+        os.utime(folder / name, (1000 - age, 1000 - age))
+    keep_again(monkeypatch, 250)
+    assert sorted(file.name for file in folder.iterdir()) == ["middle", "new"]
 
 
-def test_files_that_another_process_deletes_are_skipped(tmp_path):
-    (tmp_path / "gone").symlink_to("renamed")
-    (tmp_path / "there").write_bytes(bytes(100))
-    _prune(tmp_path, 50)
-    assert [file.name for file in tmp_path.iterdir()] == ["gone"]
+def test_files_that_another_process_deletes_are_skipped(monkeypatch):
+    folder = keep_compiled_programs()
+    assert folder is not None
+    (folder / "gone").symlink_to("renamed")
+    (folder / "there").write_bytes(bytes(100))
+    keep_again(monkeypatch, 50)
+    assert [file.name for file in folder.iterdir()] == ["gone"]

@@ -4,17 +4,8 @@ import numpy as np
 import pytest
 
 from evo_cpg.training import train
-from evo_cpg.training.checkpoint import Champion, Checkpoint
-from evo_cpg.training.lineage import (
-    KEPT,
-    champion_at,
-    extended,
-    landmarks,
-    lineage_arrays,
-    read_lineage,
-    representatives,
-    until,
-)
+from evo_cpg.training.checkpoint import Champion, Checkpoint, read_arrays
+from evo_cpg.training.lineage import KEPT, champion_at, extended, landmarks, representatives
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 
@@ -54,11 +45,10 @@ def test_a_lineage_is_read_back_exactly(folder):
         assert arrays["genes"].shape == (3, 2)
 
 
-def test_measures_added_later_are_nan_before():
+def test_measures_added_later_are_nan_before(folder):
     early, late = found_in(0), found_in(1)._replace(terms={"way": 1.0, "slip": 0.5})
-    first, second = read_lineage(
-        {k: np.asarray(v) for k, v in lineage_arrays([early, late]).items()}
-    )
+    folder.save_lineage([early, late])
+    first, second = folder.load_lineage()
     assert np.isnan(first.terms["slip"]) and second.terms["slip"] == 0.5
 
 
@@ -86,12 +76,19 @@ def test_landmarks_stay_exact_if_champions_are_rare():
         assert (one and one.generation) == expected
 
 
+def until(folder, lineage, champions, generation: int) -> list[Champion]:
+    """Return the lineage in a folder after a number of generations."""
+    folder.save_lineage(lineage)
+    known = Checkpoint(generation, np.zeros((2, 4), np.float32), tuple(champions), [], {})
+    return train._lineage_until(folder, known)
+
+
 @pytest.mark.parametrize("lost", [1, 2])
-def test_generations_repeated_after_a_kill_give_an_equal_lineage(lost):
+def test_generations_repeated_after_a_kill_give_an_equal_lineage(folder, lost):
     """The file may be one generation ahead of the checkpoint, or two if that was damaged."""
     for last in (5, 90, 200):
         whole = grown(range(last))
-        back = until(whole, [found_in(last - lost - 1)], last - lost)
+        back = until(folder, whole, [found_in(last - lost - 1)], last - lost)
         assert back[-1].generation == last - lost - 1
         assert_same(grown(range(last - lost, last), back), whole)
 
@@ -103,10 +100,10 @@ def test_each_run_has_its_own_lineage(folder):
     assert [each.generation for each in lineage if each.run == 1] == [0, 50, 100]
 
 
-def test_a_refined_champion_replaces_the_original():
+def test_a_refined_champion_replaces_the_original(folder):
     lineage = grown(range(4))
     better = lineage[-1]._replace(fitness=9.0)
-    assert_same(until(lineage, [better, None], 4), [*lineage[:-1], better])
+    assert_same(until(folder, lineage, [better, None], 4), [*lineage[:-1], better])
 
 
 def test_representatives_are_evenly_spaced():
@@ -128,7 +125,8 @@ def test_a_missing_or_damaged_lineage_is_named(folder):
         {"generation": np.zeros(3)},
         {"term.way": np.float64(1.0)},
     ):
-        np.savez(folder.lineage, **(lineage_arrays(lineage) | change))
+        folder.save_lineage(lineage)
+        np.savez(folder.lineage, **(read_arrays(folder.lineage) | change))
         with pytest.raises(RunFolderError, match="its arrays do not"):
             folder.load_lineage()
     folder.lineage.write_bytes(b"no archive")

@@ -18,7 +18,7 @@ def sized(population, runs=1):
 
 
 def test_memory_grows_with_the_genomes():
-    few, many, twice = (memory.needed(sized(*x)) for x in ((10**5,), (2 * 10**5,), (10**5, 2)))
+    few, many, twice = (memory.needed(sized(*x))[0] for x in ((10**5,), (2 * 10**5,), (10**5, 2)))
     # There are two genes of four bytes. Breeding holds several copies.
     assert 4 * 8 * 10**5 <= many - few == twice - few <= 10 * 8 * 10**5
 
@@ -28,8 +28,9 @@ def test_the_cells_of_a_map_count(monkeypatch):
     axes = tuple(Axis(name, 0.0, 1.0, 300) for name in ("distance", "energy"))
     mapped = experiment()._replace(strategy=Mapped(11, axes, genetics))
     # A cell holds two genes, two descriptors, fitness, generation and index, four bytes each.
-    assert memory.remembered(mapped) == pytest.approx(7 * 4 * 90_000, rel=1e-3)
-    assert memory.needed(mapped) == memory.needed(sized(11)) + 6 * memory.remembered(mapped)
+    need, state = memory.needed(mapped)
+    assert state == pytest.approx(7 * 4 * 90_000, rel=1e-3)
+    assert need == memory.needed(sized(11))[0] + 6 * state
     monkeypatch.setattr(memory, "available", lambda: 2**29 + 2**20)
     with pytest.raises(memory.TooLargeError, match=r"0\.0023 GiB of search state .*No pop"):
         memory.require_memory(mapped)
@@ -42,7 +43,7 @@ def test_the_state_of_evosax_counts():
         simulation = experiment().simulation
         controller = dataclasses.replace(simulation.controller, gene_count=genes)
         own = dataclasses.replace(simulation, controller=controller)
-        return memory.remembered(experiment()._replace(simulation=own, strategy=strategy))
+        return memory.needed(experiment()._replace(simulation=own, strategy=strategy))[1]
 
     pytest.importorskip("evosax")
     full = [of(Evosax("CMA_ES", 12, genes), genes) for genes in (100, 200)]

@@ -128,7 +128,7 @@ def test_each_run_has_its_own_contest():
     np.testing.assert_array_equal(given[:, 1], own[:, 1])
     choice.take(np.array([[0.0, 0.0, 1.0, 1.0], [9.0] * 4]))
     assert choice.done and choice.generation == FIRST_ROUND + 1
-    first, second = choice.chosen()
+    first, second = (contest.chosen() for contest in choice.contests)
     assert first is not None and first.index == 1 and second is None
 
 

@@ -318,7 +318,7 @@ class EvosaxConfig(MapSection):
                 Evosax,
                 gene_count=genome.count,
                 binary=genome.binary,
-                gene_bound=genome.bound(self.gene_bound),
+                gene_bound=None if genome.binary else self.gene_bound,
                 population=population,
                 params=tuple(sorted(self.params.items())),
                 options=tuple(sorted(self.options.items())),
