@@ -15,7 +15,7 @@ fine mesh:
 import dataclasses
 import functools
 import itertools
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from typing_extensions import override
@@ -77,6 +77,8 @@ class ConvexMesh(Shape):
         vertices: positions of the vertices, m.
         faces: triangles of three vertices' indices, counterclockwise seen from outside.
     """
+
+    fills_rounded_box: ClassVar[bool] = False
 
     vertices: tuple[tuple[float, float, float], ...]
     faces: tuple[tuple[int, int, int], ...]
@@ -175,11 +177,6 @@ class ConvexMesh(Shape):
         reach = self.points @ direction
         far = chosen(lambda: reach.max() - reach <= _EQUALLY_FAR * xp.ptp(reach))
         return self.points[far].mean(0)
-
-    @property
-    @override
-    def fills_rounded_box(self) -> bool:
-        return False
 
     @override
     def height(self, directions: np.ndarray) -> np.ndarray:

@@ -214,7 +214,12 @@ class Tree(ForceLaws):
         Idle motors and muscles have no torque and cost no energy. The springs and dampers of
         relaxed muscles stay. The motor of a tendon is idle if any of the tendon's joints is.
         """
-        tendons = self.tendons and self.tendons.without_motors(axes)
+        tendons = self.tendons
+        if tendons is not None:
+            pairs = zip(tendons.owners, tendons.dofs, strict=True)
+            idle = np.zeros(len(tendons.names), bool)
+            idle[[owner for owner, dof in pairs if axes[dof]]] = True
+            tendons = tendons.with_idle(idle)
         return dataclasses.replace(self.with_idle(axes), tendons=tendons)
 
 
@@ -390,7 +395,12 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     )
     if dofs:
         rows = zip(dofs, about, strict=True)
-        about = xp.stack([dof.kind.inertia(turning, mass) for (_, dof), turning in rows])
+        about = xp.stack(
+            [
+                dof.kind.rotation * turning + dof.kind.translation**2 * mass
+                for (_, dof), turning in rows
+            ]
+        )
     beyond = np.array(distal, bool).reshape(len(moved), len(names))
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
     if creature.root_joint is None:

@@ -8,7 +8,7 @@ from scipy.special import ellipeinc, ellipkinc
 from benchmarks.mujoco_model import mujoco_model
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.cylinder import Cylinder
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, NoShape, Shape, Sphere
 
 SHAPES = {
     "box": Box((0.3, 0.2, 0.1)),
@@ -216,9 +216,9 @@ def test_skin_approximates_the_shape(shape):
 def test_a_shape_without_contact_points_raises():
     for parts in (Shape.floor_parts, Shape.obstacle_parts):
         with pytest.raises(
-            TypeError, match=rf"no contact points for a Sphere\. Define {parts.__name__}"
+            TypeError, match=rf"no contact points for a NoShape\. Define {parts.__name__}"
         ):
-            parts(Sphere(0.1))
+            parts(NoShape())
 
 
 def test_support_is_in_the_middle_of_a_face():
