@@ -49,6 +49,17 @@ def test_swimmer_has_the_expected_number_of_genes(chain, drive, outputs, genes):
     assert grown.random_genes(jax.random.key(0), (3,), float).shape == (genes, 3)
 
 
+def test_first_weights_fill_their_range_evenly(chain):
+    grown = build_brain_cpg(chain(10, "xyz"), 1, 10)
+    weights = np.asarray(grown.random_genes(jax.random.key(0), (50,), jnp.float32))
+    assert weights.dtype == np.float32
+    counts, _ = np.histogram(weights, bins=10, range=(-2, 2))
+    assert counts.sum() == weights.size
+    # Multinomial: each bin holds a tenth, within four standard deviations.
+    expected = weights.size / 10
+    assert np.abs(counts - expected).max() < 4 * np.sqrt(0.9 * expected)
+
+
 def test_brain_senses_table_2_in_order(chain):
     settings = BrainCpgSettings(joint_rates=True)
     grown = build_brain_cpg(chain(3, "yz"), 2, 3, settings, depth_count=2)

@@ -71,7 +71,7 @@ def degrees_of(controller, genes):
 
 def degrees(controller, genes):
     """Return decoded angles in degrees, as the thesis counts them."""
-    return np.rad2deg(decode(controller, genes)) + controller.settings.neutral_angle
+    return np.rad2deg(decode(controller, genes)) + controller.origin.settings.neutral_angle
 
 
 @pytest.fixture(scope="session")
