@@ -324,7 +324,7 @@ class Body:
         """Rotational inertia ``(3, 3)`` about the centre of mass, axes of the body, kg m^2."""
         if self.inertial is not None:
             return self.inertial.inertia
-        return self.shape.inertia_tensor(self.mass)
+        return self.shape.inertia(self.mass)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -62,7 +62,7 @@ class Cylinder(Shape):
     def inertia(self, mass: Number) -> Numbers:
         r, length = self.radius, self.length
         across = mass * (length**2 / 12 + r**2 / 4)
-        return xp.array([mass * r**2 / 2, across, across])
+        return xp.diag(xp.array([mass * r**2 / 2, across, across]))
 
     @property
     @override

@@ -191,10 +191,6 @@ class Tendons(ForceLaws):
         each = zip(self.channels, motors.driven, motors.gear, strict=True)
         return {channel: gear for channel, driven, gear in each if driven}
 
-    def places(self, tendon: int) -> tuple[int, ...]:
-        """Return the places of a tendon's coefficients."""
-        return tuple(i for i, owner in enumerate(self.owners) if owner == tendon)
-
 
 def ball_limits_of(
     dofs: Sequence[DegreeOfFreedom], stiffness: Float[Numbers, " d"], damping: Float[Numbers, " d"]

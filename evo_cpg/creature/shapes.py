@@ -191,14 +191,10 @@ class Shape(abc.ABC):
 
     @abc.abstractmethod
     def inertia(self, mass: Number) -> Numbers:
-        """Return moments of inertia ``(3,)`` of uniform mass, about x, y, z at the centre, kg m^2.
+        """Return the inertia ``(3, 3)`` of uniform mass about the centre, kg m^2.
 
-        Meshes also have products of inertia (`inertia_tensor`).
+        It is diagonal except for meshes, which have products of inertia.
         """
-
-    def inertia_tensor(self, mass: Number) -> Numbers:
-        """Return the inertia ``(3, 3)`` about the centre, diagonal except for meshes, kg m^2."""
-        return xp.diag(self.inertia(mass))
 
     @property
     def stretch(self) -> tuple[Numbers, Numbers]:
@@ -265,8 +261,9 @@ class Shape(abc.ABC):
         Args:
             direction: vector ``(3,)`` in the shape's frame.
         """
-        half, axes = self.half_extents, _nearest_first(direction)
-        across = half @ axes
+        nearest = chosen(lambda: xp.argmax(xp.abs(direction)))
+        axes = np.roll(np.eye(3), -nearest, 1)
+        across = self.half_extents @ axes
         flat = xp.concatenate([xp.zeros(1), across[1:]])
         return Barrel(axes, flat, 2 * across[0], "flat")
 
@@ -319,7 +316,7 @@ class Box(Shape):
     @override
     def inertia(self, mass: Number) -> Numbers:
         squares = xp.square(xp.array(self.size))
-        return mass / 12 * (squares.sum() - squares)
+        return xp.diag(mass / 12 * (squares.sum() - squares))
 
     @override
     def distance(self, points: Numbers) -> Numbers:
@@ -394,7 +391,7 @@ class Ellipsoid(Shape):
     @override
     def inertia(self, mass: Number) -> Numbers:
         squares = xp.square(xp.array(self.radii))
-        return mass / 5 * (squares.sum() - squares)
+        return xp.diag(mass / 5 * (squares.sum() - squares))
 
     @override
     def distance(self, points: Numbers) -> Numbers:
@@ -426,7 +423,7 @@ class Ellipsoid(Shape):
 
     @override
     def barrel(self, direction: Numbers) -> Barrel:
-        axes = _nearest_first(direction)
+        axes = super().barrel(direction).axes
         return Barrel(axes, self.half_extents @ axes, 0.0, "ellipsoid")
 
     @property
@@ -521,7 +518,7 @@ class Capsule(Shape):
         across = cylinder * (length**2 / 12 + r**2 / 4) + ends * (
             0.4 * r**2 + length**2 / 4 + 3 / 8 * length * r
         )
-        return xp.array([axial, across, across])
+        return xp.diag(xp.array([axial, across, across]))
 
     @override
     def distance(self, points: Numbers) -> Numbers:
@@ -616,7 +613,7 @@ class NoShape(Shape):
 
     @override
     def inertia(self, mass: Number) -> Numbers:
-        return 0.0 * mass * np.ones(3)
+        return 0.0 * mass * np.eye(3)
 
     @override
     def distance(self, points: Numbers) -> Numbers:
@@ -646,12 +643,6 @@ class NoShape(Shape):
     def skin(self) -> SkinMesh:
         """Return one triangle without area, because pictures cannot draw nothing."""
         return SkinMesh(np.zeros((3, 3)), np.tile([1.0, 0.0, 0.0], (3, 1)), np.array([[0, 1, 2]]))
-
-
-def _nearest_first(direction: Numbers) -> np.ndarray:
-    """Return the coordinate axes as columns, beginning with the nearest to a direction."""
-    nearest = chosen(lambda: xp.argmax(xp.abs(direction)))
-    return np.roll(np.eye(3), -nearest, 1)
 
 
 def ring(resolution: int) -> Numbers:

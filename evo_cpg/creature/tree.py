@@ -70,11 +70,6 @@ class Group(NamedTuple):
     kinds: tuple[AxisKind, ...]
 
     @property
-    def carries(self) -> bool:
-        """Whether a turn or slide of the joint moves the origin of its body."""
-        return self.kind == "chain"
-
-    @property
     def at_once(self) -> bool:
         """Whether the axes turn at once, and not one after the other."""
         return any(kind.at_once for kind in self.kinds)
@@ -101,7 +96,7 @@ class Tree(ForceLaws):
         joint_orientation: rotation from child frame to parent frame in the neutral pose.
         joint_axes: unit vectors in the child's neutral frame.
         joint_places: positions of the axes in the working frame, m, or None if no joint moves the
-            origin of its body (`Group.carries`).
+            origin of its body, as only those of a "chain" do.
         mass: mass of each body, kg. A welded body has none: its owner has the mass of all bodies
             that are welded together.
         volume: volume of each body, m^3.
@@ -265,7 +260,7 @@ def build_tree(creature: Creature) -> Tree:
         inertia,
     )
     rest = xp.array([dof.rest for dof in dofs], float)
-    carry = any(group.carries for group in (*groups, hanging) if group)
+    carry = any(group.kind == "chain" for group in (*groups, hanging) if group)
     places = xp.array([dof.place for dof in dofs], float).reshape(-1, 3).T if carry else None
     return Tree(
         names=tuple(names),

@@ -304,7 +304,7 @@ def _is_uniform(shape: Shape, solid: Solid, found: tuple[float, np.ndarray, np.n
     mass, centre, inertia = found
     if solid.shape["type"] == "mesh" or not mass or not shape.volume:
         return False
-    expected = np.asarray(shape.inertia_tensor(mass), float)
+    expected = np.asarray(shape.inertia(mass), float)
     middle = _SHAPE.validate_python(solid.shape).build()[0][1]
     reach = float(np.linalg.norm(shape.half_extents))
     if np.abs(centre - middle).max() > _UNIFORM * reach:

@@ -341,7 +341,7 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
     for body, group in sorted(group_of.items()):
         dofs = dofs_of(group, body)
         fixed = [tree.joint_orientation[:, :, body], tree.joint_axes[:, dofs]]
-        if group.carries:
+        if group.kind == "chain":
             assert tree.joint_places is not None
             fixed += [tree.joint_offset[:, body], tree.joint_places[:, dofs]]
         # Equal arrays are equal bytes. Traced values differ from body to body.
