@@ -79,7 +79,7 @@ def _tempers(count: int) -> np.ndarray:
 
 
 def _genes(controller: BrainCpg, count: int) -> np.ndarray:
-    bound = controller.settings.brain.init_range
+    bound = controller.origin.settings.brain.init_range
     generator = np.random.default_rng(_SEED)
     return generator.uniform(-bound, bound, (count, controller.gene_count)).T.astype(np.float32)
 
@@ -87,7 +87,7 @@ def _genes(controller: BrainCpg, count: int) -> np.ndarray:
 def _compile_rhythm(
     controller: BrainCpg, tempers: np.ndarray, mesh: Mesh, finer: int = 1
 ) -> Program:
-    network, cpg = controller.network, controller.settings.cpg
+    network, cpg = controller.network, controller.origin.settings.cpg
     middle = _MIDDLE * (cpg.min_adaptation_gain + cpg.max_adaptation_gain)
 
     def beat(count: Array, tempers: Array) -> Array:

@@ -12,7 +12,7 @@ from evo_cpg.analysis.excursions import Excursions, displacement
 from evo_cpg.analysis.second_opinion import Opinion
 from evo_cpg.analysis.verdict import KEPT, Check, shown
 from evo_cpg.creature.creature import Creature, length_of
-from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
+from evo_cpg.creature.self_collision import candidate_pairs
 from evo_cpg.io.schema.audit import Limits
 from evo_cpg.physics.contact.pairs import make_pairs
 from evo_cpg.simulation.observers import PhysicsSteps
@@ -259,8 +259,8 @@ def _overlap(
     """Return the check of the overlap of limbs, or [] if no two limbs can meet."""
     world = experiment.simulation.world
     # Pairs that touch in the neutral pose have no check of their overlap, so they are named.
-    touching = pairs_that_touch_at_rest(experiment.creature, world.tree, world.watched)
-    names = [f"{world.tree.names[i]} and {world.tree.names[j]}" for i, j in touching]
+    _, touching = candidate_pairs(experiment.creature, world.tree, world.watched)
+    names = [f"{world.tree.names[i]} and {world.tree.names[j]}" for i, j in sorted(touching)]
     more = [f"{len(names) - _NAMED} more"] if len(names) > _NAMED else []
     passing = ", ".join(names[:_NAMED] + more)
     if not passing and make_pairs(experiment.creature, world.tree, world.watched) is None:

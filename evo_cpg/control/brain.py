@@ -83,11 +83,6 @@ class Brain(eqx.Module):
         )
 
 
-def build_brain(input_count: int, output_count: int, settings: BrainSettings) -> Brain:
-    """Return the structure of a brain with given numbers of inputs and outputs."""
-    return Brain((input_count, *settings.hidden, output_count), settings.temperature)
-
-
 def decode_weights(brain: Brain, genes: Float[Array, "g *n"]) -> Weights:
     """Return the weights for `think` from genes, layer by layer.
 
@@ -127,11 +122,3 @@ def think(brain: Brain, weights: Weights, inputs: Float[Array, "i *n"]) -> Float
             activation = activation + matvec(block, part)
         values = jax.nn.sigmoid(activation / brain.temperature)
     return values
-
-
-def random_weights(
-    key: Array, brain: Brain, batch: tuple[int, ...], dtype: jnp.dtype | type, init_range: float
-) -> Float[Array, "g *n"]:
-    """Return weights of the first generation, uniform within plus and minus ``init_range``."""
-    shape = (brain.gene_count, *batch)
-    return jax.random.uniform(key, shape, dtype, -init_range, init_range)

@@ -48,15 +48,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from evo_cpg.control import matsuoka
-from evo_cpg.control.brain import (
-    Brain,
-    BrainSettings,
-    Weights,
-    build_brain,
-    decode_weights,
-    random_weights,
-    think,
-)
+from evo_cpg.control.brain import Brain, BrainSettings, Weights, decode_weights, think
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.control.couplings import UnfitError, axis_names, matching_bodies
 from evo_cpg.control.feedback import Feedback, Memory, build_feedback, feel, first_memory
@@ -80,8 +72,21 @@ _SILENT = -60.0
 CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
 
 
+class _InRange:
+    """Settings whose steering and centring are checked. None is always allowed."""
+
+    steering_range: float | None
+    centring: float | None
+
+    def __post_init__(self):
+        if self.steering_range is not None and not 0 <= self.steering_range <= 1:
+            raise ValueError(f"steering_range must be from 0 to 1, got {self.steering_range}")
+        if self.centring is not None and not self.centring >= 0:
+            raise ValueError(f"centring must not be negative, got {self.centring}")
+
+
 @dataclasses.dataclass(frozen=True)
-class AxisSettings:
+class AxisSettings(_InRange):
     """Settings for the joints about one named axis.
 
     Attributes:
@@ -99,12 +104,9 @@ class AxisSettings:
     centring: float | None = None
     steering_range: float | None = None
 
-    def __post_init__(self):
-        _check_range(self.steering_range, self.centring)
-
 
 @dataclasses.dataclass(frozen=True)
-class BrainCpgSettings:
+class BrainCpgSettings(_InRange):
     """Settings of the whole controller.
 
     Attributes:
@@ -144,7 +146,7 @@ class BrainCpgSettings:
     angle_range_deg: float = 0.0
 
     def __post_init__(self):
-        _check_range(self.steering_range, self.centring)
+        super().__post_init__()
         if not self.angle_range_deg >= 0:
             raise ValueError(f"angle_range_deg must not be negative, got {self.angle_range_deg}")
         if not self.max_rate > 0:
@@ -249,11 +251,6 @@ class BrainCpg(Controller):
     signal_label = "CPG output (no unit)"
 
     @property
-    def settings(self) -> BrainCpgSettings:
-        """Settings that the controller was built from."""
-        return self.origin.settings
-
-    @property
     @override
     def uses_load(self) -> bool:
         return self.feedback is not None and bool(self.feedback.load)
@@ -261,17 +258,14 @@ class BrainCpg(Controller):
     @property
     def rhythm_generator(self) -> Oscillators:
         """Spinal cord of the controller."""
-        return Oscillators(self.settings.cpg, self.network, self.rate_gain)
+        return Oscillators(self.origin.settings.cpg, self.network, self.rate_gain)
 
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
     ) -> Float[Array, "g *n"]:
         """Return uniform weights (see `evo_cpg.control.controller.Controller.random_genes`)."""
-        init_range = self.settings.brain.init_range
-        if self.feedback is None or not self.feedback.gene_count:
-            return random_weights(key, self.brain, batch, dtype, init_range)
-        shape = (self.gene_count, *batch)
-        return jax.random.uniform(key, shape, dtype, -init_range, init_range)
+        largest = self.origin.settings.brain.init_range
+        return jax.random.uniform(key, (self.gene_count, *batch), dtype, -largest, largest)
 
     def initial_state(self, batch: tuple[int, ...], dtype: jnp.dtype | type) -> MatsuokaState:
         """Return neurons at the network's initial potentials, without adaptation."""
@@ -477,7 +471,12 @@ def build_brain_cpg(
     input_count += senses_per_joint * len(sensed)
     output_count = 2 * (max(source) + 1) + max(gain_source) + 1
     own = [settings.axes.get(axis, AxisSettings()) for axis in axes]
-    brain = build_brain(input_count, output_count, settings.brain)
+    steering_range = [
+        settings.steering_range if x.steering_range is None else x.steering_range for x in own
+    ]
+    centring = [settings.centring if x.centring is None else x.centring for x in own]
+    sizes = (input_count, *settings.brain.hidden, output_count)
+    brain = Brain(sizes, settings.brain.temperature)
     network, cpg = build_network(tree, settings.cpg), settings.cpg
     feedback = None
     if cpg.feedback is not None:
@@ -504,18 +503,11 @@ def build_brain_cpg(
         max_amplitude=max_amplitude(settings),
         source=source,
         gain_source=gain_source,
-        steering_range=xp.array(
-            [_or(axis.steering_range, settings.steering_range) for axis in own]
-        ),
+        steering_range=xp.array(steering_range),
         rate_gain=xp.array(
             [0.0 if m else settings.rate_gain * x.gain for x, m in zip(own, rateless, strict=True)]
         ),
-        centring=xp.array(
-            [
-                0.0 if m else _or(x.centring, settings.centring)
-                for x, m in zip(own, rateless, strict=True)
-            ]
-        ),
+        centring=xp.array([0.0 if m else x for x, m in zip(centring, rateless, strict=True)]),
         control_step=control_step,
         feedback=feedback,
         muscles=tree.muscles is not None,
@@ -569,8 +561,8 @@ def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:
 def max_amplitude(settings: BrainCpgSettings) -> Number:
     """Return A_max, the largest size of any oscillator's output, in the unit of the tonic input."""
     cpg = settings.cpg
-    ranges = [_or(axis.steering_range, 0.0) for axis in settings.axes.values()]
-    every = [settings.steering_range, *ranges]
+    ranges = [axis.steering_range for axis in settings.axes.values()]
+    every = [settings.steering_range, *(x for x in ranges if x is not None)]
     # This choice is static: derivatives are taken by the first of the largest ranges.
     steering = every[chosen(lambda: int(np.argmax(every)))]
     limit = 0.0 if cpg.feedback is None else cpg.feedback.limit
@@ -596,14 +588,3 @@ def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str
         f"{group}/{axis}" if group is not None else axis
         for group, axis in zip(names, axes, strict=True)
     ]
-
-
-def _or(own: Number | None, common: Number) -> Number:
-    return common if own is None else own
-
-
-def _check_range(steering_range: float | None, centring: float | None) -> None:
-    if steering_range is not None and not 0 <= steering_range <= 1:
-        raise ValueError(f"steering_range must be from 0 to 1, got {steering_range}")
-    if centring is not None and not centring >= 0:
-        raise ValueError(f"centring must not be negative, got {centring}")

@@ -1,7 +1,8 @@
 """Interface of all controllers: senses in, motor commands out, once per control step."""
 
 import abc
-from typing import Any, NamedTuple
+import dataclasses
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -65,20 +66,14 @@ class Command(NamedTuple):
     torque: Float[Array, "d *n"] | None = None
 
 
+@dataclasses.dataclass(frozen=True)
 class Origin:
     """Settings that an object was built from, for reference only. Comparisons ignore them.
 
     The effective numbers are fields of the object, so that derivatives can be taken by them.
     """
 
-    def __init__(self, settings: Any):
-        self.settings = settings
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Origin)
-
-    def __hash__(self) -> int:
-        return hash(Origin)
+    settings: Any = dataclasses.field(compare=False)
 
 
 class Controller(eqx.Module):
@@ -122,29 +117,20 @@ class Controller(eqx.Module):
 
     Attributes:
         gene_count: numbers in the genome of one individual.
+        binary: whether genes are bits, 0 or 1 (False unless overridden).
         uses_senses: False if commands do not depend on the senses.
+        uses_load: whether the controller needs `Observation.load` (False unless overridden).
+        rhythm_generator: the oscillators that make the rhythm (None unless overridden).
         signal_label: meaning of `Command.signal`, with its unit, for plots.
     """
 
     gene_count: eqx.AbstractVar[int]
 
+    binary = False
     uses_senses = True
+    uses_load = False
+    rhythm_generator: ClassVar[Oscillators | None] = None
     signal_label = "controller's signal"
-
-    @property
-    def binary(self) -> bool:
-        """Return whether genes are bits, 0 or 1 (False unless overridden)."""
-        return False
-
-    @property
-    def uses_load(self) -> bool:
-        """Return whether the controller needs `Observation.load` (False unless overridden)."""
-        return False
-
-    @property
-    def rhythm_generator(self) -> Oscillators | None:
-        """Return the oscillators that make the rhythm (None unless overridden)."""
-        return None
 
     @abc.abstractmethod
     def random_genes(

@@ -63,8 +63,26 @@ class CouplingError(UnfitError):
     """
 
 
+class _Lagging:
+    """Settings whose lag, and the weight with which the lag is held, are checked."""
+
+    lag_deg: float | None
+    weight: float
+
+    def __post_init__(self):
+        if self.lag_deg is None:
+            return
+        if not -180 <= self.lag_deg <= 180:
+            raise ValueError(f"lag_deg must be from -180 to 180, got {self.lag_deg}")
+        if not self.weight >= 0:
+            raise ValueError(
+                "weight is the strength with which a lag is held and must not be negative, got "
+                f"{self.weight}"
+            )
+
+
 @dataclasses.dataclass(frozen=True)
-class Coupling:
+class Coupling(_Lagging):
     """Coupling of one pair of oscillators, source and target, or of several pairs.
 
     Attributes:
@@ -88,12 +106,9 @@ class Coupling:
     weight: float = 0.5
     lag_deg: float | None = None
 
-    def __post_init__(self):
-        _check_lag(self)
-
 
 @dataclasses.dataclass(frozen=True)
-class Ring:
+class Ring(_Lagging):
     """Oscillators around a ring, with a constant lag from each to the next.
 
     Attributes:
@@ -111,9 +126,6 @@ class Ring:
     oscillators: tuple[str, ...]
     lag_deg: float
     weight: float = 0.5
-
-    def __post_init__(self):
-        _check_lag(self)
 
 
 def axis_names(tree: Tree) -> tuple[str, ...]:
@@ -370,15 +382,3 @@ def _cosine_and_sine(lag_deg: Number) -> tuple[Number, Number]:
         lambda: (abs(cosine) > _NO_COUPLING, abs(sine) > _NO_COUPLING)
     )
     return cosine if cosine_counts else 0.0, sine if sine_counts else 0.0
-
-
-def _check_lag(settings: Coupling | Ring) -> None:
-    if settings.lag_deg is None:
-        return
-    if not -180 <= settings.lag_deg <= 180:
-        raise ValueError(f"lag_deg must be from -180 to 180, got {settings.lag_deg}")
-    if not settings.weight >= 0:
-        raise ValueError(
-            "weight is the strength with which a lag is held and must not be negative, got "
-            f"{settings.weight}"
-        )

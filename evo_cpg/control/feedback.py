@@ -50,7 +50,7 @@ Samples before the start of the trial count as 0.
 import dataclasses
 import itertools
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -77,20 +77,22 @@ _LONGEST = 1.0
 Weight = float | tuple[float, float]
 
 
-def _check(settings: Any, *names: str) -> None:
-    """Check the delay and the weights of some settings.
+class _Sense:
+    """Settings whose weights, delay and reach along the chain of joints are checked."""
 
-    Raises:
-        ValueError: the range of a weight that evolves is empty, or the delay is outside its range.
-    """
-    for name in names:
-        weight = getattr(settings, name)
-        if isinstance(weight, tuple) and not weight[0] < weight[1]:
-            raise ValueError(
-                f"{name} must be a number, or [low, high] with low < high, got {list(weight)}"
-            )
-    if not 0 <= settings.delay <= _LONGEST:
-        raise ValueError(f"delay must be from 0 to {_LONGEST:g} s, got {settings.delay}")
+    delay: float
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):  # pyright: ignore[reportArgumentType]
+            name, value = field.name, getattr(self, field.name)
+            if isinstance(value, tuple):
+                if name.endswith("weight") and not value[0] < value[1]:
+                    allowed = "a number, or [low, high] with low < high"
+                    raise ValueError(f"{name} must be {allowed}, got {list(value)}")
+            elif name.startswith("from_") and not value >= 0:
+                raise ValueError(f"{name} must not be negative, got {value}")
+        if not 0 <= self.delay <= _LONGEST:
+            raise ValueError(f"delay must be from 0 to {_LONGEST:g} s, got {self.delay}")
 
 
 class Gain(eqx.Module):
@@ -147,7 +149,7 @@ def make_delay(delay: Number, control_step: float) -> Delay:
 
 
 @dataclasses.dataclass(frozen=True)
-class StretchFeedback:
+class StretchFeedback(_Sense):
     """Stretch of joints, which enters their oscillators and those of neighbours.
 
     Attributes:
@@ -173,12 +175,6 @@ class StretchFeedback:
     delay: float = 0.0
     from_parents: int = 0
     from_children: int = 0
-
-    def __post_init__(self):
-        _check(self, "angle_weight", "rate_weight")
-        for name in ("from_parents", "from_children"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 
 
 class StretchSense(eqx.Module):
@@ -250,7 +246,7 @@ def _spread(
 
 
 @dataclasses.dataclass(frozen=True)
-class LoadFeedback:
+class LoadFeedback(_Sense):
     """Load of limbs, which enters the oscillators of these limbs.
 
     Attributes:
@@ -273,9 +269,6 @@ class LoadFeedback:
     weight: Weight = 0.0
     neighbour_weight: Weight = 0.0
     delay: float = 0.0
-
-    def __post_init__(self):
-        _check(self, "weight", "neighbour_weight")
 
 
 class Limbs(eqx.Module):

@@ -299,15 +299,11 @@ def _connections(matrix: Float[Numbers, "o o"]) -> dict[str, Any]:
         there = signs == sign
         offsets = [k for k in range(1 - count, count) if np.diagonal(there, k).any()]
         kept = xp.where(there, sign * matrix, 0.0)
-        diagonals = [diagonal(kept, k) for k in offsets]
+        # Rows ``kept[i, i + k]``, 0 outside the matrix.
+        diagonals = [xp.pad(xp.diagonal(kept, k), (max(0, -k), max(0, k))) for k in offsets]
         fields[f"{prefix}offsets"] = tuple(offsets)
         fields[f"{prefix}weights"] = xp.stack(diagonals) if diagonals else np.zeros((0, count))
     return fields
-
-
-def diagonal(matrix: Float[Numbers, "o o"], offset: int) -> Float[Numbers, " o"]:
-    """Return ``matrix[i, i + offset]`` for each i, 0 outside the matrix."""
-    return xp.pad(xp.diagonal(matrix, offset), (max(0, -offset), max(0, offset)))
 
 
 def initial_state(

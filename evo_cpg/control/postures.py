@@ -105,7 +105,7 @@ class PostureController(Controller):
         origin: settings of the controller.
         postures: number of postures.
         bits_per_joint: B.
-        graded: True if genes are numbers between 0 and 1 instead of bits.
+        binary: True if genes are bits, False if they are numbers between 0 and 1.
         lowest_angle: theta_0 - theta_n, degrees.
         angle_step: difference between neighbouring angles, degrees.
         steps_per_posture: r, such that the k-th switch is at control step ceil(k r).
@@ -116,23 +116,13 @@ class PostureController(Controller):
     origin: Origin = eqx.field(static=True)
     postures: int = eqx.field(static=True)
     bits_per_joint: int = eqx.field(static=True)
-    graded: bool = eqx.field(static=True)
+    binary: bool = eqx.field(static=True)
     lowest_angle: Number
     angle_step: Number
     steps_per_posture: Fraction = eqx.field(static=True)
 
     uses_senses = False
     signal_label = "angle of the posture (rad)"
-
-    @property
-    def settings(self) -> PostureSettings:
-        """Settings that the controller was built from."""
-        return self.origin.settings
-
-    @property
-    def binary(self) -> bool:
-        """Return whether genes are bits, which they are unless graded."""
-        return not self.graded
 
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
@@ -156,8 +146,8 @@ class PostureController(Controller):
         )
 
     def decode(self, genes: Float[Array, "g *n"]) -> Float[Array, "p d *n"]:
-        """Return joint angles of every posture, rad. Unless graded, genes round to 0 or 1."""
-        fractions = jnp.clip(genes, 0, 1) if self.graded else (genes >= 0.5).astype(genes.dtype)
+        """Return joint angles of every posture, rad. Genes that are bits round to 0 or 1."""
+        fractions = (genes >= 0.5).astype(genes.dtype) if self.binary else jnp.clip(genes, 0, 1)
         shape = self.postures, self.dof_count, self.bits_per_joint
         bits = fractions.reshape(*shape, *genes.shape[1:])
         weights = 2.0 ** np.arange(self.bits_per_joint)[::-1]
@@ -218,7 +208,7 @@ def build_posture_controller(
         origin=Origin(settings),
         postures=settings.postures,
         bits_per_joint=settings.bits_per_joint,
-        graded=settings.graded,
+        binary=not settings.graded,
         lowest_angle=settings.lowest_angle - settings.neutral_angle,
         angle_step=settings.angle_step,
         steps_per_posture=chosen(
@@ -230,7 +220,7 @@ def build_posture_controller(
 def one_posture(controller: Controller, angle: float) -> Float[np.ndarray, " g"]:
     """Return genes that turn all joints to one angle (theta, degrees) in every posture."""
     assert isinstance(controller, PostureController)
-    settings = controller.settings
+    settings = controller.origin.settings
     number = round((angle - settings.lowest_angle) / settings.angle_step)
     bits = [number >> place & 1 for place in reversed(range(settings.bits_per_joint))]
     return np.tile(np.array(bits, np.float32), controller.gene_count // settings.bits_per_joint)

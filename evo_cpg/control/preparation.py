@@ -23,8 +23,7 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.control.brain_cpg import BrainCpg, Decoded
 from evo_cpg.control.controller import Command, Controller, Observation
-from evo_cpg.control.feedback import StretchSense
-from evo_cpg.control.matsuoka import MatsuokaState, Oscillators
+from evo_cpg.control.matsuoka import MatsuokaState
 from evo_cpg.creature.algebra.linear import expand_dims_like, of_each
 from evo_cpg.creature.algebra.numerics import Numbers
 
@@ -79,32 +78,24 @@ class Preparation(Controller):
         return animal + sum(map(math.prod, self._shapes))
 
     @property
-    def rhythm_generator(self) -> Oscillators:
-        """Spinal cord of the animal without changes."""
-        return self.animal.rhythm_generator
-
-    @property
     def uses_load(self) -> bool:
         """Return whether the spinal cord feels the load of limbs."""
         return self.animal.uses_load
 
     @property
     def _shapes(self) -> tuple[tuple[int, ...], ...]:
-        network = self.animal.network
+        network, feedback = self.animal.network, self.animal.feedback
         count = network.oscillator_count
         diagonals = len(network.offsets), len(network.own_offsets)
+        stretch = feedback.stretch if feedback else ()
         return (
             (count,),
             (2, count),
             (count,),
             *((diagonal, count) for diagonal in diagonals),
-            (sum(len(each.offsets) for each in self._stretch), count),
+            (sum(len(each.offsets) for each in stretch), count),
             (len(SENSES),),
         )
-
-    @property
-    def _stretch(self) -> tuple[StretchSense, ...]:
-        return self.animal.feedback.stretch if self.animal.feedback else ()
 
     def intact(self) -> Surgery:
         """Return a surgery that changes nothing, for one individual."""
@@ -159,11 +150,7 @@ class Preparation(Controller):
             load=None if load is None else _heard(heard, load),
         )
         genes = animal.feedback if animal is not None else None
-        state = self._cut(surgery).cord(state, tonic, gain, proprioception, genes)
-        return state, self.animal.command(state, observation)
-
-    def _cut(self, surgery: Surgery) -> BrainCpg:
-        """Return the animal with the couplings and the feedback of each individual."""
+        # The animal with the couplings and the feedback of each individual.
         network, feedback = self.animal.network, self.animal.feedback
         weights, own = (
             factor * expand_dims_like(weight, jnp.asarray(factor))
@@ -181,12 +168,15 @@ class Preparation(Controller):
                 stretch.append(dataclasses.replace(sense, rows=rows))
                 first += len(sense.offsets)
             feedback = dataclasses.replace(feedback, stretch=tuple(stretch))
-        return dataclasses.replace(self.animal, network=network, feedback=feedback)
+        changed = dataclasses.replace(self.animal, network=network, feedback=feedback)
+        state = changed.cord(state, tonic, gain, proprioception, genes)
+        return state, self.animal.command(state, observation)
 
     def within(self, surgery: Surgery, side: Int[np.ndarray, " d"]) -> Surgery:
         """Return the surgery without couplings and feedback between the sides of a cut."""
-        network = self.animal.network
-        senses = [factors_within(sense.offsets, side) for sense in self._stretch]
+        network, feedback = self.animal.network, self.animal.feedback
+        stretch = feedback.stretch if feedback else ()
+        senses = [factors_within(sense.offsets, side) for sense in stretch]
         return surgery._replace(
             coupled=factors_within(network.offsets, side),
             own_coupled=factors_within(network.own_offsets, side),

@@ -13,10 +13,9 @@ from collections.abc import Iterable
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
 
 from evo_cpg.creature.algebra.decisions import chosen
-from evo_cpg.creature.algebra.numerics import Numbers, Triple, xp
+from evo_cpg.creature.algebra.numerics import Triple
 
 # Number of axes that span all rotations, such as those of a ball.
 SPANNING = 3
@@ -47,21 +46,6 @@ class AxisKind:
     at_once: ClassVar[bool] = False
     rotation: float
     translation: float
-
-    def motion_row(self, axis: Triple | Numbers, arm: Triple | Numbers) -> Float[Numbers, " 6"]:
-        """Return the motion of a frame per unit of the coordinate, angular part first.
-
-        Args:
-            axis: direction of the axis.
-            arm: vector from a place on the axis to the frame's origin, m.
-        """
-        axis = xp.array(axis, float)
-        turning = self.rotation * axis
-        return xp.concatenate([turning, xp.cross(turning, arm) + self.translation * axis])
-
-    def inertia(self, turning: Numbers, mass: Numbers) -> Numbers:
-        """Return the inertia of the coordinate from inertias about the axis (kg m^2) and masses."""
-        return self.rotation * turning + self.translation**2 * mass
 
     def mirrored(self) -> "AxisKind":
         """Return the kind of the mirror image, in which rotations turn the other way round."""

@@ -113,44 +113,22 @@ class Muscle:
     hill: bool = True
 
     @property
-    def bend(self) -> Number:
-        """Angle that one fully active side holds, rad."""
-        return xp.deg2rad(self.bend_deg)
-
-    @property
-    def strength(self) -> Number:
-        """Torque of one fully active muscle, alpha, N m."""
-        return self.area * self.stress * self.arm
-
-    @property
-    def stiffening(self) -> Number:
-        """Stiffness that one fully active muscle adds, beta, N m/rad."""
-        return self.strength / (self.bend * (1.0 + self.tone))
-
-    @property
-    def rest_stiffness(self) -> Number:
-        """Stiffness of relaxed muscles, beta gamma, N m/rad."""
-        return self.stiffening * self.tone
-
-    @property
-    def damping(self) -> Number:
-        """Damping, delta, N m s/rad."""
-        return self.damping_time * self.strength / self.bend
-
-    @property
-    def strain(self) -> Number:
-        """Change of the fibres' length per angle, 1/rad."""
-        return self.arm / self.fibre_length
-
-    @property
-    def slowness(self) -> Number:
-        """Speed of shortening over the largest speed, per joint rate, s/rad."""
-        return self.strain / self.max_speed
-
-    @property
-    def power(self) -> Number:
-        """Isometric force times largest speed, W."""
-        return self.area * self.stress * self.max_speed * self.fibre_length
+    def numbers(self) -> dict[str, Number]:
+        """Numbers about one axis, with the names and units of `evo_cpg.creature.laws.Muscles`."""
+        bend = xp.deg2rad(self.bend_deg)
+        strength = self.area * self.stress * self.arm
+        stiffening = strength / (bend * (1.0 + self.tone))
+        strain = self.arm / self.fibre_length
+        return {
+            "strength": strength,
+            "stiffening": stiffening,
+            "rest_stiffness": stiffening * self.tone,
+            "damping": self.damping_time * strength / bend,
+            "strain": strain,
+            "slowness": strain / self.max_speed,
+            "curvature": self.curvature,
+            "power": self.area * self.stress * self.max_speed * self.fibre_length,
+        }
 
 
 # Name of the fixed world, the parent of a root that hangs on it.
@@ -294,18 +272,6 @@ def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Co
     return wide & (plane >= upper + _PLANE_MARGIN - _ROUNDING)
 
 
-def driven_by(motor: Motor | None) -> tuple[Number, Number, Number]:
-    """Return gain, stiffness and largest torque of a motor."""
-    match motor:
-        case Muscle():
-            return 0.0, 0.0, float("inf")
-        case TorqueMotor():
-            return 0.0, 0.0, motor.torque_limit
-        case Actuator():
-            return motor.gain, motor.stiffness, motor.torque_limit
-    return 0.0, 0.0, 0.0
-
-
 class Inertial(NamedTuple):
     """Mass and inertia of a body in numbers.
 
@@ -358,7 +324,7 @@ class Body:
         """Rotational inertia ``(3, 3)`` about the centre of mass, axes of the body, kg m^2."""
         if self.inertial is not None:
             return self.inertial.inertia
-        return self.shape.inertia_tensor(self.mass)
+        return self.shape.inertia(self.mass)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -552,22 +518,18 @@ def joint_places(
     }
 
 
-def lowest_height(creature: Creature, pose: tuple[Numbers, Numbers] | None = None) -> Number:
-    """Return the height of the creature's lowest point, m.
-
-    The height in the neutral pose is relative to the root's centre, and never positive.
-    """
-    return lowest_along(creature, xp.array([0.0, 0.0, 1.0]), pose)
-
-
-def lowest_along(
-    creature: Creature, up: Numbers, pose: tuple[Numbers, Numbers] | None = None
+def lowest_height(
+    creature: Creature,
+    pose: tuple[Numbers, Numbers] | None = None,
+    up: Triple | Numbers = (0.0, 0.0, 1.0),
 ) -> Number:
-    """Return the smallest coordinate of any point of the creature along a direction, m.
+    """Return the height of the creature's lowest point along a direction, m.
 
-    The pose is that of `neutral_pose`, by default the neutral one.
+    The pose is that of `neutral_pose`, by default the neutral one. The height in the neutral pose
+    is relative to the root's centre, and never positive.
     """
     centres, rotations = neutral_pose(creature) if pose is None else pose
+    up = xp.array(up)
     heights = [
         up @ centre + (up @ rotation) @ body.shape.support(-rotation.T @ up)
         for body, centre, rotation in zip(creature.bodies, centres, rotations, strict=True)
@@ -579,7 +541,9 @@ def lowest_along(
 def length_of(creature: Creature) -> Number:
     """Return the largest extent of a creature in its neutral pose, m."""
     axes = xp.eye(3)
-    extents = [-lowest_along(creature, -axis) - lowest_along(creature, axis) for axis in axes]
+    extents = [
+        -lowest_height(creature, up=-axis) - lowest_height(creature, up=axis) for axis in axes
+    ]
     return xp.max(xp.array(extents))
 
 

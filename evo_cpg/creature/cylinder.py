@@ -7,17 +7,15 @@ import numpy as np
 from typing_extensions import override
 
 from evo_cpg.creature.algebra.decisions import decided
-from evo_cpg.creature.algebra.numerics import Number, Numbers, as_vector, xp
+from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.shapes import (
     LEAST,
-    Cell,
     FloorPart,
     ObstaclePart,
     RoundedBox,
     Shape,
     SkinMesh,
     Surface,
-    joined,
     ring,
 )
 
@@ -39,6 +37,8 @@ class Cylinder(Shape):
     """
 
     blunt: ClassVar[bool] = True
+    profile = "cylinder"
+    obstacle_kind = "line"
 
     radius: Number
     length: Number
@@ -62,7 +62,7 @@ class Cylinder(Shape):
     def inertia(self, mass: Number) -> Numbers:
         r, length = self.radius, self.length
         across = mass * (length**2 / 12 + r**2 / 4)
-        return xp.array([mass * r**2 / 2, across, across])
+        return xp.diag(xp.array([mass * r**2 / 2, across, across]))
 
     @property
     @override
@@ -135,11 +135,7 @@ class Cylinder(Shape):
             )
             for sign in (1.0, -1.0)
         ]
-        return joined([side, *ends])
-
-    @override
-    def cells(self) -> tuple[Cell, ...]:
-        return (Cell("cylinder", (0.0, 0.0, 0.0), as_vector(self.half_extents), self.volume),)
+        return Surface(*(xp.concatenate(parts) for parts in zip(side, *ends, strict=True)))
 
     @override
     def floor_parts(self) -> tuple[FloorPart, ...]:
@@ -150,7 +146,7 @@ class Cylinder(Shape):
         """Return a capsule, or the ellipsoid in a disc, so that a wheel rolls over obstacles."""
         if decided(lambda: self.length < 2 * self.radius):
             return (ObstaclePart("ellipsoid", np.zeros(3), self.half_extents, 0.0),)
-        return (ObstaclePart("line", *self.rounded_box),)
+        return super().obstacle_parts()
 
     @property
     @override

@@ -17,12 +17,12 @@ from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.axis_kinds import SPANNING
 from evo_cpg.creature.creature import (
     NO_LIMIT,
+    Actuator,
     CreatureError,
     DegreeOfFreedom,
     Muscle,
     Tendon,
     TorqueMotor,
-    driven_by,
 )
 from evo_cpg.errors import nearest
 
@@ -191,43 +191,6 @@ class Tendons(ForceLaws):
         each = zip(self.channels, motors.driven, motors.gear, strict=True)
         return {channel: gear for channel, driven, gear in each if driven}
 
-    def places(self, tendon: int) -> tuple[int, ...]:
-        """Return the places of a tendon's coefficients."""
-        return tuple(i for i, owner in enumerate(self.owners) if owner == tendon)
-
-    def without_motors(self, axes: Bool[np.ndarray, " d"]) -> "Tendons":
-        """Return the tendons with idle motors where a tendon spans any of some joint axes."""
-        idle = np.zeros(len(self.names), bool)
-        idle[[owner for owner, dof in zip(self.owners, self.dofs, strict=True) if axes[dof]]] = True
-        return self.with_idle(idle)
-
-
-def torque_motors_of(motors: Sequence[TorqueMotor | None]) -> TorqueMotors | None:
-    """Return the torque motors of all axes, or None if no axis has one."""
-    if not any(motors):
-        return None
-    gears = xp.array([motor.gear if motor else 0.0 for motor in motors], float)
-    return TorqueMotors(tuple(motor is not None for motor in motors), gears)
-
-
-def muscles_of(motors: Sequence[Muscle | None]) -> Muscles | None:
-    """Return the muscles about all axes, or None if no axis has muscles."""
-    if not any(motors):
-        return None
-    without = {"curvature": 1.0}
-    numbers = {
-        field.name: xp.array(
-            [getattr(m, field.name) if m else without.get(field.name, 0.0) for m in motors], float
-        )
-        for field in dataclasses.fields(Muscles)
-        if field.name not in ("driven", "hill")
-    }
-    return Muscles(
-        driven=tuple(m is not None for m in motors),
-        hill=tuple(m is not None and m.hill for m in motors),
-        **numbers,
-    )
-
 
 def ball_limits_of(
     dofs: Sequence[DegreeOfFreedom], stiffness: Float[Numbers, " d"], damping: Float[Numbers, " d"]
@@ -264,16 +227,33 @@ def laws_of(
 
     The inertias are the effective ones, without the rotors, kg m^2.
     """
-
-    def each(name: str) -> Float[Numbers, " d"]:
-        return xp.array([getattr(x, name) for x in coordinates], float)
-
     motors = [x.actuator for x in coordinates]
-    numbers = [driven_by(motor) for motor in motors]
-    gain, spring, limit = (xp.array([row[k] for row in numbers], float) for k in range(3))
-    torque_motors = torque_motors_of([x if isinstance(x, TorqueMotor) else None for x in motors])
-    muscles = muscles_of([x if isinstance(x, Muscle) else None for x in motors])
-    armature, loss = each("armature"), each("friction_loss")
+    servos = [x if isinstance(x, Actuator) else None for x in motors]
+    gain = xp.array([x.gain if x else 0.0 for x in servos], float)
+    spring = xp.array([x.stiffness if x else 0.0 for x in servos], float)
+    # Muscles have no limit of their torque, and nothing pulls about a passive axis.
+    limit = xp.array([getattr(x, "torque_limit", np.inf) if x else 0.0 for x in motors], float)
+    torque_motors = muscles = None
+    driven = tuple(isinstance(x, TorqueMotor) for x in motors)
+    if any(driven):
+        gears = [x.gear if isinstance(x, TorqueMotor) else 0.0 for x in motors]
+        torque_motors = TorqueMotors(driven, xp.array(gears, float))
+    own = [x if isinstance(x, Muscle) else None for x in motors]
+    rows = [x.numbers if x else None for x in own]
+    if any(own):
+        muscles = Muscles(
+            driven=tuple(x is not None for x in own),
+            hill=tuple(x is not None and x.hill for x in own),
+            # Axes without muscles divide by a curvature of 1.
+            **{
+                name: xp.array([x[name] if x else float(name == "curvature") for x in rows], float)
+                for name in next(filter(None, rows))
+            },
+        )
+    stiffness, loose, armature, loss, lower, upper = (
+        xp.array([getattr(x, name) for x in coordinates], float)
+        for name in ("stiffness", "damping", "armature", "friction_loss", "lower", "upper")
+    )
     inertia = inertia + armature
     rate = 2 * np.pi * LIMIT_FREQUENCY
     push, damping = gain + spring, 2 * LIMIT_DAMPING_RATIO * inertia * rate
@@ -284,12 +264,12 @@ def laws_of(
         full = xp.where(np.array(torque_motors.driven), full, 0.0)
         push, damping = push + full, damping + full
     return {
-        "stiffness": each("stiffness"),
-        "damping": each("damping"),
+        "stiffness": stiffness,
+        "damping": loose,
         "armature": armature,
         "dry_friction": DryFriction(loss, inertia) if some_hold(lambda: loss != 0) else None,
-        "lower": each("lower"),
-        "upper": each("upper"),
+        "lower": lower,
+        "upper": upper,
         "servo_gain": gain,
         "servo_stiffness": spring,
         "torque_limit": limit,

@@ -109,7 +109,31 @@ def loft(sections: tuple[LoftSection, ...], corners: int | None = None) -> tuple
     """
     rings = _rings(sections, corners)
     slices = [_made(rings[i : i + 2], i) for i in range(len(rings) - 1)]
-    _require_apart(sections, rings)
+    # Neighbouring slices meet at the plane of their section. No others may overlap.
+    places = np.array([each.at for each in sections])
+    normals, size = _normals(places), np.ptp(np.concatenate(rings), axis=0).max()
+    parts = [np.concatenate(both) for both in itertools.pairwise(rings)]
+    for (i, one), (j, other) in itertools.combinations(enumerate(parts), 2):
+        ahead = ((other - places[i + 1]) @ normals[i + 1]).min()
+        behind = ((places[j] - one) @ normals[j]).min()
+        near = (one.min(0) < other.max(0)).all() and (other.min(0) < one.max(0)).all()
+        # The plane of a section between the slices often separates them, which is quick to find.
+        if max(ahead, behind) > -_CROSSING * size or not near:
+            continue
+        from scipy.optimize import linprog
+        from scipy.spatial import ConvexHull
+
+        # The largest ball within both hulls. Qhull's rows are outward unit normals and negative
+        # offsets. The radius is negative if the hulls are apart.
+        rows = np.concatenate([ConvexHull(points).equations for points in (one, other)])
+        inside = np.column_stack([rows[:, :3], np.ones(len(rows))])
+        ball = linprog([0, 0, 0, -1], inside, -rows[:, 3], bounds=[(None, None)] * 4).x
+        if ball[3] > _OVERLAP * size:
+            raise MeshError(
+                f"the loft meets itself: the part between sections {i} and {i + 1} overlaps the "
+                f"part between sections {j} and {j + 1}, so their common space would count twice. "
+                f"Move them apart, make them smaller, or end the loft at section {j}"
+            )
     pieces, first = [], 0
     while first < len(slices):
         last, piece = first, slices[first]
@@ -174,40 +198,6 @@ def _rings(sections: tuple[LoftSection, ...], corners: int | None) -> list[np.nd
                 "spine less"
             )
     return rings
-
-
-def _require_apart(sections: tuple[LoftSection, ...], rings: list[np.ndarray]) -> None:
-    """Check that no two slices overlap. Neighbours meet at the plane of their section.
-
-    Raises:
-        MeshError: two slices overlap, so their common space would count twice.
-    """
-    places = np.array([each.at for each in sections])
-    normals, slices = _normals(places), [np.concatenate(both) for both in itertools.pairwise(rings)]
-    size = np.ptp(np.concatenate(rings), axis=0).max()
-    for (i, one), (j, other) in itertools.combinations(enumerate(slices), 2):
-        ahead = ((other - places[i + 1]) @ normals[i + 1]).min()
-        behind = ((places[j] - one) @ normals[j]).min()
-        near = (one.min(0) < other.max(0)).all() and (other.min(0) < one.max(0)).all()
-        # The plane of a section between the slices often separates them, which is quick to find.
-        apart = max(ahead, behind) > -_CROSSING * size or not near
-        if not apart and _common_radius(one, other) > _OVERLAP * size:
-            raise MeshError(
-                f"the loft meets itself: the part between sections {i} and {i + 1} overlaps the "
-                f"part between sections {j} and {j + 1}, so their common space would count twice. "
-                f"Move them apart, make them smaller, or end the loft at section {j}"
-            )
-
-
-def _common_radius(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the radius of the largest ball within two hulls, negative if they are apart, m."""
-    from scipy.optimize import linprog
-    from scipy.spatial import ConvexHull
-
-    # Qhull's rows are outward unit normals and negative offsets.
-    rows = np.concatenate([ConvexHull(points).equations for points in (one, other)])
-    inside = np.column_stack([rows[:, :3], np.ones(len(rows))])
-    return linprog([0, 0, 0, -1], inside, -rows[:, 3], bounds=[(None, None)] * 4).x[3]
 
 
 def _normals(places: np.ndarray) -> np.ndarray:

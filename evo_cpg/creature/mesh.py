@@ -15,7 +15,7 @@ fine mesh:
 import dataclasses
 import functools
 import itertools
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from typing_extensions import override
@@ -78,6 +78,8 @@ class ConvexMesh(Shape):
         faces: triangles of three vertices' indices, counterclockwise seen from outside.
     """
 
+    fills_rounded_box: ClassVar[bool] = False
+
     vertices: tuple[tuple[float, float, float], ...]
     faces: tuple[tuple[int, int, int], ...]
 
@@ -114,31 +116,15 @@ class ConvexMesh(Shape):
 
     @override
     def inertia(self, mass: Number) -> Numbers:
-        return xp.diag(self.inertia_tensor(mass)).copy()
-
-    @override
-    def inertia_tensor(self, mass: Number) -> Numbers:
         return mass / self.volume * self._mass_properties[2]
 
     @property
     @override
     def stretch(self) -> tuple[np.ndarray, np.ndarray]:
         """Half lengths and axes of a box with the same second moments."""
-        tensor = self.inertia_tensor(1.0)
+        tensor = self.inertia(1.0)
         moments, turn = np.linalg.eigh(np.trace(tensor) / 2 * np.eye(3) - tensor)
         return np.sqrt(3 * moments), turn
-
-    @functools.cached_property
-    def inner_ellipsoid(self) -> tuple[np.ndarray, np.ndarray]:
-        """Largest ellipsoid in the mesh about its centre, with the proportions of `stretch`.
-
-        Returns:
-            Semi-axes, m, and axes as columns.
-        """
-        half, turn = self.stretch
-        normals, _ = self.planes
-        reach = np.linalg.norm(half * (normals @ turn), axis=1)
-        return half * ((normals * self.broad[:, 0]).sum(1) / reach).min(), turn
 
     @functools.cached_property
     def _mass_properties(self) -> tuple[float, np.ndarray, np.ndarray]:
@@ -176,11 +162,6 @@ class ConvexMesh(Shape):
         far = chosen(lambda: reach.max() - reach <= _EQUALLY_FAR * xp.ptp(reach))
         return self.points[far].mean(0)
 
-    @property
-    @override
-    def fills_rounded_box(self) -> bool:
-        return False
-
     @override
     def height(self, directions: np.ndarray) -> np.ndarray:
         return (directions @ self.points.T).max(-1)
@@ -191,8 +172,14 @@ class ConvexMesh(Shape):
 
     @override
     def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
-        """Return one part: an ellipsoid in the mesh, and the corners."""
-        half, axes = self.inner_ellipsoid
+        """Return one part: the largest ellipsoid about the mesh's centre, and the corners.
+
+        The ellipsoid has the proportions of `stretch`.
+        """
+        half, axes = self.stretch
+        normals, _ = self.planes
+        reach = np.linalg.norm(half * (normals @ axes), axis=1)
+        half = half * ((normals * self.broad[:, 0]).sum(1) / reach).min()
         return (ObstaclePart("ellipsoid", np.zeros(3), half, 0.0, axes, self.corners @ axes),)
 
     @override
@@ -218,8 +205,8 @@ class ConvexMesh(Shape):
     @override
     def cells(self) -> tuple[Cell, ...]:
         """Return one cell: the hull of the corners, with the mesh's volume and centre."""
-        corners = self.corners
-        triangles = corners[_hull(corners)]
+        corners, faces = hull(self.corners, "its corners")
+        triangles = corners[faces]
         volume, centre, _ = _mass_properties(triangles)
         triangles = (triangles - centre) * (self.volume / volume) ** (1 / 3)
         half_axes = np.ptp(triangles.reshape(-1, 3), axis=0) / 2
@@ -240,7 +227,10 @@ class ConvexMesh(Shape):
         if that is more. If there are more facets, neighbouring facets share a point with their
         whole area, at their mean position and along their mean normal.
         """
-        facets = self._facets()
+        # The indices of the broad triangles in each plane.
+        normals, _ = self.planes
+        first = (normals @ normals.T > 1 - _SAME_PLANE**2 / 2).argmax(1)
+        facets = [np.flatnonzero(first == i) for i in np.unique(first)]
         budget = max(8 * resolution**2, _FEWEST_POINTS)
         if len(facets) > budget:
             return self._shared_surface(facets, budget)
@@ -252,13 +242,6 @@ class ConvexMesh(Shape):
             pieces = [part for piece in pieces for half in _halves(piece) for part in _halves(half)]
             quarters *= 4
         return _join([_moments(piece) for piece in pieces], spread=True)
-
-    def _facets(self) -> list[np.ndarray]:
-        """Return the indices of the broad triangles in each plane."""
-        normals, _ = self.planes
-        alike = normals @ normals.T > 1 - _SAME_PLANE**2 / 2
-        first = alike.argmax(1)
-        return [np.flatnonzero(first == i) for i in np.unique(first)]
 
     def _shared_surface(self, facets: list[np.ndarray], count: int) -> Surface:
         """Return at most ``count`` points, each for a cluster of facets (Lloyd's iteration).
@@ -302,14 +285,51 @@ def convex_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[ConvexMesh, np
     vertices, faces = np.asarray(vertices, float), np.asarray(faces, int)
     first, second, third = faces.T
     faces = faces[(first != second) & (second != third) & (third != first)]
-    _require_triangles(vertices, faces)
+    if not len(faces):
+        raise MeshError("it has no faces")
+    if len(faces) > MOST_TRIANGLES:
+        raise MeshError(
+            f"it has {len(faces)} triangles. Allowed: at most {MOST_TRIANGLES}. Simplify it in the "
+            "program that made it (in Blender: Decimate)"
+        )
+    if not np.isfinite(vertices).all():
+        raise MeshError("a coordinate of a vertex is not a finite number")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        wrong = int(faces.min() if faces.min() < 0 else faces.max())
+        raise MeshError(f"a face names vertex {wrong}. Allowed: 0 to {len(vertices) - 1}")
     used, renumbered = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], renumbered.reshape(faces.shape)
-    longest = _sensible_length(vertices)
+    with np.errstate(over="ignore"):
+        longest = float(np.ptp(vertices, axis=0).max())
+    if not SHORTEST <= longest <= LONGEST:
+        long = longest > LONGEST
+        advice = (
+            "For a drawing in millimetres, set scale: 0.001" if long else "Is the scale too small?"
+        )
+        raise MeshError(
+            f"its longest side is {longest:.4g} m. Allowed: {SHORTEST:g} to {LONGEST:g} m. {advice}"
+        )
     _require_one_closed_surface(faces)
     _, centre, _ = _mass_properties(vertices[faces], longest)
     vertices = vertices - centre
-    _require_convex(vertices, faces, longest)
+    triangles = vertices[faces]
+    (normals, areas), broad = _planes(triangles), _is_broad(triangles, longest)
+    if areas[~broad].sum() > _LOST * areas.sum():
+        raise MeshError(
+            f"{(~broad).sum()} of its {len(triangles)} triangles are lower than {_THIN:.2%} of the "
+            "mesh's longest side. Make the mesh thicker, or use fewer triangles"
+        )
+    # Thin triangles have no reliable normals.
+    beyond = normals @ vertices.T - (normals * triangles[:, 0]).sum(1)[:, None]
+    beyond = np.where(broad[:, None], beyond, 0.0)
+    deepest = float(beyond.max())
+    if deepest > _DENT * longest:
+        face, vertex = np.unravel_index(beyond.argmax(), beyond.shape)
+        raise MeshError(
+            f"it is not convex: vertex {vertex} lies {deepest:.3g} m beyond the plane of face "
+            f"{face}. Allowed: {_DENT:.1%} of its longest side, {_DENT * longest:.2g} m. Split it "
+            "into convex bodies, or use its convex hull"
+        )
     shape = ConvexMesh(tuple(map(tuple, vertices.tolist())), tuple(map(tuple, faces.tolist())))
     return shape, centre
 
@@ -339,53 +359,22 @@ def few_corners_hull(
 def hull(points: np.ndarray, whose: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the vertices ``(v, 3)`` and the faces ``(f, 3)`` of the convex hull of points.
 
-    ``whose`` names the points in the error message.
+    Faces are counterclockwise seen from outside. ``whose`` names the points in the error message.
 
     Raises:
         MeshError: the points lie in a plane.
     """
-    from scipy.spatial import QhullError
+    from scipy.spatial import ConvexHull, QhullError
 
     try:
-        faces = _hull(points)
+        found = ConvexHull(points)
     except QhullError:
         raise MeshError(f"{whose} enclose no volume") from None
+    a, b, c = points[found.simplices].swapaxes(0, 1)
+    inwards = (np.cross(b - a, c - a) * found.equations[:, :3]).sum(1) < 0
+    faces = np.where(inwards[:, None], found.simplices[:, ::-1], found.simplices)
     used, renumbered = np.unique(faces, return_inverse=True)
     return points[used], renumbered.reshape(faces.shape)
-
-
-def _require_triangles(vertices: np.ndarray, faces: np.ndarray) -> None:
-    if not len(faces):
-        raise MeshError("it has no faces")
-    if len(faces) > MOST_TRIANGLES:
-        raise MeshError(
-            f"it has {len(faces)} triangles. Allowed: at most {MOST_TRIANGLES}. Simplify it in the "
-            "program that made it (in Blender: Decimate)"
-        )
-    if not np.isfinite(vertices).all():
-        raise MeshError("a coordinate of a vertex is not a finite number")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        wrong = int(faces.min() if faces.min() < 0 else faces.max())
-        raise MeshError(f"a face names vertex {wrong}. Allowed: 0 to {len(vertices) - 1}")
-
-
-def _sensible_length(vertices: np.ndarray) -> float:
-    """Return the longest side of the bounding box, m, if it is from `SHORTEST` to `LONGEST`.
-
-    Raises:
-        MeshError: the side is shorter or longer.
-    """
-    with np.errstate(over="ignore"):
-        longest = float(np.ptp(vertices, axis=0).max())
-    if not SHORTEST <= longest <= LONGEST:
-        long = longest > LONGEST
-        advice = (
-            "For a drawing in millimetres, set scale: 0.001" if long else "Is the scale too small?"
-        )
-        raise MeshError(
-            f"its longest side is {longest:.4g} m. Allowed: {SHORTEST:g} to {LONGEST:g} m. {advice}"
-        )
-    return longest
 
 
 def _require_one_closed_surface(faces: np.ndarray) -> None:
@@ -410,27 +399,6 @@ def _require_one_closed_surface(faces: np.ndarray) -> None:
     if len(np.unique(directed, axis=0)) != len(directed):
         raise MeshError(
             "neighbouring faces have opposite orientations. Make their normals consistent"
-        )
-
-
-def _require_convex(vertices: np.ndarray, faces: np.ndarray, longest: float) -> None:
-    """Check that the body is convex, and that most of its surface has reliable normals."""
-    triangles = vertices[faces]
-    (normals, areas), broad = _planes(triangles), _is_broad(triangles, longest)
-    if areas[~broad].sum() > _LOST * areas.sum():
-        raise MeshError(
-            f"{(~broad).sum()} of its {len(triangles)} triangles are lower than {_THIN:.2%} of the "
-            "mesh's longest side. Make the mesh thicker, or use fewer triangles"
-        )
-    beyond = normals @ vertices.T - (normals * triangles[:, 0]).sum(1)[:, None]
-    beyond = np.where(broad[:, None], beyond, 0.0)
-    deepest = float(beyond.max())
-    if deepest > _DENT * longest:
-        face, vertex = np.unravel_index(beyond.argmax(), beyond.shape)
-        raise MeshError(
-            f"it is not convex: vertex {vertex} lies {deepest:.3g} m beyond the plane of face "
-            f"{face}. Allowed: {_DENT:.1%} of its longest side, {_DENT * longest:.2g} m. Split it "
-            "into convex bodies, or use its convex hull"
         )
 
 
@@ -467,16 +435,6 @@ def _mass_properties(
         raise MeshError("it is inside out: its faces look inwards. Flip its normals")
     found = mass_properties(triangles - middle, density=1.0)
     return volume, middle + found.center_mass, np.asarray(found.inertia)
-
-
-def _hull(corners: np.ndarray) -> np.ndarray:
-    """Return the convex hull's triangles ``(f, 3)``, counterclockwise seen from outside."""
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(corners)
-    a, b, c = corners[hull.simplices].swapaxes(0, 1)
-    inwards = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(1) < 0
-    return np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
 
 
 def _far_apart(points: np.ndarray, first: int, count: int) -> list[int]:

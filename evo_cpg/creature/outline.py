@@ -113,12 +113,29 @@ def outlines(
     """
     links = joint_places(creature, pose)
     barrels = [_barrel(creature, pose, i, links) for i in range(len(creature.bodies))]
+    # For each neighbour of a body: whether it lies in front, the weight with which the two are in
+    # line, and the length of the straightened end.
     beside: list[list[tuple[Number, Number, Number]]] = [[] for _ in barrels]
     table = np.zeros((len(barrels), len(barrels)))
     for bodies, place in links.items():
         if all(barrels[i].ends == "flat" for i in bodies):
             continue
-        ends = [_end(barrels[i], pose[0][i], pose[1][i], place) for i in bodies]
+        ends = []
+        for i in bodies:
+            barrel, axes = barrels[i], pose[1][i] @ barrels[i].axes
+            in_front = axes[:, 0] @ (place - pose[0][i]) > 0
+            outward = axes[:, 0] * xp.where(in_front, 1.0, -1.0)
+            ends.append(
+                _End(
+                    pose[0][i] + outward * barrel.length / 2,
+                    outward,
+                    axes[:, 1:],
+                    xp.maximum(barrel.half_axes[1:], _LEAST),
+                    barrel.half_axes[0],
+                    barrel.length + 2 * barrel.half_axes[0],
+                    in_front,
+                )
+            )
         weight, apart = _in_line(*ends)
         flat = any(barrels[i].ends == "flat" for i in bodies)
         for i, end in zip(bodies, ends, strict=True):
@@ -127,7 +144,19 @@ def outlines(
         pair = np.zeros((len(barrels), len(barrels)))
         pair[bodies, bodies[::-1]] = 1.0
         table = table + pair * weight
-    return [_outline(barrel, near) for barrel, near in zip(barrels, beside, strict=True)], table
+    made = []
+    for barrel, near in zip(barrels, beside, strict=True):
+        covered, extension = [], []
+        for front in (True, False):
+            weights = [xp.where(side == front, weight, 0.0) for side, weight, _ in near]
+            kept, total, lengths = 1.0, 0.0, 0.0
+            for weight, (_, _, length) in zip(weights, near, strict=True):
+                kept, total = kept * (1 - weight), total + weight
+                lengths = lengths + weight * length
+            covered.append(1.0 - kept)
+            extension.append((1.0 - kept) * lengths / xp.maximum(total, _LEAST))
+        made.append(BodyOutline(barrel, xp.array(covered), xp.array(extension)))
+    return made, table
 
 
 def fade(x: Number, full: float, none: float) -> Number:
@@ -166,23 +195,6 @@ def _barrel(
     return shape.barrel(spread[:, nearest])
 
 
-def _end(barrel: Barrel, centre: Numbers, rotation: Numbers, place: Numbers) -> _End:
-    """Return the end of a body that lies on the side of a joint."""
-    axes = rotation @ barrel.axes
-    axis = axes[:, 0]
-    in_front = axis @ (place - centre) > 0
-    outward = axis * xp.where(in_front, 1.0, -1.0)
-    return _End(
-        centre + outward * barrel.length / 2,
-        outward,
-        axes[:, 1:],
-        xp.maximum(barrel.half_axes[1:], _LEAST),
-        barrel.half_axes[0],
-        barrel.length + 2 * barrel.half_axes[0],
-        in_front,
-    )
-
-
 def _in_line(one: _End, two: _End) -> tuple[Number, Number]:
     """Return the weight with which two bodies are in line, and the distance of their middles.
 
@@ -210,26 +222,6 @@ def _in_line(one: _End, two: _End) -> tuple[Number, Number]:
     return weight, apart
 
 
-def _outline(barrel: Barrel, beside: list[tuple[Number, Number, Number]]) -> BodyOutline:
-    """Return the outline of a body from its neighbours.
-
-    Args:
-        barrel: the body.
-        beside: for each neighbour: whether it lies in front, the weight with which the bodies are
-            in line, and the length of the straightened end, m.
-    """
-    covered, extension = [], []
-    for front in (True, False):
-        weights = [xp.where(side == front, weight, 0.0) for side, weight, _ in beside]
-        kept, total, lengths = 1.0, 0.0, 0.0
-        for weight, (_, _, length) in zip(weights, beside, strict=True):
-            kept, total = kept * (1 - weight), total + weight
-            lengths = lengths + weight * length
-        covered.append(1.0 - kept)
-        extension.append((1.0 - kept) * lengths / xp.maximum(total, _LEAST))
-    return BodyOutline(barrel, xp.array(covered), xp.array(extension))
-
-
 def outline_surface(
     shape: Shape, outline: BodyOutline, resolution: int
 ) -> tuple[Surface, Bool[np.ndarray, " n"]]:
@@ -251,7 +243,18 @@ def outline_surface(
     half_axes = xp.maximum(barrel.half_axes, _LEAST)
     angles = (np.arange(count) + 0.5) * 2 * np.pi / count
     around = np.column_stack([np.cos(angles), np.sin(angles)])
-    end = _end_surface(half_axes, *_end_rule(balls, resolution), around)
+    # The front half of an ellipsoid: rings around its axis, then its tip. Let g be a unit vector of
+    # the product rule and S the roots of the half axes. The point is S^2 q for the unit vector q
+    # along S g, and the normal is along g / S.
+    places, weights = _end_rule(balls, resolution)
+    rings = [np.column_stack([np.full(count, x), np.sqrt(1 - x * x) * around]) for x in places]
+    directions = np.concatenate([*rings[:-1], np.eye(3)[:1]])
+    counts = np.full(len(places), count)
+    counts[-1] = 1
+    solid = np.repeat(2 * np.pi * weights / counts, counts)
+    placed, normals, stretch, length = _halfway(directions, half_axes)
+    areas = solid * xp.prod(xp.sqrt(half_axes)) ** 3 * (stretch / length**3)[:, 0]
+    end = Surface(placed * half_axes, normals, areas)
     parts = [
         Surface(
             (end.points + xp.array([barrel.length / 2, 0.0, 0.0])) * sign,
@@ -261,7 +264,18 @@ def outline_surface(
         for sign, each in zip(np.array([[1, 1, 1], [-1, 1, 1]]), covered, strict=True)
     ]
     front, rear = barrel.length / 2 + outline.extension
-    parts.append(_side_surface(half_axes[1:], -rear, front, resolution, around))
+    # An elliptic cylinder along x.
+    section = half_axes[1:]
+    placed, normals, stretch, length = _halfway(around, section)
+    lines = 2 * np.pi / count * xp.prod(xp.sqrt(section)) ** 3 * (stretch / length**2)[:, 0]
+    nodes, weights = np.polynomial.legendre.leggauss(resolution)
+    extent = xp.maximum(front + rear, 0.0)
+    places = np.repeat(nodes, count)[:, None] * extent / 2 + (front - rear) / 2
+    points = xp.concatenate([places, xp.tile(placed * section, (resolution, 1))], 1)
+    normals = xp.tile(normals, (resolution, 1))
+    normals = xp.concatenate([np.zeros((resolution * count, 1)), normals], 1)
+    areas = np.repeat(weights / 2, count) * extent * xp.tile(lines, resolution)
+    parts.append(Surface(points, normals, areas))
     points, normals, areas = (xp.concatenate(columns) for columns in zip(*parts, strict=True))
     on_body = np.arange(len(areas)) < 2 * len(end.areas)
     return Surface(points @ barrel.axes.T, normals @ barrel.axes.T, areas), on_body
@@ -299,26 +313,6 @@ def _end_rule(balls: bool, resolution: int) -> tuple[np.ndarray, np.ndarray]:
     return (nodes + 1) / 2, weights / 2
 
 
-def _end_surface(
-    half_axes: Numbers, places: np.ndarray, weights: np.ndarray, around: np.ndarray
-) -> Surface:
-    """Return points on the front half of an ellipsoid: rings around its axis, then its tip.
-
-    Let g be a unit vector of the product rule and S the roots of the half axes. The point is
-    S^2 q for the unit vector q along S g, and the normal is along g / S.
-    """
-    rings = [
-        np.column_stack([np.full(len(around), x), np.sqrt(1 - x * x) * around]) for x in places
-    ]
-    directions = np.concatenate([*rings[:-1], np.eye(3)[:1]])
-    counts = np.full(len(places), len(around))
-    counts[-1] = 1
-    solid = np.repeat(2 * np.pi * weights / counts, counts)
-    placed, normals, stretch, length = _halfway(directions, half_axes)
-    areas = solid * xp.prod(xp.sqrt(half_axes)) ** 3 * (stretch / length**3)[:, 0]
-    return Surface(placed * half_axes, normals, areas)
-
-
 def _halfway(
     directions: np.ndarray, half_axes: Numbers
 ) -> tuple[Numbers, Numbers, Numbers, Numbers]:
@@ -334,18 +328,3 @@ def _halfway(
     scaled = placed / half_axes
     stretch = xp.linalg.norm(scaled, axis=-1, keepdims=True)
     return placed, scaled / stretch, stretch, length
-
-
-def _side_surface(
-    half_axes: Numbers, rear: Number, front: Number, rings: int, around: np.ndarray
-) -> Surface:
-    """Return points on an elliptic cylinder along x."""
-    placed, normals, stretch, length = _halfway(around, half_axes)
-    lines = 2 * np.pi / len(around) * xp.prod(xp.sqrt(half_axes)) ** 3 * (stretch / length**2)[:, 0]
-    nodes, weights = np.polynomial.legendre.leggauss(rings)
-    count, extent = len(around), xp.maximum(front - rear, 0.0)
-    places = np.repeat(nodes, count)[:, None] * extent / 2 + (front + rear) / 2
-    points = xp.concatenate([places, xp.tile(placed * half_axes, (rings, 1))], 1)
-    normals = xp.tile(normals, (rings, 1))
-    normals = xp.concatenate([np.zeros((rings * count, 1)), normals], 1)
-    return Surface(points, normals, np.repeat(weights / 2, count) * extent * xp.tile(lines, rings))

@@ -44,9 +44,26 @@ def keeps_apart(
 
     @functools.cache
     def swept(body: int, common: int) -> Interval:
+        """Return ranges ``(3, pieces)`` of a box's coordinates in the frame of a body before it."""
         chain = chain_to_root(tree, body)
-        centre, half = (x[:, body] for x in box)
-        return _swept(tree, chain[: chain.index(common)], (centre - half, centre + half), pieces)
+        chain = chain[: chain.index(common)]
+        axes = sum(tree.dof_bodies.count(each) for each in chain)
+        most = max(1, int(pieces ** (1 / max(1, axes))))
+        centre, half = (x[:, body, None] for x in box)
+        low, high = centre - half, centre + half
+        for each in chain:
+            dofs = [i for i, owner in enumerate(tree.dof_bodies) if owner == each]
+            for i in reversed(dofs):
+                if not tree.dof_kinds[i].at_once:
+                    low, high = _moved(tree, i, most, (low, high))
+                elif i in tree.balls:
+                    # The axes of a ball are one rotation, in any direction.
+                    low, high = _times(_ANY_ROTATION, (low, high))
+            fixed = tree.joint_orientation[:, :, each, None]
+            low, high = _times((fixed, fixed), (low, high))
+            offset = tree.joint_offset[:, each, None]
+            low, high = low + offset, high + offset
+        return low, high
 
     def are_apart(first: int, second: int) -> Condition:
         common = max({*chain_to_root(tree, first)} & {*chain_to_root(tree, second)})
@@ -65,26 +82,6 @@ def chain_to_root(tree: Tree, body: int) -> list[int]:
     return chain
 
 
-def _swept(tree: Tree, chain: list[int], box: Interval, most: int) -> Interval:
-    """Return ranges ``(3, pieces)`` of a box's coordinates, in the frame that a chain starts in."""
-    axes = [tree.dof_bodies.count(body) for body in chain]
-    pieces = max(1, int(most ** (1 / max(1, sum(axes)))))
-    low, high = (x[:, None] for x in box)
-    for body in chain:
-        dofs = [i for i, owner in enumerate(tree.dof_bodies) if owner == body]
-        for i in reversed(dofs):
-            if not tree.dof_kinds[i].at_once:
-                low, high = _moved(tree, i, pieces, (low, high))
-            elif i in tree.balls:
-                # The axes of a ball are one rotation, in any direction.
-                low, high = _times(_ANY_ROTATION, (low, high))
-        fixed = tree.joint_orientation[:, :, body]
-        low, high = _times((fixed[..., None], fixed[..., None]), (low, high))
-        offset = tree.joint_offset[:, body, None]
-        low, high = low + offset, high + offset
-    return low, high
-
-
 def _moved(tree: Tree, axis: int, pieces: int, box: Interval) -> Interval:
     """Return ranges of a box's coordinates that an axis moves, for each piece of its range.
 
@@ -100,7 +97,16 @@ def _moved(tree: Tree, axis: int, pieces: int, box: Interval) -> Interval:
     low, high = (x[:, None] for x in box)
     if kind.rotation:
         place = 0.0 if tree.joint_places is None else tree.joint_places[:, axis, None]
-        turned = _times(_turns(direction, edges), (box[0] - place, box[1] - place))
+        # Ranges ``(3, 3, k)`` of the elements of all rotations between two successive angles, by
+        # Rodrigues' formula.
+        x, y, z = direction
+        along = xp.outer(direction, direction)[..., None]
+        cross = xp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[..., None]
+        across = [(np.eye(3)[..., None] - along) * c for c in _range(xp.cos, 0.0, edges)]
+        turning = [cross * s for s in _range(xp.sin, np.pi / 2, edges)]
+        least = along + xp.minimum(*across) + xp.minimum(*turning)
+        most = along + xp.maximum(*across) + xp.maximum(*turning)
+        turned = _times((least, most), (box[0] - place, box[1] - place))
         low, high = ((x + place).reshape(3, pieces, -1) for x in turned)
     if kind.translation:
         along = kind.translation * direction[:, None]
@@ -109,32 +115,16 @@ def _moved(tree: Tree, axis: int, pieces: int, box: Interval) -> Interval:
     return low.reshape(3, -1), high.reshape(3, -1)
 
 
-def _turns(axis: Numbers, edges: Numbers) -> Interval:
-    """Return ranges ``(3, 3, k)`` of the elements of rotation matrices, by Rodrigues' formula.
-
-    Each range covers all rotations between two successive angles of ``edges``.
-    """
-    x, y, z = axis
-    along = xp.outer(axis, axis)[..., None]
-    cross = xp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[..., None]
-    across = [(np.eye(3)[..., None] - along) * c for c in _range(xp.cos, 0.0, edges)]
-    turning = [cross * s for s in _range(xp.sin, np.pi / 2, edges)]
-    return (
-        along + xp.minimum(*across) + xp.minimum(*turning),
-        along + xp.maximum(*across) + xp.maximum(*turning),
-    )
-
-
 def _range(wave: Callable[[Numbers], Numbers], crest: float, edges: Numbers) -> Interval:
     """Return ranges of a cosine or sine between angles, with its crest at a given angle."""
     least, most = edges[:-1], edges[1:]
     ends = xp.sort(xp.array([wave(least), wave(most)]), 0)
-
-    def holds(angle: float) -> Numbers:
-        """Return whether an angle, up to whole turns, is in a range."""
-        return xp.floor((most - angle) / (2 * np.pi)) > xp.floor((least - angle) / (2 * np.pi))
-
-    return xp.where(holds(crest + np.pi), -1.0, ends[0]), xp.where(holds(crest), 1.0, ends[1])
+    # Whether the trough and the crest, up to whole turns, are in a range.
+    trough, peak = (
+        xp.floor((most - angle) / (2 * np.pi)) > xp.floor((least - angle) / (2 * np.pi))
+        for angle in (crest + np.pi, crest)
+    )
+    return xp.where(trough, -1.0, ends[0]), xp.where(peak, 1.0, ends[1])
 
 
 def _times(matrix: Interval, vector: Interval) -> Interval:

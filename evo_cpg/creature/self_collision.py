@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from evo_cpg.creature.algebra.decisions import Condition, all_hold
 from evo_cpg.creature.algebra.numerics import Numbers, is_traced, xp
@@ -70,7 +70,7 @@ def colliding_pairs(
     """
     if settings.only is not None:
         return sorted(_indices(tree.names, settings.only))
-    candidates, overlapping = _candidates(creature, tree, settings)
+    candidates, overlapping = candidate_pairs(creature, tree, settings)
     return [pair for pair in candidates if pair not in overlapping]
 
 
@@ -83,7 +83,35 @@ def passing_at_rest(
     """
     included = _indices(tree.names, settings.include)
     ruled = np.array([tuple(sorted(pair)) not in included for pair in pairs], bool)
-    return (_gaps_at_rest(creature, tree, pairs) < _TOUCH) & ruled
+    centres, rotations = neutral_pose(creature)
+    bodies = np.array([creature.body_index(name) for name in tree.names])
+    boxes = [creature.bodies[i].shape.rounded_box for i in bodies]
+    half = xp.array([box.half_extents for box in boxes])
+    radius = xp.array([box.radius for box in boxes])
+    turned = rotations[bodies]
+    within = xp.array([box.centre for box in boxes])
+    middle = centres[bodies] + xp.einsum("bij,bj->bi", turned, within)
+    first, second = np.array(pairs, int).reshape(-1, 2).T
+
+    def project(point: Numbers, body: np.ndarray) -> Numbers:
+        own = xp.einsum("pij,pi->pj", turned[body], point - middle[body])
+        return middle[body] + xp.einsum(
+            "pij,pj->pi", turned[body], xp.clip(own, -half[body], half[body])
+        )
+
+    def on_both(_: Any, points: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
+        here = project(points[1], first)
+        return here, project(here, second)
+
+    points = middle[first], middle[second]
+    if is_traced(points):
+        points = jax.lax.fori_loop(0, _PROJECTIONS, on_both, points)
+    else:
+        for _ in range(_PROJECTIONS):
+            points = on_both(_, points)
+    here, there = points
+    gaps = xp.linalg.norm(there - here, axis=1) - radius[first] - radius[second]
+    return (gaps < _TOUCH) & ruled
 
 
 class LeftOut(NamedTuple):
@@ -129,20 +157,13 @@ def still_apart(creature: Creature, tree: Tree, left: LeftOut) -> Condition:
     return all_hold(are_apart[pieces](first, second) for first, second, pieces in left.apart)
 
 
-def pairs_that_touch_at_rest(
+def candidate_pairs(
     creature: Creature, tree: Tree, settings: SelfCollision
-) -> list[tuple[int, int]]:
-    """Return the pairs that may pass because they touch or overlap in the neutral pose.
+) -> tuple[list[tuple[int, int]], set[tuple[int, int]]]:
+    """Return the pairs that can meet, and those of them that overlap in the neutral pose.
 
     Neighbours at a joint are not among them. The arguments are those of `colliding_pairs`.
     """
-    return sorted(_candidates(creature, tree, settings)[1])
-
-
-def _candidates(
-    creature: Creature, tree: Tree, settings: SelfCollision
-) -> tuple[list[tuple[int, int]], set[tuple[int, int]]]:
-    """Return the pairs that can meet, and those of them that overlap in the neutral pose."""
     are_apart = keeps_apart(tree, _boxes(creature, tree))
     candidates = [pair for pair in _ruled(creature, tree, settings) if not are_apart(*pair)]
     passing = passing_at_rest(creature, tree, settings, candidates)
@@ -183,37 +204,3 @@ def _indices(names: tuple[str, ...], given: tuple[tuple[str, str], ...]) -> set[
     """Return pairs of names as pairs of indices in ``names``, the lower index first."""
     found = [sorted(map(names.index, pair)) for pair in given]
     return {(first, second) for first, second in found}
-
-
-def _gaps_at_rest(
-    creature: Creature, tree: Tree, pairs: Sequence[tuple[int, int]]
-) -> Float[Numbers, " p"]:
-    """Return the gaps of pairs in the neutral pose, m, by alternating projections."""
-    centres, rotations = neutral_pose(creature)
-    bodies = np.array([creature.body_index(name) for name in tree.names])
-    boxes = [creature.bodies[i].shape.rounded_box for i in bodies]
-    half = xp.array([box.half_extents for box in boxes])
-    radius = xp.array([box.radius for box in boxes])
-    turned = rotations[bodies]
-    within = xp.array([box.centre for box in boxes])
-    middle = centres[bodies] + xp.einsum("bij,bj->bi", turned, within)
-    first, second = np.array(pairs, int).reshape(-1, 2).T
-
-    def project(point: Numbers, body: np.ndarray) -> Numbers:
-        own = xp.einsum("pij,pi->pj", turned[body], point - middle[body])
-        return middle[body] + xp.einsum(
-            "pij,pj->pi", turned[body], xp.clip(own, -half[body], half[body])
-        )
-
-    def on_both(_: Any, points: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
-        here = project(points[1], first)
-        return here, project(here, second)
-
-    points = middle[first], middle[second]
-    if is_traced(points):
-        points = jax.lax.fori_loop(0, _PROJECTIONS, on_both, points)
-    else:
-        for _ in range(_PROJECTIONS):
-            points = on_both(_, points)
-    here, there = points
-    return xp.linalg.norm(there - here, axis=1) - radius[first] - radius[second]

@@ -158,10 +158,21 @@ class Shape(abc.ABC):
     Attributes:
         exists: False only for `NoShape`.
         blunt: whether it is round about its x axis, with flat ends.
+        profile: profile of the whole volume, if that is one cell.
+        floor_kind: kind of its only part on the floor, with its half extents, or None.
+        obstacle_kind: kind of its only part for obstacles, its rounded box, or None.
+        fills_rounded_box: whether the shape fills its `rounded_box`.
+        corners: corners, or points on edges, that may touch the floor ``(k, 3)``, m. None for a
+            shape without edges.
     """
 
     exists: ClassVar[bool] = True
     blunt: ClassVar[bool] = False
+    profile: ClassVar[Profile]
+    floor_kind: ClassVar[Literal["box", "ellipsoid"] | None] = None
+    obstacle_kind: ClassVar[Literal["box", "line"] | None] = None
+    fills_rounded_box: ClassVar[bool] = True
+    corners: ClassVar[Numbers | None] = None
 
     @property
     @abc.abstractmethod
@@ -180,14 +191,10 @@ class Shape(abc.ABC):
 
     @abc.abstractmethod
     def inertia(self, mass: Number) -> Numbers:
-        """Return moments of inertia ``(3,)`` of uniform mass, about x, y, z at the centre, kg m^2.
+        """Return the inertia ``(3, 3)`` of uniform mass about the centre, kg m^2.
 
-        Meshes also have products of inertia (`inertia_tensor`).
+        It is diagonal except for meshes, which have products of inertia.
         """
-
-    def inertia_tensor(self, mass: Number) -> Numbers:
-        """Return the inertia ``(3, 3)`` about the centre, diagonal except for meshes, kg m^2."""
-        return xp.diag(self.inertia(mass))
 
     @property
     def stretch(self) -> tuple[Numbers, Numbers]:
@@ -210,11 +217,6 @@ class Shape(abc.ABC):
         It is equal to boxes, spheres and capsules, and around ellipsoids and meshes.
         """
         return RoundedBox(np.zeros(3), self.half_extents, 0.0)
-
-    @property
-    def fills_rounded_box(self) -> bool:
-        """Whether the shape fills its `rounded_box`."""
-        return True
 
     @abc.abstractmethod
     def distance(self, points: Numbers) -> Numbers:
@@ -247,9 +249,9 @@ class Shape(abc.ABC):
     def surface(self, resolution: int) -> Surface:
         """Return a quadrature over the whole surface, with more points at a higher resolution."""
 
-    @abc.abstractmethod
     def cells(self) -> tuple[Cell, ...]:
         """Return the parts of the volume, which together have its first and second moments."""
+        return (Cell(self.profile, (0.0, 0.0, 0.0), as_vector(self.half_extents), self.volume),)
 
     def barrel(self, direction: Numbers) -> Barrel:
         """Return the shape as a cylinder with ends, along its axis nearest to a direction.
@@ -259,8 +261,9 @@ class Shape(abc.ABC):
         Args:
             direction: vector ``(3,)`` in the shape's frame.
         """
-        half, axes = self.half_extents, _nearest_first(direction)
-        across = half @ axes
+        nearest = chosen(lambda: xp.argmax(xp.abs(direction)))
+        axes = np.roll(np.eye(3), -nearest, 1)
+        across = self.half_extents @ axes
         flat = xp.concatenate([xp.zeros(1), across[1:]])
         return Barrel(axes, flat, 2 * across[0], "flat")
 
@@ -270,7 +273,9 @@ class Shape(abc.ABC):
         Raises:
             TypeError: the shape is for use in water only.
         """
-        raise TypeError(f"no contact points for a {type(self).__name__}. Define floor_parts")
+        if self.floor_kind is None:
+            raise TypeError(f"no contact points for a {type(self).__name__}. Define floor_parts")
+        return (FloorPart(self.floor_kind, self.half_extents),)
 
     def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
         """Return the parts that may meet obstacles.
@@ -278,15 +283,9 @@ class Shape(abc.ABC):
         Raises:
             TypeError: the shape is for use in water only.
         """
-        raise TypeError(f"no contact points for a {type(self).__name__}. Define obstacle_parts")
-
-    @property
-    def corners(self) -> Numbers | None:
-        """Corners, or points on edges, that may touch the floor ``(k, 3)``, m.
-
-        None for a shape without edges.
-        """
-        return None
+        if self.obstacle_kind is None:
+            raise TypeError(f"no contact points for a {type(self).__name__}. Define obstacle_parts")
+        return (ObstaclePart(self.obstacle_kind, *self.rounded_box),)
 
     def skin(self) -> SkinMesh:
         """Return the triangles of the shape's picture, by default between support points."""
@@ -297,6 +296,10 @@ class Shape(abc.ABC):
 @dataclasses.dataclass(frozen=True)
 class Box(Shape):
     """Cuboid with edges ``size`` (m) along x, y and z."""
+
+    profile = "box"
+    floor_kind = "box"
+    obstacle_kind = "box"
 
     size: Triple
 
@@ -313,7 +316,7 @@ class Box(Shape):
     @override
     def inertia(self, mass: Number) -> Numbers:
         squares = xp.square(xp.array(self.size))
-        return mass / 12 * (squares.sum() - squares)
+        return xp.diag(mass / 12 * (squares.sum() - squares))
 
     @override
     def distance(self, points: Numbers) -> Numbers:
@@ -328,24 +331,22 @@ class Box(Shape):
     @override
     def surface(self, resolution: int) -> Surface:
         """Return Gauss-Legendre points, ``resolution`` squared on each of the six faces."""
-        places, normals, weights = _cube_rule(resolution)
-        axis = np.abs(normals).argmax(-1)
-        half = self.half_extents
-        return Surface(
-            places * half, normals, weights * 4 * half[(axis + 1) % 3] * half[(axis + 2) % 3]
-        )
-
-    @override
-    def cells(self) -> tuple[Cell, ...]:
-        return (Cell("box", (0.0, 0.0, 0.0), as_vector(self.half_extents), self.volume),)
-
-    @override
-    def floor_parts(self) -> tuple[FloorPart, ...]:
-        return (FloorPart("box", self.half_extents),)
-
-    @override
-    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
-        return (ObstaclePart("box", *self.rounded_box),)
+        nodes, weights = np.polynomial.legendre.leggauss(resolution)
+        u, v = (grid.ravel() for grid in np.meshgrid(nodes, nodes, indexing="ij"))
+        # On the cube from -1 to 1, with weights whose sum is 1 on a face.
+        faces = [
+            (
+                np.roll(np.column_stack([np.full(u.size, sign), u, v]), axis, 1),
+                np.tile(sign * np.eye(3)[axis], (u.size, 1)),
+            )
+            for axis in range(3)
+            for sign in (1.0, -1.0)
+        ]
+        places, normals = (np.concatenate(columns) for columns in zip(*faces, strict=True))
+        weights = np.tile(np.outer(weights, weights).ravel() / 4, 6)
+        axis, half = np.abs(normals).argmax(-1), self.half_extents
+        areas = weights * 4 * half[(axis + 1) % 3] * half[(axis + 2) % 3]
+        return Surface(places * half, normals, areas)
 
     @property
     @override
@@ -365,6 +366,9 @@ class Box(Shape):
 @dataclasses.dataclass(frozen=True)
 class Ellipsoid(Shape):
     """Ellipsoid with semi-axes ``radii`` (m) along x, y and z."""
+
+    profile = "ball"
+    floor_kind = "ellipsoid"
 
     radii: Triple
 
@@ -387,7 +391,7 @@ class Ellipsoid(Shape):
     @override
     def inertia(self, mass: Number) -> Numbers:
         squares = xp.square(xp.array(self.radii))
-        return mass / 5 * (squares.sum() - squares)
+        return xp.diag(mass / 5 * (squares.sum() - squares))
 
     @override
     def distance(self, points: Numbers) -> Numbers:
@@ -419,12 +423,8 @@ class Ellipsoid(Shape):
 
     @override
     def barrel(self, direction: Numbers) -> Barrel:
-        axes = _nearest_first(direction)
+        axes = super().barrel(direction).axes
         return Barrel(axes, self.half_extents @ axes, 0.0, "ellipsoid")
-
-    @override
-    def cells(self) -> tuple[Cell, ...]:
-        return (Cell("ball", (0.0, 0.0, 0.0), self.radii, self.volume),)
 
     @property
     @override
@@ -434,10 +434,6 @@ class Ellipsoid(Shape):
     @override
     def height(self, directions: np.ndarray) -> np.ndarray:
         return np.linalg.norm(directions * np.asarray(self.radii, float), axis=-1)
-
-    @override
-    def floor_parts(self) -> tuple[FloorPart, ...]:
-        return (FloorPart("ellipsoid", self.half_extents),)
 
     @override
     def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
@@ -493,6 +489,8 @@ class Capsule(Shape):
         length: length of the cylinder, m. The whole capsule is ``length + 2 radius`` long.
     """
 
+    obstacle_kind = "line"
+
     radius: Number
     length: Number
 
@@ -520,7 +518,7 @@ class Capsule(Shape):
         across = cylinder * (length**2 / 12 + r**2 / 4) + ends * (
             0.4 * r**2 + length**2 / 4 + 3 / 8 * length * r
         )
-        return xp.array([axial, across, across])
+        return xp.diag(xp.array([axial, across, across]))
 
     @override
     def distance(self, points: Numbers) -> Numbers:
@@ -555,7 +553,7 @@ class Capsule(Shape):
         )
         shift = xp.sign(directions[:, :1]) * xp.array([[self.length / 2, 0.0, 0.0]])
         ends = Surface(self.radius * directions + shift, directions, solid_angles * self.radius**2)
-        return joined([side, ends])
+        return Surface(*(xp.concatenate(both) for both in zip(side, ends, strict=True)))
 
     @override
     def barrel(self, direction: Numbers) -> Barrel:
@@ -598,10 +596,6 @@ class Capsule(Shape):
         return FloorPart("ball", self.radius, -end), FloorPart("ball", self.radius, end)
 
     @override
-    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
-        return (ObstaclePart("line", *self.rounded_box),)
-
-    @override
     def skin(self) -> SkinMesh:
         directions, signs, faces = _split_sphere()
         points = signs * [self.length / 2, 0, 0] + self.radius * directions
@@ -613,20 +607,13 @@ class NoShape(Shape):
     """Shape of a body that has none: a point that nothing touches, wets or draws."""
 
     exists: ClassVar[bool] = False
-
-    @property
-    @override
-    def volume(self) -> Number:
-        return 0.0
-
-    @property
-    @override
-    def half_extents(self) -> Numbers:
-        return np.zeros(3)
+    volume: ClassVar[Number] = 0.0
+    half_extents: ClassVar[Numbers] = np.zeros(3)
+    corners: ClassVar[Numbers | None] = np.zeros((1, 3))
 
     @override
     def inertia(self, mass: Number) -> Numbers:
-        return 0.0 * mass * np.ones(3)
+        return 0.0 * mass * np.eye(3)
 
     @override
     def distance(self, points: Numbers) -> Numbers:
@@ -652,21 +639,10 @@ class NoShape(Shape):
     def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
         return ()
 
-    @property
-    @override
-    def corners(self) -> Numbers:
-        return np.zeros((1, 3))
-
     @override
     def skin(self) -> SkinMesh:
         """Return one triangle without area, because pictures cannot draw nothing."""
         return SkinMesh(np.zeros((3, 3)), np.tile([1.0, 0.0, 0.0], (3, 1)), np.array([[0, 1, 2]]))
-
-
-def _nearest_first(direction: Numbers) -> np.ndarray:
-    """Return the coordinate axes as columns, beginning with the nearest to a direction."""
-    nearest = chosen(lambda: xp.argmax(xp.abs(direction)))
-    return np.roll(np.eye(3), -nearest, 1)
 
 
 def ring(resolution: int) -> Numbers:
@@ -676,34 +652,12 @@ def ring(resolution: int) -> Numbers:
     return xp.column_stack([xp.cos(angles), xp.sin(angles)])
 
 
-def _cube_rule(resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return points ``(n, 3)`` on the cube from -1 to 1, normals, weights with sum 1 on a face."""
-    nodes, weights = np.polynomial.legendre.leggauss(resolution)
-    u, v = (grid.ravel() for grid in np.meshgrid(nodes, nodes, indexing="ij"))
-    unit = np.eye(3)
-    faces = [
-        (
-            np.roll(np.column_stack([np.full(u.size, sign), u, v]), axis, 1),
-            np.tile(sign * unit[axis], (u.size, 1)),
-        )
-        for axis in range(3)
-        for sign in (1.0, -1.0)
-    ]
-    places, normals = (np.concatenate(columns) for columns in zip(*faces, strict=True))
-    return places, normals, np.tile(np.outer(weights, weights).ravel() / 4, 6)
-
-
 def _around_x(nodes: Numbers, weights: Numbers, around: Numbers) -> tuple[Numbers, Numbers]:
     """Return directions and solid angles of a product rule: ``nodes`` in x, a ring around x."""
     directions = xp.concatenate(
         [xp.column_stack([xp.full(len(around), x), xp.sqrt(1 - x * x) * around]) for x in nodes]
     )
     return directions, xp.repeat(weights * 2 * xp.pi / len(around), len(around))
-
-
-def joined(parts: list[Surface]) -> Surface:
-    """Return the points of several surfaces as one."""
-    return Surface(*(xp.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 @functools.cache

@@ -87,11 +87,6 @@ class SlenderChain(NamedTuple):
         """Unit vector along each body's centreline towards the nose, in the body's frame."""
         return (self.front - self.rear) / xp.maximum(self.lengths, _LEAST_LENGTH)[:, None]
 
-    @property
-    def length(self) -> Number:
-        """Length of the chain, m."""
-        return self.lengths.sum()
-
 
 class ChainOutline(NamedTuple):
     """Outline of a chain of bodies.
@@ -128,8 +123,22 @@ def slender_chains(creature: Creature) -> tuple[SlenderChain, ...]:
     places = {frozenset(pair): place for pair, place in joint_places(creature, pose).items()}
 
     def choose() -> tuple[tuple[int, ...], ...]:
+        # Paths from either end, in the order of their least bodies.
+        beside: dict[int, list[int]] = {i: [] for i in range(len(creature.bodies))}
+        for link in _links(creature, pose, places):
+            for body in link:
+                beside[body] += link - {body}
+        paths, seen = [], set()
+        for start, near in beside.items():
+            if start in seen or len(near) > 1:
+                continue
+            path = [start]
+            while following := [body for body in beside[path[-1]] if body not in path]:
+                path.append(following[0])
+            seen.update(path)
+            paths.append(tuple(path))
         centres, found = pose[0], []
-        for bodies in _paths(creature, _links(creature, pose, places)):
+        for bodies in sorted(paths, key=min):
             backwards = False
             if len(bodies) > 1:
                 direction = _unit(centres[bodies[0]] - centres[bodies[-1]])
@@ -200,24 +209,6 @@ def _links(
         best = max(single, key=lambda links: sum(alike[x] ** 2 for x in links), default=())
         kept.append(set(best))
     return [link for link in straight if all(link in kept[body] for body in link)]
-
-
-def _paths(creature: Creature, links: list[_Link]) -> list[tuple[int, ...]]:
-    """Return the chains as paths from either end, in the order of their least bodies."""
-    beside: dict[int, list[int]] = {i: [] for i in range(len(creature.bodies))}
-    for link in links:
-        for body in link:
-            beside[body] += link - {body}
-    paths, seen = [], set()
-    for start, near in beside.items():
-        if start in seen or len(near) > 1:
-            continue
-        path = [start]
-        while following := [body for body in beside[path[-1]] if body not in path]:
-            path.append(following[0])
-        seen.update(path)
-        paths.append(tuple(path))
-    return sorted(paths, key=min)
 
 
 def _chain(

@@ -63,7 +63,8 @@ def outer_surfaces(
     Returns:
         One surface per body, in the order of ``creature.bodies``.
     """
-    if all(_is_flat(body) for body in creature.bodies):
+    # Bodies with corners, such as boxes and meshes, are flat.
+    if all(body.shape.corners is not None for body in creature.bodies):
         return _of_flat_bodies(creature, resolution, sheltered, layout)
     surfaces = _outline(creature, resolution, sheltered, layout)
     if layout == "complete":
@@ -104,7 +105,7 @@ def _outline(
         lambda: _nearness(creature, pose, reach) <= largest,
         lambda near: (near | (_nearness(creature, pose, reach) > 1)).all(),
     )
-    flat = np.array([_is_flat(body) for body in creature.bodies])
+    flat = np.array([shape.corners is not None for shape in shapes])
     both_flat = flat[:, None] & flat
     exposed = _exposed(creature, pose, reach, surfaces, near & both_flat)
     dry = _covered(creature, pose, reach, surfaces, near & ~both_flat)
@@ -117,11 +118,6 @@ def _outline(
     return tuple(made)
 
 
-def _is_flat(body: Body) -> bool:
-    """Return whether a body has corners, such as a box or a mesh."""
-    return body.shape.corners is not None
-
-
 def _of_flat_bodies(
     creature: Creature, resolution: int, sheltered: bool, layout: PointLayout
 ) -> tuple[Surface, ...]:
@@ -132,14 +128,11 @@ def _of_flat_bodies(
     pose = neutral_pose(creature)
     reach = _SHELTER_GAPS * _largest_gap(creature, pose)
 
-    def find_near(largest: float = _NEAR) -> np.ndarray:
-        return _nearness(creature, pose, reach) <= largest
-
     def still_near(near: np.ndarray) -> Condition:
         return (near | (_nearness(creature, pose, reach) > 1)).all()
 
     if layout == "complete":
-        near = chosen(lambda: find_near(_NEAR_IN_COMPLETE), still_near)
+        near = chosen(lambda: _nearness(creature, pose, reach) <= _NEAR_IN_COMPLETE, still_near)
         exposed = _exposed(creature, pose, reach, surfaces, near)
         return tuple(
             surface._replace(areas=xp.where(outside, surface.areas, 0.0))
@@ -147,7 +140,7 @@ def _of_flat_bodies(
         )
 
     def choose() -> tuple[list[Numbers], np.ndarray]:
-        near = find_near()
+        near = _nearness(creature, pose, reach) <= _NEAR
         return _exposed(creature, pose, reach, surfaces, near), near
 
     def still(made: tuple[list[Numbers], np.ndarray]) -> Condition:

@@ -70,11 +70,6 @@ class Group(NamedTuple):
     kinds: tuple[AxisKind, ...]
 
     @property
-    def carries(self) -> bool:
-        """Whether a turn or slide of the joint moves the origin of its body."""
-        return self.kind == "chain"
-
-    @property
     def at_once(self) -> bool:
         """Whether the axes turn at once, and not one after the other."""
         return any(kind.at_once for kind in self.kinds)
@@ -101,7 +96,7 @@ class Tree(ForceLaws):
         joint_orientation: rotation from child frame to parent frame in the neutral pose.
         joint_axes: unit vectors in the child's neutral frame.
         joint_places: positions of the axes in the working frame, m, or None if no joint moves the
-            origin of its body (`Group.carries`).
+            origin of its body, as only those of a "chain" do.
         mass: mass of each body, kg. A welded body has none: its owner has the mass of all bodies
             that are welded together.
         volume: volume of each body, m^3.
@@ -214,7 +209,12 @@ class Tree(ForceLaws):
         Idle motors and muscles have no torque and cost no energy. The springs and dampers of
         relaxed muscles stay. The motor of a tendon is idle if any of the tendon's joints is.
         """
-        tendons = self.tendons and self.tendons.without_motors(axes)
+        tendons = self.tendons
+        if tendons is not None:
+            pairs = zip(tendons.owners, tendons.dofs, strict=True)
+            idle = np.zeros(len(tendons.names), bool)
+            idle[[owner for owner, dof in pairs if axes[dof]]] = True
+            tendons = tendons.with_idle(idle)
         return dataclasses.replace(self.with_idle(axes), tendons=tendons)
 
 
@@ -260,7 +260,7 @@ def build_tree(creature: Creature) -> Tree:
         inertia,
     )
     rest = xp.array([dof.rest for dof in dofs], float)
-    carry = any(group.carries for group in (*groups, hanging) if group)
+    carry = any(group.kind == "chain" for group in (*groups, hanging) if group)
     places = xp.array([dof.place for dof in dofs], float).reshape(-1, 3).T if carry else None
     return Tree(
         names=tuple(names),
@@ -390,7 +390,12 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     )
     if dofs:
         rows = zip(dofs, about, strict=True)
-        about = xp.stack([dof.kind.inertia(turning, mass) for (_, dof), turning in rows])
+        about = xp.stack(
+            [
+                dof.kind.rotation * turning + dof.kind.translation**2 * mass
+                for (_, dof), turning in rows
+            ]
+        )
     beyond = np.array(distal, bool).reshape(len(moved), len(names))
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
     if creature.root_joint is None:

@@ -11,7 +11,7 @@ from jaxtyping import Array
 from evo_cpg.creature.algebra.decisions import Condition, chosen, searched
 from evo_cpg.creature.algebra.numerics import Number, Triple, as_vector, is_traced, xp
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
-from evo_cpg.creature.creature import Creature, length_of, lowest_along, lowest_height, neutral_pose
+from evo_cpg.creature.creature import Creature, length_of, lowest_height, neutral_pose
 from evo_cpg.io.errors import Key, KeyProblem
 from evo_cpg.io.schema.experiment import ExperimentConfig, SituationConfig
 from evo_cpg.io.schema.task import DEFAULT_LIGHT
@@ -186,7 +186,7 @@ def _start_height(
         normal = xp.array(floor.normal)
         normal = normal / xp.linalg.norm(normal)
         seen = euler_to_matrix(0.0, 0.0, heading).T @ normal
-        rise = start_clearance - lowest_along(creature, seen) + floor.height
+        rise = start_clearance - lowest_height(creature, up=seen) + floor.height
         return (rise - normal[0] * x - normal[1] * y) / normal[2]
 
     def accuracy(here: Number) -> Number:

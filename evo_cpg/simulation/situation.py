@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from evo_cpg.creature.algebra.linear import array_of, cosine_sine
-from evo_cpg.creature.algebra.numerics import Number, Triple
+from evo_cpg.creature.algebra.linear import array_of
+from evo_cpg.creature.algebra.numerics import Number, Triple, xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.hanging import Base
 from evo_cpg.physics.tree.kinematics import kinematics
@@ -44,8 +44,7 @@ class Situation(NamedTuple):
         if self.start_orientation is not None:
             return self.start_orientation
         half = self.start_heading / 2
-        cosine, sine = cosine_sine(half)
-        return cosine, 0.0, 0.0, sine
+        return xp.cos(half), 0.0, 0.0, xp.sin(half)
 
 
 def starting_state(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.control.brain import BrainSettings, build_brain, decode_weights, random_weights, think
+from evo_cpg.control.brain import Brain, BrainSettings, decode_weights, think
 
 
 def written_out(sizes, temperature, genes, inputs):
@@ -26,7 +26,7 @@ def written_out(sizes, temperature, genes, inputs):
 @pytest.mark.parametrize("temperature", [1.0, 0.3])
 def test_brain_equals_its_equations_written_out(hidden, temperature):
     rng = np.random.default_rng(0)
-    brain = build_brain(70, 6, BrainSettings(hidden=hidden, temperature=temperature))
+    brain = Brain((70, *hidden, 6), temperature)
     genes = rng.uniform(-0.5, 0.5, brain.gene_count)
     inputs = rng.uniform(-1, 1, 70)
     expected = written_out((70, *hidden, 6), temperature, genes, inputs)
@@ -37,8 +37,8 @@ def test_brain_equals_its_equations_written_out(hidden, temperature):
 
 
 def test_batch_equals_single_and_vmap():
-    brain = build_brain(94, 7, BrainSettings())
-    genes = random_weights(jax.random.key(0), brain, (5,), float, 2.0)
+    brain = Brain((94, 16, 7), 1.0)
+    genes = jax.random.uniform(jax.random.key(0), (brain.gene_count, 5), float, -2, 2)
     inputs = jax.random.uniform(jax.random.key(1), (94, 5), float, -1, 1)
 
     @jax.jit
@@ -53,17 +53,6 @@ def test_batch_equals_single_and_vmap():
         np.testing.assert_allclose(single, batched[:, k], rtol=0, atol=1e-14)
 
 
-def test_first_weights_fill_their_range_evenly():
-    brain = build_brain(94, 7, BrainSettings())
-    weights = np.asarray(random_weights(jax.random.key(0), brain, (50,), jnp.float32, 2.0))
-    assert weights.dtype == np.float32
-    counts, _ = np.histogram(weights, bins=10, range=(-2, 2))
-    assert counts.sum() == weights.size
-    # Multinomial: each bin holds a tenth, within four standard deviations.
-    expected = weights.size / 10
-    assert np.abs(counts - expected).max() < 4 * np.sqrt(0.9 * expected)
-
-
 @pytest.mark.parametrize(
     ("genes", "inputs", "words"),
     [
@@ -72,7 +61,7 @@ def test_first_weights_fill_their_range_evenly():
     ],
 )
 def test_wrong_number_of_inputs_or_genes_is_refused(genes, inputs, words):
-    brain = build_brain(94, 7, BrainSettings())
+    brain = Brain((94, 16, 7), 1.0)
     with pytest.raises(ValueError, match=words):
         think(brain, decode_weights(brain, jnp.zeros(genes)), jnp.zeros(inputs))
 

@@ -15,8 +15,8 @@ from evo_cpg.control.brain_cpg import AxisSettings, BrainCpgSettings, build_brai
 from evo_cpg.control.controller import Observation
 from evo_cpg.control.couplings import UnfitError
 from evo_cpg.control.matsuoka import CpgSettings
-from evo_cpg.creature.creature import Muscle, TorqueMotor
-from evo_cpg.creature.laws import muscles_of, torque_motors_of
+from evo_cpg.creature.creature import Muscle, Tendon, TorqueMotor
+from evo_cpg.creature.laws import laws_of
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.build import build_creature
 from evo_cpg.io.load import load_config
@@ -47,6 +47,17 @@ def test_swimmer_has_the_expected_number_of_genes(chain, drive, outputs, genes):
     assert grown.brain.sizes == (94, 16, outputs)
     assert grown.gene_count == genes
     assert grown.random_genes(jax.random.key(0), (3,), float).shape == (genes, 3)
+
+
+def test_first_weights_fill_their_range_evenly(chain):
+    grown = build_brain_cpg(chain(10, "xyz"), 1, 10)
+    weights = np.asarray(grown.random_genes(jax.random.key(0), (50,), jnp.float32))
+    assert weights.dtype == np.float32
+    counts, _ = np.histogram(weights, bins=10, range=(-2, 2))
+    assert counts.sum() == weights.size
+    # Multinomial: each bin holds a tenth, within four standard deviations.
+    expected = weights.size / 10
+    assert np.abs(counts - expected).max() < 4 * np.sqrt(0.9 * expected)
 
 
 def test_brain_senses_table_2_in_order(chain):
@@ -146,7 +157,8 @@ def test_motor_command_follows_the_rhythm_and_centres_the_joint(chain):
 def test_neurons_activate_the_muscles_of_their_side(chain):
     """ML = min(1, y_e / u_max), MR = min(1, y_f / u_max). Muscles have no target rate."""
     motor = Muscle(area=1e-4, arm=0.01, fibre_length=0.05)
-    tree = dataclasses.replace(chain(3, "z"), muscles=muscles_of([motor, None]))
+    laws = laws_of([Tendon("", (), actuator=each) for each in (motor, None)], np.ones(2))
+    tree = dataclasses.replace(chain(3, "z"), muscles=laws["muscles"])
     settings = BrainCpgSettings(cpg=CpgSettings(max_tonic_input=2.0), rate_gain=3.0)
     grown = build_brain_cpg(tree, 1, 3, settings)
     state = grown.initial_state((), float)
@@ -159,8 +171,8 @@ def test_neurons_activate_the_muscles_of_their_side(chain):
 
 def test_neurons_command_torque_motors_like_rigid_muscles(chain):
     """Torque gear (ML - MR). Torque motors have no target rate."""
-    motors = torque_motors_of([TorqueMotor(8.0), None])
-    tree = dataclasses.replace(chain(3, "z"), torque_motors=motors)
+    laws = laws_of([Tendon("", (), actuator=each) for each in (TorqueMotor(8.0), None)], np.ones(2))
+    tree = dataclasses.replace(chain(3, "z"), torque_motors=laws["torque_motors"])
     grown = build_brain_cpg(tree, 1, 3, BrainCpgSettings(cpg=CpgSettings(max_tonic_input=2.0)))
     state = grown.initial_state((), float)
     state = eqx.tree_at(lambda s: s.potential, state, jnp.array([[1.5, 3.0], [0.5, 0.5]]))

@@ -18,8 +18,8 @@ from evo_cpg.control.postures import (
     PostureSettings,
     build_posture_controller,
 )
-from evo_cpg.creature.creature import Muscle, TorqueMotor
-from evo_cpg.creature.laws import muscles_of, torque_motors_of
+from evo_cpg.creature.creature import Muscle, Tendon, TorqueMotor
+from evo_cpg.creature.laws import laws_of
 
 ANGLES = [110, 130, 150, 170, 190, 210, 230, 250]  # degrees: Fukui 2003, 2.5
 LEGS = ("front_left", "front_right", "hind_left", "hind_right")
@@ -71,7 +71,7 @@ def degrees_of(controller, genes):
 
 def degrees(controller, genes):
     """Return decoded angles in degrees, as the thesis counts them."""
-    return np.rad2deg(decode(controller, genes)) + controller.settings.neutral_angle
+    return np.rad2deg(decode(controller, genes)) + controller.origin.settings.neutral_angle
 
 
 @pytest.fixture(scope="session")
@@ -292,13 +292,14 @@ def test_settings_out_of_range_are_refused(key, value):
 
 
 @pytest.mark.parametrize(
-    ("changes", "word"),
+    ("motor", "name", "word"),
     [
-        ({"torque_motors": torque_motors_of([TorqueMotor(), None])}, "b1.z takes torques"),
-        ({"muscles": muscles_of([Muscle(1e-4, 0.01, 0.05), None])}, "b1.z has muscles"),
+        (TorqueMotor(), "torque_motors", "b1.z takes torques"),
+        (Muscle(1e-4, 0.01, 0.05), "muscles", "b1.z has muscles"),
     ],
 )
-def test_motors_without_an_angle_are_refused(chain, changes, word):
-    tree = dataclasses.replace(chain(3, "z"), **changes)
+def test_motors_without_an_angle_are_refused(chain, motor, name, word):
+    laws = laws_of([Tendon("", (), actuator=each) for each in (motor, None)], np.ones(2))
+    tree = dataclasses.replace(chain(3, "z"), **{name: laws[name]})
     with pytest.raises(ValueError, match=word):
         build_posture_controller(tree, PostureSettings(), 1 / 60)

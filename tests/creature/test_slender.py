@@ -33,7 +33,7 @@ HEAD = limb("head", Box((0.1, 0.1, 0.1)), "trunk", (0.2, 0.0, 0.0), (-0.05, 0.0,
 def test_a_chain_runs_from_nose_to_tail():
     (chain,) = slender_chains(box_chain(5, "z", size=(0.2, 0.1, 0.1), gap=0.02))
     assert chain.bodies == (0, 1, 2, 3, 4)
-    assert float(chain.length) == pytest.approx(5 * 0.2 + 4 * 0.02)
+    assert float(chain.lengths.sum()) == pytest.approx(5 * 0.2 + 4 * 0.02)
     np.testing.assert_allclose(chain.lengths, [0.21, 0.22, 0.22, 0.22, 0.21])
     np.testing.assert_allclose(chain.tangents, [[1, 0, 0]] * 5, atol=1e-12)
     np.testing.assert_allclose(chain.front[0], [0.1, 0, 0])
@@ -122,8 +122,8 @@ def test_a_body_without_size_keeps_its_place():
     def replayed(scale):
         with replaying_decisions(decisions):
             found = chain(scale)
-        return found.lengths, found.tangents, found.length
+        return found.lengths, found.tangents
 
-    lengths, tangents, length = jax.jit(replayed)(jnp.array(0.0))
+    lengths, tangents = jax.jit(replayed)(jnp.array(0.0))
     np.testing.assert_allclose(lengths, [0.4, 0.3, 0.2, 0.0], atol=1e-7)
-    assert float(length) == pytest.approx(0.9) and np.isfinite(tangents).all()
+    assert np.isfinite(tangents).all()

@@ -29,7 +29,7 @@ def wheel(armature: float = 0.0) -> tuple[World, float]:
     given = {"armature": armature, "actuator": TorqueMotor(), "friction_loss": LOSS}
     joint = hinge("hub", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), limit=NO_LIMIT, **given)
     bodies = Body("hub", hub, material), Body("wheel", rim, material, joint)
-    inertias = [body.shape.inertia(body.mass)[2] for body in bodies]
+    inertias = [body.shape.inertia(body.mass)[2, 2] for body in bodies]
     alone = 1 / (1 / inertias[0] + 1 / inertias[1])
     return World(build_tree(Creature("wheel", bodies)), 0.0), float(alone + armature)
 

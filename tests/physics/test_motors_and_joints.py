@@ -114,7 +114,7 @@ def spring_pair(
 def reduced_inertia(creature: Creature) -> float:
     """Return I_a I_b / (I_a + I_b), the inertia of their relative rotation."""
     first, second = (
-        b.shape.inertia(b.material.density * b.shape.volume)[2] for b in creature.bodies
+        b.shape.inertia(b.material.density * b.shape.volume)[2, 2] for b in creature.bodies
     )
     return first * second / (first + second)
 

@@ -48,21 +48,21 @@ def moved(world: World, activation, angle, count: int, h: float = H):
 def test_steady_bend_is_the_quotient_of_pull_and_stiffness(both):
     """Ekeberg: phi = alpha (ML - MR) / (beta (ML + MR + gamma)), towards the first muscle."""
     q, *_ = moved(pair(EKEBERG, 3), [[x, x] for x in both], 0.0, 600)
-    alpha, beta = EKEBERG.strength, EKEBERG.stiffening
+    alpha, beta = EKEBERG.numbers["strength"], EKEBERG.numbers["stiffening"]
     expected = alpha * (both[0] - both[1]) / (beta * (sum(both) + EKEBERG.tone))
     np.testing.assert_allclose(q[-1], expected, atol=1e-9)
 
 
 def test_one_side_alone_bends_by_the_given_angle():
     q, *_ = moved(pair(EKEBERG), [[0.0], [1.0]], 0.0, 600)
-    assert q[-1] == pytest.approx(-EKEBERG.bend, abs=1e-9)
+    assert q[-1] == pytest.approx(-np.deg2rad(EKEBERG.bend_deg), abs=1e-9)
 
 
 @pytest.mark.parametrize("both", [(0.0, 0.0), (0.4, 0.4)])
 def test_undamped_frequency_follows_stiffness_and_inertia(both):
     """Differs from sqrt(k/I) by Newmark's rule alone: tan(w' h / 2) = w h / 2."""
     muscle = dataclasses.replace(EKEBERG, damping_time=0.0, area=2e-4)
-    stiffness = muscle.stiffening * (sum(both) + muscle.tone)
+    stiffness = muscle.numbers["stiffening"] * (sum(both) + muscle.tone)
     natural = np.sqrt(stiffness / (INERTIA / 2))
     q, *_ = moved(pair(muscle), [[x] for x in both], 1e-3, 1200)
     q = q[:, 0]
@@ -77,8 +77,8 @@ def test_undamped_frequency_follows_stiffness_and_inertia(both):
 
 def test_passive_joint_decays_as_a_damped_spring():
     muscle = dataclasses.replace(EKEBERG, damping_time=0.004, area=2e-4)
-    natural = np.sqrt(muscle.rest_stiffness / (INERTIA / 2))
-    decay = muscle.damping / INERTIA
+    natural = np.sqrt(muscle.numbers["rest_stiffness"] / (INERTIA / 2))
+    decay = muscle.numbers["damping"] / INERTIA
     ringing = np.sqrt(natural**2 - decay**2)
     errors = []
     for h in (1 / 1200, 1 / 2400):
@@ -95,7 +95,7 @@ def test_a_closed_passive_cycle_without_damping_does_no_work():
     """Work is the change of k m^2 / 2, where m is the mean of two successive angles."""
     muscle = dataclasses.replace(EKEBERG, damping_time=0.0)
     q, rate, torque, _ = moved(pair(muscle), [[0.3], [0.3]], 0.2, 600)
-    stiffness = muscle.stiffening * (0.6 + muscle.tone)
+    stiffness = muscle.numbers["stiffening"] * (0.6 + muscle.tone)
     work = np.cumsum(torque[1:, 0] * H * (rate[1:, 0] + rate[:-1, 0]) / 2)
     stored = stiffness * ((q[1:, 0] + q[:-1, 0]) / 2) ** 2 / 2
     np.testing.assert_allclose(work[1:] - work[0], stored[0] - stored[1:], atol=1e-9 * stored.max())
@@ -114,10 +114,10 @@ def test_force_follows_hills_curve(k):
     lengthening = 1.8 - 0.8 * (1 + q) / (1 - 7.56 * q / k)
     expected = np.where(q >= 0, shortening, lengthening)
     one, none = jnp.ones((1, len(q))), jnp.zeros((1, len(q)))
-    rate = jnp.array(q / muscle.slowness)[None]
+    rate = jnp.array(q / muscle.numbers["slowness"])[None]
     for active, sign in ((jnp.stack([one, none]), 1.0), (jnp.stack([none, one]), -1.0)):
         pull = pull_of(muscles, active, none, sign * rate)
-        found = sign * pull.torque(none, sign * rate)[0] / muscle.strength
+        found = sign * pull.torque(none, sign * rate)[0] / muscle.numbers["strength"]
         np.testing.assert_allclose(found, expected, atol=1e-12)
         assert (pull.damping >= 0).all()
 
@@ -128,9 +128,13 @@ def test_power_of_dogfish_muscle_peaks_at_the_measured_speed():
     power = q * (1 - q) / (1 + q / 0.269)
     muscles = build_tree(box_chain(2, "z", dataclasses.replace(HILL, curvature=0.269))).muscles
     active = jnp.stack([jnp.ones((1, 99)), jnp.zeros((1, 99))])
-    rate = jnp.array(q / HILL.slowness)[None]
+    rate = jnp.array(q / HILL.numbers["slowness"])[None]
     pull = pull_of(muscles, active, jnp.zeros((1, 99)), rate)
-    found = q * ((pull.drive - pull.damping * rate)[0] + HILL.damping * rate[0]) / HILL.strength
+    found = (
+        q
+        * ((pull.drive - pull.damping * rate)[0] + HILL.numbers["damping"] * rate[0])
+        / HILL.numbers["strength"]
+    )
     np.testing.assert_allclose(found, power, atol=1e-12)
     assert q[np.argmax(found)] == pytest.approx(0.30, abs=0.03)
 
@@ -141,7 +145,7 @@ def test_force_falls_away_from_the_optimal_length():
     for angle in (-0.6, 0.4):
         q, still = jnp.full((1,), angle), jnp.zeros(1)
         for active, side in ((jnp.array([[1.0], [0.0]]), -1), (jnp.array([[0.0], [1.0]]), 1)):
-            drive = pull_of(muscles, active, q, still).drive / HILL.strength
+            drive = pull_of(muscles, active, q, still).drive / HILL.numbers["strength"]
             stretch = side * HILL.arm / HILL.fibre_length * angle
             assert drive[0] == pytest.approx(-side * np.exp(-((stretch / 0.45) ** 2)), abs=1e-12)
 
@@ -182,8 +186,8 @@ def test_random_activation_is_stable_at_the_shipped_step(hill, damping_time):
     q, rate = states.q, states.qd
     assert np.isfinite(rate).all()
     # Muscles hold at most their bend, and may overshoot it a little.
-    assert np.abs(q).max() < 1.1 * muscle.bend
-    assert np.abs(rate).max() < 1.5 * muscle.bend / H
+    assert np.abs(q).max() < 1.1 * np.deg2rad(muscle.bend_deg)
+    assert np.abs(rate).max() < 1.5 * np.deg2rad(muscle.bend_deg) / H
 
 
 def test_mirrored_activation_gives_the_mirrored_motion():
@@ -243,7 +247,7 @@ def test_motors_and_muscles_mix_in_one_creature():
     move = quick_jit(lambda s: step(world, s, command, H)[0])
     for _ in range(240):
         state = move(state)
-    assert state.q[0] == pytest.approx(EKEBERG.bend, abs=1e-3)
+    assert state.q[0] == pytest.approx(np.deg2rad(EKEBERG.bend_deg), abs=1e-3)
     assert state.qd[1] == pytest.approx(0.05, abs=1e-3)
 
 

@@ -38,7 +38,7 @@ def wheels(*motors: TorqueMotor | Actuator | None) -> tuple[World, float]:
         joint = Joint("hub", centre, centre, ((0.0, 0.0, 1.0),), *free, actuator=motor)
         bodies.append(Body(f"wheel{i}", rim, WATER, joint))
     creature = Creature("wheels", tuple(bodies))
-    inertias = [body.shape.inertia(body.mass)[2] for body in creature.bodies]
+    inertias = [body.shape.inertia(body.mass)[2, 2] for body in creature.bodies]
     return World(build_tree(creature), 0.0), float(1 / (1 / inertias[0] + 1 / inertias[1]))
 
 

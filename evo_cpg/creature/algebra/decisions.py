@@ -44,9 +44,7 @@ class StaticDecisions:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, StaticDecisions):
             return NotImplemented
-        mine, layout = jax.tree.flatten(self.made)
-        theirs, their_layout = jax.tree.flatten(other.made)
-        return layout == their_layout and all(map(np.array_equal, mine, theirs))
+        return bool(_equal(self.made, other.made))
 
     __hash__ = None  # pyright: ignore[reportAssignmentType]
 

@@ -73,13 +73,6 @@ def array_of(values: Any, dtype: Any = float) -> np.ndarray | Array:
     return jnp.stack(jnp.broadcast_arrays(*parts))
 
 
-def cosine_sine(angle: Any) -> tuple[Any, Any]:
-    """Return cosine and sine of an angle (rad), as Python floats if the angle is known."""
-    if is_traced(angle):
-        return jnp.cos(angle), jnp.sin(angle)
-    return float(np.cos(angle)), float(np.sin(angle))
-
-
 @inlined
 def dot(a: Float[Array, "n *#rest"], b: Float[Array, "n *#rest"]) -> Float[Array, "*#rest"]:
     """Return the scalar product over the leading axis."""
@@ -122,11 +115,6 @@ def t_matmul(
 ) -> Float[Array, "i k *#rest"]:
     """Return the matrix product ``a^T b``."""
     return (a[:, :, None] * b[:, None]).sum(0)
-
-
-def transpose(m: Float[Array, "i j *#rest"]) -> Float[Array, "j i *#rest"]:
-    """Return the matrix transpose, ``m^T``."""
-    return jnp.swapaxes(m, 0, 1)
 
 
 @inlined

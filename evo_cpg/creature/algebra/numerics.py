@@ -8,6 +8,7 @@ functions, and never write into arrays. Choices other than numbers go through
 """
 
 from collections.abc import Iterator
+from functools import partialmethod
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -22,6 +23,8 @@ class MixedArray:
         known: the array, with arbitrary values in the places of the traced elements.
         traced: the traced elements.
         index: index of each element in ``known`` followed by ``traced``.
+        shape: shape of the array.
+        dtype: dtype of the traced elements, which all elements take.
     """
 
     # With None, NumPy leaves arithmetic with this array to the methods below.
@@ -32,6 +35,7 @@ class MixedArray:
         self.index = np.arange(known.size)
         self.index[places] = known.size + np.arange(len(places))
         self.index = self.index.reshape(known.shape)
+        self.shape, self.dtype = known.shape, traced.dtype
 
     def __jax_array__(self) -> jax.Array:
         """Return the whole array."""
@@ -52,29 +56,15 @@ class MixedArray:
     def __len__(self) -> int:
         return len(self.known)
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the array."""
-        return self.known.shape
-
-    @property
-    def dtype(self) -> Any:
-        """Dtype of the traced elements, which all elements take."""
-        return self.traced.dtype
-
-
-def _operator(name: str) -> Any:
-    def apply(self: MixedArray, *others: Any) -> Any:
+    def _operate(self, name: str, *others: Any) -> Any:
         return getattr(self.__jax_array__(), name)(*(jnp.asarray(other) for other in others))
 
-    return apply
 
-
-for _name in ("add", "sub", "mul", "truediv", "pow"):
-    for _side in ("", "r"):
-        setattr(MixedArray, f"__{_side}{_name}__", _operator(f"__{_side}{_name}__"))
-for _name in ("neg", "lt", "le", "gt", "ge"):
-    setattr(MixedArray, f"__{_name}__", _operator(f"__{_name}__"))
+_BOTH_SIDES = [
+    f"{side}{name}" for name in ("add", "sub", "mul", "truediv", "pow") for side in ("", "r")
+]
+for _name in (*_BOTH_SIDES, "neg", "lt", "le", "gt", "ge"):
+    setattr(MixedArray, f"__{_name}__", partialmethod(MixedArray._operate, f"__{_name}__"))
 
 
 # A float, or a traced scalar while a model is built from traced numbers.
@@ -93,11 +83,6 @@ def is_traced(*values: Any) -> bool:
     return any(isinstance(x, (jax.Array, MixedArray)) for x in jax.tree.leaves(values))
 
 
-def _whole(value: Any) -> Any:
-    """Return a `MixedArray` as a JAX array, because jitted JAX functions refuse it."""
-    return jnp.asarray(value) if isinstance(value, MixedArray) else value
-
-
 class _Namespace:
     """NumPy module that calls the JAX functions of the same names for traced arguments."""
 
@@ -106,25 +91,24 @@ class _Namespace:
 
     def __getattr__(self, name: str) -> Any:
         known = getattr(self._known, name)
-        if isinstance(known, type(np)):
-            found = _Namespace(known, getattr(self._traced, name))
-        elif callable(known):
-            found = self._either(name, known)
-        else:
-            found = known
-        setattr(self, name, found)
-        return found
 
-    def _either(self, name: str, known: Any) -> Any:
         def call(*args: Any, **options: Any) -> Any:
             if is_traced(args, options):
-                args, options = jax.tree.map(_whole, (args, options))
+                # Jitted JAX functions refuse a `MixedArray`.
+                args, options = jax.tree.map(
+                    lambda x: jnp.asarray(x) if isinstance(x, MixedArray) else x, (args, options)
+                )
                 return getattr(self._traced, name)(*args, **options)
             result = known(*args, **options)
             # A Python scalar takes the precision of the array it is combined with.
             return float(result) if isinstance(result, np.floating) else result
 
-        return call
+        if isinstance(known, type(np)):
+            found = _Namespace(known, getattr(self._traced, name))
+        else:
+            found = call if callable(known) else known
+        setattr(self, name, found)
+        return found
 
     def array(self, values: Any, dtype: Any = None) -> Any:
         """Return an array. A nested sequence with few traced numbers gives a short program."""

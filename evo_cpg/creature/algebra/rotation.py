@@ -75,13 +75,8 @@ def integrate_quaternion(
 
     The result is exact for a constant ``omega``. It is normalised, so rounding does not accumulate.
     """
-    turned = quaternion_product(_exponential(0.5 * h * omega), q)
+    turned = quaternion_product(half_rotation_to_quaternion(0.5 * h * omega), q)
     return turned / jnp.sqrt((turned * turned).sum(0, keepdims=True))
-
-
-def rotation_vector_to_quaternion(vector: Float[Array, "3 *rest"]) -> Float[Array, "4 *rest"]:
-    """Return the unit quaternion of a rotation vector (rad)."""
-    return _exponential(0.5 * vector)
 
 
 def quaternion_to_rotation_vector(q: Float[Array, "4 *rest"]) -> Float[Array, "3 *rest"]:
@@ -97,7 +92,7 @@ def quaternion_to_rotation_vector(q: Float[Array, "4 *rest"]) -> Float[Array, "3
     return 2.0 * jnp.where(small, near, jnp.arctan2(size, w) / size)[None] * vector
 
 
-def _exponential(half: Float[Array, "3 *rest"]) -> Float[Array, "4 *rest"]:
+def half_rotation_to_quaternion(half: Float[Array, "3 *rest"]) -> Float[Array, "4 *rest"]:
     """Return the unit quaternion of half a rotation vector (rad)."""
     squared = (half * half).sum(0)
     small = squared < _SMALL_ANGLE_SQUARED

@@ -273,7 +273,7 @@ def _substance(
         middle = _SHAPE.validate_python(own.solids[0].shape).build()[0][1]
         centred = np.abs(centre - middle).max() <= _UNIFORM * np.linalg.norm(shape.half_extents)
         # Compare in the principal frame, where the moments of a thin rod do not hide one another.
-        moments, frame = np.linalg.eigh(np.asarray(shape.inertia_tensor(mass), float))
+        moments, frame = np.linalg.eigh(np.asarray(shape.inertia(mass), float))
         off = np.abs(frame.T @ inertia @ frame - np.diag(moments))
         within = _UNIFORM * np.sqrt(np.outer(moments, moments)) + 1e-15 * moments.max()
         if centred and (off <= within).all():

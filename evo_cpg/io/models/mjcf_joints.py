@@ -84,10 +84,10 @@ def add_joints(element: Element, body: Body, joint: Joint) -> None:
         if limited:
             lower = 0.0 if dof.kind.at_once else dof.lower
             hinge.set("range", number_text(lower, dof.upper))
-        muscle = dof.actuator if isinstance(dof.actuator, Muscle) else None
+        muscle = dof.actuator.numbers if isinstance(dof.actuator, Muscle) else {}
         effects = {
-            "stiffness": dof.stiffness + (muscle.rest_stiffness if muscle else 0.0),
-            "damping": dof.damping + (muscle.damping if muscle else 0.0),
+            "stiffness": dof.stiffness + muscle.get("rest_stiffness", 0.0),
+            "damping": dof.damping + muscle.get("damping", 0.0),
             "armature": dof.armature,
             "springref": dof.rest,
             "frictionloss": dof.friction_loss,

@@ -52,7 +52,7 @@ def add_motor(
     driven = {"name": own, of: name}
     if isinstance(motor, Muscle):
         element = SubElement(actuator, "motor", driven)
-        element.set("gear", number_text(motor.strength))
+        element.set("gear", number_text(motor.numbers["strength"]))
         element.set("ctrlrange", number_text(-1.0, 1.0))
         return
     limit = motor.torque_limit

@@ -255,10 +255,12 @@ class JointConfig(Section):
         arms = [np.subtract(x.place, self.child_at) if x.place else np.zeros(3) for x in axes]
         # Positions in units of the farthest one, so that they count like directions.
         size = max(np.linalg.norm(arms, axis=1).max(), np.finfo(float).tiny)
-        rows = [
-            axis.kind.motion_row(axis.direction, -arm / size)
-            for axis, arm in zip(axes, arms, strict=True)
-        ]
+        rows = []
+        for axis, arm in zip(axes, arms, strict=True):
+            direction = np.array(axis.direction, float)
+            turning = axis.kind.rotation * direction
+            moving = np.cross(turning, -arm / size) + axis.kind.translation * direction
+            rows.append(np.concatenate([turning, moving]))
         if np.linalg.matrix_rank(np.array(rows), tol=1e-6) != len(axes):
             raise ValueError("axes: must be linearly independent and not zero")
         return self

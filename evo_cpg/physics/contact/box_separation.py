@@ -26,7 +26,6 @@ from evo_cpg.creature.algebra.linear import (
     matvec_t,
     of_each,
     t_matmul,
-    transpose,
     where_each,
 )
 from evo_cpg.physics.contact.separation import (
@@ -255,7 +254,7 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     gaps = jnp.where(of_b[None], theirs, ours)
     here = where_each(
         of_b,
-        _Plane(b, -back, transpose(turn), a.half_extents, -dot(b.axes[:, 2], away)),
+        _Plane(b, -back, jnp.swapaxes(turn, 0, 1), a.half_extents, -dot(b.axes[:, 2], away)),
         _Plane(a, place, turn, b.half_extents, dot(a.axes[:, 2], away)),
     )
 

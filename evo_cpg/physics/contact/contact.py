@@ -43,7 +43,6 @@ from evo_cpg.creature.algebra.linear import (
     matvec,
     matvec_t,
     skew,
-    transpose,
 )
 from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.native.fuse import symmetric
@@ -177,7 +176,7 @@ class ContactLinearization(NamedTuple):
 
     def inertia(self, contacts: Contacts, like: Inertia) -> Inertia:
         """Return ``h sum J^T K J`` of every body, which the contacts add to its inertia."""
-        turn = transpose(contacts.frame)
+        turn = jnp.swapaxes(contacts.frame, 0, 1)
         xx, xy, yy = self.tangential
         none = jnp.zeros_like(xx)
         rows = [[xx, xy, none], [xy, yy, none], [none, none, self.normal]]

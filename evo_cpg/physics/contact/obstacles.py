@@ -25,7 +25,6 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.linear import (
     array_of,
     as_matrix_of,
-    cosine_sine,
     cross,
     dot,
     expand_dims_like,
@@ -35,7 +34,7 @@ from evo_cpg.creature.algebra.linear import (
     t_matmul,
     where_each,
 )
-from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.creature.algebra.numerics import Number, xp
 from evo_cpg.physics.contact.box_separation import separation_of_boxes
 from evo_cpg.physics.contact.contact_model import NEAREST, ContactPoints, Ground, Parts, Solids
 from evo_cpg.physics.contact.separation import (
@@ -187,7 +186,8 @@ def _as_box(obstacle: Obstacle, like: Float[Array, "3 p *n"]) -> RoundedBoxes:
 
     one = none + 1.0
     if isinstance(obstacle, Block):
-        c, s = (expand_dims_like(array_of(x), none) + none for x in cosine_sine(obstacle.heading))
+        turn = xp.cos(obstacle.heading), xp.sin(obstacle.heading)
+        c, s = (expand_dims_like(array_of(x), none) + none for x in turn)
         half, radius = spread(obstacle.half_extents), none
     else:
         c, s, half = one, none, jnp.zeros_like(like)

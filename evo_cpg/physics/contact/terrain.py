@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import array_of, cosine_sine, dot, expand_dims_like
+from evo_cpg.creature.algebra.linear import array_of, dot, expand_dims_like
 from evo_cpg.creature.algebra.numerics import Number, Triple, xp
 
 # Squared length (m^2) added under roots, so that the roots have gradients at zero.
@@ -148,7 +148,7 @@ class Block(GroundPart):
     def distance(self, point: Array) -> tuple[Array, Array]:
         """Return the signed distance and the normal (see `GroundPart.distance`)."""
         away = point - expand_dims_like(array_of(self.centre), point)
-        c, s = cosine_sine(self.heading)
+        c, s = xp.cos(self.heading), xp.sin(self.heading)
         own = jnp.stack([c * away[0] + s * away[1], c * away[1] - s * away[0], away[2]])
         beyond = jnp.abs(own) - expand_dims_like(array_of(self.half_extents), own)
         deepest = beyond.max(0)

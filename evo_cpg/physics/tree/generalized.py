@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import expand_dims_like, transpose
+from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree import joints, root
 from evo_cpg.physics.tree.kinematics import Kinematics
@@ -89,7 +89,7 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
     for i in reversed(tree.groups):
         I_c = I_c.plus(i.parents, inertia_at_parent(I_c[i.bodies], kin.offset[:, i.bodies]))
     whole, size = I_c.root(), root.ROOT_DOFS + tree.dof_count
-    rows = [[whole.angular, whole.mixed], [transpose(whole.mixed), whole.linear]]
+    rows = [[whole.angular, whole.mixed], [jnp.swapaxes(whole.mixed, 0, 1), whole.linear]]
     block = jnp.concatenate([jnp.concatenate(row, 1) for row in rows])
     if tree.hanging is not None:
         one = expand_dims_like(np.eye(len(block)), block)

@@ -38,14 +38,13 @@ from evo_cpg.creature.algebra.linear import (
     matvec,
     matvec_t,
     t_matmul,
-    transpose,
 )
 from evo_cpg.creature.algebra.rotation import (
     axis_rotation,
+    half_rotation_to_quaternion,
     quaternion_product,
     quaternion_to_matrix,
     quaternion_to_rotation_vector,
-    rotation_vector_to_quaternion,
 )
 from evo_cpg.creature.axis_kinds import SPANNING
 from evo_cpg.creature.tree import Group, Tree
@@ -106,7 +105,7 @@ class AtOnce(NamedTuple):
             mixed = inertia.mixed - matmul(U.moment, K.linear)
         else:
             P = matmul(self.derivative, G_inverse)
-            K = Motion(axes - transpose(P), K.linear)
+            K = Motion(axes - jnp.swapaxes(P, 0, 1), K.linear)
             angular, mixed = matmul(P, inertia.angular), matmul(P, inertia.mixed)
         felt = make_inertia(angular, mixed, linear)
         moment, force = matvec_t(K.angular, u), matvec_t(K.linear, u)
@@ -250,7 +249,7 @@ class Ball(Turns):
         q = jnp.stack([take(x.q, row, 0) for row in rows])
         neutral = jnp.stack(jnp.broadcast_arrays(*frame), 1)
         basis = expand_dims_like(tree.joint_axes[:, dofs_of(group, body)], q, q.ndim + 1)
-        turn = quaternion_to_matrix(rotation_vector_to_quaternion(matvec(basis, q)))
+        turn = quaternion_to_matrix(half_rotation_to_quaternion(0.5 * matvec(basis, q)))
         turned = matmul(neutral, turn)
         directions = matmul(turned, basis)
         return [x[:, j] for x in (turned, directions) for j in range(3)]
@@ -322,7 +321,8 @@ def displaced(tree: Tree, q: Float[Array, "d *n"], x: Float[Array, "d *n"]) -> F
         return there
     rows = np.array(tree.balls)[None] + np.arange(SPANNING)[:, None]
     one, other = (
-        rotation_vector_to_quaternion(jnp.stack([take(v, row, 0) for row in rows])) for v in (q, x)
+        half_rotation_to_quaternion(0.5 * jnp.stack([take(v, row, 0) for row in rows]))
+        for v in (q, x)
     )
     return there.at[rows].set(quaternion_to_rotation_vector(quaternion_product(one, other)))
 
@@ -341,7 +341,7 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
     for body, group in sorted(group_of.items()):
         dofs = dofs_of(group, body)
         fixed = [tree.joint_orientation[:, :, body], tree.joint_axes[:, dofs]]
-        if group.carries:
+        if group.kind == "chain":
             assert tree.joint_places is not None
             fixed += [tree.joint_offset[:, body], tree.joint_places[:, dofs]]
         # Equal arrays are equal bytes. Traced values differ from body to body.

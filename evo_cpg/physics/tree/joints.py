@@ -43,7 +43,8 @@ class Subspace(eqx.Module):
 
     def of(self, group: Group, batch_ndim: int) -> "Subspace":
         """Return a group's part ``(3, k, b, *n)`` of a subspace of all degrees of freedom."""
-        own = Subspace(self.angular, self.linear if group.carries else None, group.at_once)
+        linear = self.linear if group.kind == "chain" else None
+        own = Subspace(self.angular, linear, group.at_once)
         return jax.tree.map(lambda x: of_joints(x, group, batch_ndim), own)
 
     def take(self, dofs: np.ndarray) -> "Subspace":

@@ -101,10 +101,10 @@ class TendonForce(NamedTuple):
         """Return the matrix plus ``C^T T C``, and the generalized force plus ``C^T f``."""
         tendons = self.tendons
         pairs = [
-            (one, other)
-            for tendon in range(len(tendons.names))
-            for one in tendons.places(tendon)
-            for other in tendons.places(tendon)
+            (i, j)
+            for i, one in enumerate(tendons.owners)
+            for j, other in enumerate(tendons.owners)
+            if one == other
         ]
         one, other = np.array(pairs, int).T
         dofs, owners = np.array(tendons.dofs), np.array(tendons.owners)

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec, matvec_t, transpose
+from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec, matvec_t
 from evo_cpg.creature.algebra.numerics import Number, xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import fuse
@@ -225,7 +225,8 @@ class ForceLaw(eqx.Module):
         def equations(kin: Kinematics) -> tuple[Array, Array]:
             now = bodies_in(bodies.tree, bodies.gravity, bodies.water, bodies.cells, bodies.h, kin)
             derivative = self.derivative(now)
-            return self.wrench(now), (-0.25 * bodies.h) * blocks(derivative + transpose(derivative))
+            mirrored = jnp.swapaxes(derivative, 0, 1)
+            return self.wrench(now), (-0.25 * bodies.h) * blocks(derivative + mirrored)
 
         # A separate program, so that a message names a law that native code does not support.
         name = f"{type(self).__name__}.wrench"
@@ -242,7 +243,7 @@ class ForceLaw(eqx.Module):
             moving: the bodies in the same pose, with the velocities of the start or of the end.
         """
         derivative = self.derivative(start)
-        return matvec(0.5 * (derivative - transpose(derivative)), moving.velocity)
+        return matvec(0.5 * (derivative - jnp.swapaxes(derivative, 0, 1)), moving.velocity)
 
     def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *n"] | None:
         """Return the sum of M over all parts, or None for 0."""

@@ -111,7 +111,7 @@ def sections(creature: Creature, chain: SlenderChain, density: Number) -> Sectio
         masses.append(xp.array(own))
         widths.append(2 * xp.maximum(one, other))
     # Lamb's k_2 of a spheroid: its added mass across over that of its sections.
-    long, wide = (xp.maximum(x, _LEAST) for x in (chain.length, xp.max(xp.array(widths))))
+    long, wide = (xp.maximum(x, _LEAST) for x in (chain.lengths.sum(), xp.max(xp.array(widths))))
     spheroid = Ellipsoid((long / 2, wide / 2, wide / 2))
     slenderness = ellipsoid(spheroid)[4] / spheroid.volume
     return Sections(xp.stack(directions), density * slenderness * xp.stack(masses), tuple(sharp))
