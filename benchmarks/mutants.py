@@ -158,8 +158,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/water/lift.py",
-        "- broadside(aspect) * sine",
-        "- 0.9 * broadside(aspect) * sine",
+        "- broadside * sine",
+        "- 0.9 * broadside * sine",
         "physics/test_lift.py",
     ),
     Mutant("physics/water/lift.py", "own = 2.0 * c", "own = c", "physics/test_lift.py"),
@@ -243,8 +243,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact/obstacles.py",
-        "own = within(parts, first)",
-        "own = parts.centre",
+        "own = within(placed.at, first)",
+        "own = centre",
         "physics/test_obstacles.py",
     ),
     Mutant(

@@ -52,7 +52,7 @@ from evo_cpg.physics.tree.joints import Subspace
 from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
 from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.state import State
-from evo_cpg.physics.tree.tendon import length_of, lengths_of, tendon_energy, torque_of
+from evo_cpg.physics.tree.tendon import length_of, lengths_of, stretch_of, torque_of
 from evo_cpg.physics.water.force_law import Bodies, buoyancy_alone, in_body_axes
 from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
 from evo_cpg.simulation.observers import PhysicsSteps
@@ -181,7 +181,15 @@ def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
         + tree.mass.sum() * snapshot.world.gravity * snapshot.centre_of_mass[2]
         + 0.5 * (armature * state.qd**2 + stiffness * stretch**2).sum(0)
     )
-    return energy if tree.tendons is None else energy + tendon_energy(tree.tendons, state)
+    tendons = tree.tendons
+    if tendons is None:
+        return energy
+    length, rate = lengths_of(tendons, state)
+    stiffness, armature = (
+        expand_dims_like(x, length) for x in (tendons.stiffness, tendons.armature)
+    )
+    stretch, _ = stretch_of(tendons, length)
+    return energy + 0.5 * (armature * rate**2 + stiffness * stretch**2).sum(0)
 
 
 def _limit_torques(world: World, before: State, after: State, h: float) -> Float[Array, "d t"]:

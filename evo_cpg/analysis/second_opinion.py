@@ -57,6 +57,7 @@ from evo_cpg.physics.tree.hanging import Base
 from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.muscle import pull_of
+from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.force_law import buoyancy_alone, in_body_axes
 from evo_cpg.simulation.control_step import act, begin_episode, motor_command, sense
@@ -327,7 +328,8 @@ class _Player:
         """
         tendons, driven = self.tree.tendons, _controls(self.tree, command)
         if tendons is not None:
-            own = command.to(np.maximum(tendons.channels, 0))
+            channels = np.maximum(tendons.channels, 0)
+            own = jax.tree.map(lambda x: take(x, channels, 0), command._replace(activation=None))
             driven = np.concatenate([driven, _controls(tendons, own)])
         active = np.moveaxis(np.asarray(command.activation, float), -1, 0)
         return driven[self._motors].T, active

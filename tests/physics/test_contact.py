@@ -10,7 +10,6 @@ import pytest
 from creatures import quick_jit
 from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
-from evo_cpg.physics.contact import contact
 from evo_cpg.physics.contact.contact import find_contacts
 from evo_cpg.physics.contact.contact_model import combine
 from evo_cpg.physics.contact.terrain import Plane
@@ -348,7 +347,15 @@ def test_tangents_are_perpendicular_for_any_normal():
     normal = np.concatenate([rng.normal(size=(3, 40)), [[0.0], [0.0], [-1.0]]], 1)
     normal[:2, :20] *= 0.1
     normal /= np.linalg.norm(normal, axis=0)
-    frame = np.asarray(contact._frame(jnp.asarray(normal)))
+    world = alone(SHAPES["sphere"])
+    kin, model = kinematics(world.tree, released(world, np.zeros((3, 1)))), world.contact_model
+
+    @jax.vmap
+    def frame_on(normal):
+        ground = dataclasses.replace(model.ground, floor=Plane(tuple(normal)))
+        return find_contacts(model._replace(ground=ground), kin, H).frame[:, :, 0, 0]
+
+    frame = np.moveaxis(quick_jit(frame_on)(normal.T), 0, -1)
     np.testing.assert_allclose(frame[2], normal, atol=1e-6)
     product = np.einsum("ikp,jkp->pij", frame, frame)
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-5)

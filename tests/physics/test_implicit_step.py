@@ -103,7 +103,7 @@ def at_later_velocities(world: World, states: State, target, angle=None):
         if needs_iteration(world):
             problem = StepProblem.of(world, H, equations)
             y = free_motion(problem)
-            return (y[:6], y[6:]), problem.touches(y) | problem.changes_overload(y)
+            return (y[:6], y[6:]), problem.needs_contact_or_other_limits(y)
         return solve_at_once(world, H, equations), jnp.zeros(states.q.shape[1:], bool)
 
     (root, qdd), touches = first(states, target)

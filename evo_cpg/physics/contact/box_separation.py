@@ -53,36 +53,52 @@ def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> l
 
     A face on a face has 3 or 4 contact points, as ``corners`` says.
     """
-    gap, normal, of_b = _best_face(a, b)
+    # The largest gap along a face normal, that normal from a to b, and whether b owns the face.
+    away, size = b.centre - a.centre, jnp.abs(t_matmul(a.axes, b.axes))
+    along, across = matvec_t(a.axes, away), matvec_t(b.axes, away)
+    ours = jnp.abs(along) - a.half_extents - matvec(size, b.half_extents)
+    theirs = jnp.abs(across) - b.half_extents - matvec_t(size, a.half_extents)
+    best = []
+    for box, aside, gaps in ((a, along, ours), (b, across, theirs)):
+        normals = jnp.where(aside < 0, -1.0, 1.0)[None] * box.axes
+        gap, normal = gaps[0], normals[:, 0]
+        for k in (1, 2):
+            more = gaps[k] > gap
+            gap = jnp.where(more, gaps[k], gap)
+            normal = jnp.where(more[None], normals[:, k], normal)
+        best.append((gap, normal))
+    of_b = best[1][0] > best[0][0]
+    gap, normal = where_each(of_b, best[1], best[0])
     clearly = jnp.minimum(_CLEARLY, _CLEAR_FRACTION * smaller(a, b))
     edge, crossing = _best_edges(a, b, gap + clearly)
     over, under = where_each(of_b, a, b), where_each(of_b, b, a)
     outward = jnp.where(of_b[None], -normal, normal)
     lowest = _corner(over, -outward)
     corner = _over_both(outward, under, over, lowest)
-    face = _Face(outward, of_b, under, over, lowest, corner)
-    first = where_each(edge, crossing, _on_plane(face, corner, gap))
-    combinations = (0,), (1,), (0, 1)
+    on_face = _on_face(outward, of_b, gap, corner - gap[None] * outward, corner)
+    found = [where_each(edge, crossing, on_face)]
     least = same(a, b)
     crossed = edge & (crossing.gap > gap + least)
-    return [
-        first,
-        *(unless(crossed, _along_edges(face, gap, least, k)) for k in combinations[: corners - 1]),
-    ]
-
-
-def _best_face(a: RoundedBoxes, b: RoundedBoxes) -> tuple[Array, Array, Array]:
-    """Return the largest gap along a face normal, the normal from a to b, and whether b owns it."""
-    away, ours, theirs = b.centre - a.centre, a.axes, b.axes
-    size, e, f = jnp.abs(t_matmul(ours, theirs)), a.half_extents, b.half_extents
-    along, across = matvec_t(ours, away), matvec_t(theirs, away)
-    normals, its_normals = (
-        jnp.where(x < 0, -1.0, 1.0)[None] * axes for x, axes in ((along, ours), (across, theirs))
-    )
-    gap, normal = _largest(jnp.abs(along) - e - matvec(size, f), normals)
-    other, its_normal = _largest(jnp.abs(across) - f - matvec_t(size, e), its_normals)
-    of_b = other > gap
-    return jnp.where(of_b, other, gap), jnp.where(of_b[None], its_normal, normal), of_b
+    # Further contacts at the far ends of edges from the corner, moved over the face. The edges are
+    # counted without the steepest one.
+    rise = matvec_t(over.axes, outward)
+    steep = jnp.argmax(jnp.abs(rise), 0)
+    side = jnp.where(rise <= 0, -1.0, 1.0)
+    inward = side[None] * over.axes
+    left = over.half_extents - side * matvec_t(over.axes, corner - over.centre)
+    for which in ((0,), (1,), (0, 1))[: corners - 1]:
+        point = corner
+        for one in which:
+            # Select the axis ``one + 1`` places after the steepest axis, modulo 3.
+            after = [jnp.where(steep == (k - 1 - one) % 3, left[k], 0.0) for k in range(3)]
+            point = point + matvec(inward, jnp.stack(after))
+        point = _over_both(outward, under, over, point)
+        displacement, height = point - corner, gap + dot(outward, point - lowest)
+        further = _on_face(outward, of_b, height, point - height[None] * outward, point)
+        # A contact nearer to the corner than this is missing.
+        near = dot(displacement, displacement) < least * least
+        found.append(unless(crossed, unless(near, further)))
+    return found
 
 
 def _best_edges(a: RoundedBoxes, b: RoundedBoxes, least: Array) -> tuple[Array, Separation]:
@@ -112,29 +128,15 @@ def _best_edges(a: RoundedBoxes, b: RoundedBoxes, least: Array) -> tuple[Array, 
     normal = cross(*edges[:2])
     normal = normal / jnp.sqrt(dot(normal, normal) + _FLOOR)[None]
     normal = jnp.where((dot(normal, away) < 0)[None], -normal, normal)
-    corners = _corner(a, normal), _corner(b, -normal)
-    points = _nearest_on_edges(*corners, *edges)
+    # The nearest points of both edges, at most an edge's length from its corner.
+    first, second, (d, e, most, farthest) = _corner(a, normal), _corner(b, -normal), edges
+    apart = first - second
+    both, own, other = dot(d, e), dot(d, apart), dot(e, apart)
+    sine = jnp.maximum(1.0 - both * both, PARALLEL)
+    s = jnp.clip((both * other - own) / sine, -2 * most, 2 * most)
+    t = jnp.clip((other - both * own) / sine, -2 * farthest, 2 * farthest)
+    points = first + s[None] * d, second + t[None] * e
     return found, Separation(best, normal, *points, jnp.zeros((2, *best.shape), best.dtype))
-
-
-class _Face(NamedTuple):
-    """A face of one box, and the other box, whose corner is nearest.
-
-    Attributes:
-        normal: outward normal of the face.
-        of_b: whether the face belongs to the second box.
-        under: the box with the face.
-        over: the other box.
-        lowest: the lowest corner of the other box, m.
-        corner: the lowest corner, or a place near it over the face, which may be higher, m.
-    """
-
-    normal: Array
-    of_b: Array
-    under: RoundedBoxes
-    over: RoundedBoxes
-    lowest: Array
-    corner: Array
 
 
 def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: Array) -> Array:
@@ -158,71 +160,24 @@ def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: A
     return corner
 
 
-def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) -> Separation:
-    """Return the contact at the far end of edges from the corner, moved over the face.
+def _on_face(normal: Array, of_b: Array, gap: Array, below: Array, above: Array) -> Separation:
+    """Return the separation of a place on a face and a point above it, along its normal.
 
-    The edges ``which`` are counted without the steepest one. A contact nearer to the corner than
-    ``least`` (m) is missing.
+    ``of_b`` says whether the face belongs to the second box.
     """
-    axes = face.over.axes
-    rise = matvec_t(axes, face.normal)
-    steep = jnp.argmax(jnp.abs(rise), 0)
-    own = matvec_t(axes, face.corner - face.over.centre)
-    side = jnp.where(rise <= 0, -1.0, 1.0)
-    inward = side[None] * axes
-    left = face.over.half_extents - side * own
-    point = face.corner
-    for one in which:
-        # Select the axis ``one + 1`` places after the steepest axis, modulo 3.
-        after = [jnp.where(steep == (k - 1 - one) % 3, left[k], 0.0) for k in range(3)]
-        point = point + matvec(inward, jnp.stack(after))
-    point = _over_both(face.normal, face.under, face.over, point)
-    displacement, climb = point - face.corner, dot(face.normal, point - face.lowest)
-    return unless(
-        dot(displacement, displacement) < least * least, _on_plane(face, point, gap + climb)
-    )
-
-
-def _on_plane(face: _Face, point: Array, gap: Array) -> Separation:
-    """Return the separation of a point over a face and its projection on the face's plane."""
-    below, of_b = point - gap[None] * face.normal, face.of_b[None]
     return Separation(
         gap,
-        jnp.where(of_b, -face.normal, face.normal),
-        jnp.where(of_b, point, below),
-        jnp.where(of_b, below, point),
-        jnp.stack([jnp.where(face.of_b, own, 1.0 - own) for own in (0.0, 1.0)]),
+        jnp.where(of_b[None], -normal, normal),
+        jnp.where(of_b[None], above, below),
+        jnp.where(of_b[None], below, above),
+        jnp.stack([jnp.where(of_b, own, 1.0 - own) for own in (0.0, 1.0)]),
     )
-
-
-def _largest(gaps: Array, normals: Array) -> tuple[Array, Array]:
-    """Return the largest of three gaps, and the normal that belongs to it."""
-    best, normal = gaps[0], normals[:, 0]
-    for k in range(1, len(gaps)):
-        more = gaps[k] > best
-        best, normal = jnp.where(more, gaps[k], best), jnp.where(more[None], normals[:, k], normal)
-    return best, normal
 
 
 def _corner(box: RoundedBoxes, direction: Array) -> Array:
     """Return the corner that lies farthest along a direction."""
     own = matvec_t(box.axes, direction)
     return box.centre + matvec(box.axes, jnp.where(own < 0, -1.0, 1.0) * box.half_extents)
-
-
-def _nearest_on_edges(
-    first: Array, second: Array, d: Array, e: Array, most: Array, farthest: Array
-) -> tuple[Array, Array]:
-    """Return the nearest points of two edges, at most an edge's length from its corner.
-
-    Each edge has a corner (m), a direction and half a length (m).
-    """
-    away = first - second
-    both, own, other = dot(d, e), dot(d, away), dot(e, away)
-    sine = jnp.maximum(1.0 - both * both, PARALLEL)
-    s = jnp.clip((both * other - own) / sine, -2 * most, 2 * most)
-    t = jnp.clip((other - both * own) / sine, -2 * farthest, 2 * farthest)
-    return first + s[None] * d, second + t[None] * e
 
 
 class _Plane(NamedTuple):
@@ -271,11 +226,12 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     edge = -2.0 * jnp.where(flat, across[0] * corner[0], across[1] * corner[1])
     climb = -2.0 * jnp.where(flat, up[0] * corner[0], up[1] * corner[1])
 
-    def fraction(end: Array) -> Array:
-        """Return the fraction of the edge up to which it lies over the side, towards one end."""
-        place = jnp.clip(lowest + end * edge, -reach, reach)
-        return jnp.clip((place - lowest) / edge, 0.0, 1.0)
-
+    # Fractions of the edge up to which it lies over the side, towards both ends.
+    places = (
+        jnp.clip(lowest + end * edge, -reach, reach)
+        for end in (jnp.zeros_like(gap), jnp.ones_like(gap))
+    )
+    near, far = (jnp.clip((place - lowest) / edge, 0.0, 1.0) for place in places)
     x_axis, y_axis, z_axis = (here.box.axes[:, k] for k in range(3))
     normal, tangent = (
         jnp.where(second[None], *axes) for axes in ((y_axis, x_axis), (x_axis, y_axis))
@@ -288,20 +244,12 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     )
     base = here.box.centre + middle[None] * z_axis
 
-    def at(fraction: Array, gap: Array) -> Separation:
+    found = []
+    for fraction, apart in ((near, gap), (far, gap + (far - near) * climb)):
         below = base + height[None] * normal + (lowest + fraction * edge)[None] * tangent
-        above = below + gap[None] * normal
-        return Separation(
-            gap,
-            jnp.where(of_b[None], -normal, normal),
-            jnp.where(of_b[None], above, below),
-            jnp.where(of_b[None], below, above),
-            jnp.stack([jnp.where(of_b, own, 1.0 - own) for own in (0.0, 1.0)]),
-        )
-
-    near, far = fraction(jnp.zeros_like(gap)), fraction(jnp.ones_like(gap))
+        found.append(_on_face(normal, of_b, apart, below, below + apart[None] * normal))
     missing = jnp.abs((far - near) * edge) < same(a, b)
-    return [at(near, gap), unless(missing, at(far, gap + (far - near) * climb))]
+    return [found[0], unless(missing, found[1])]
 
 
 def _swapped(second: Array, values: Array) -> Array:

@@ -44,7 +44,6 @@ from evo_cpg.creature.algebra.linear import (
     matvec_t,
     skew,
 )
-from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.native.fuse import symmetric
 from evo_cpg.physics.contact.contact_model import STIFFNESS, ContactModel
 from evo_cpg.physics.contact.contact_points import contact_points
@@ -194,7 +193,14 @@ def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Con
     bodies = np.array(contact_model.bodies)
     ground = contact_model.ground
     offset, material, gap, normal, curvature, ahead = contact_points(contact_model, kin, h)
-    frame = _frame(normal)
+    # Rows: two tangents and the normal (world axes on level ground), the transpose of the smallest
+    # rotation that takes z to the normal. A ceiling gets the mirror image, since its normal may
+    # point straight down.
+    x, y, z = normal
+    k, sign = 1.0 / (1.0 + jnp.abs(z)), jnp.where(z < 0, 1.0, -1.0)
+    one = jnp.stack([1 - k * x * x, -k * x * y, sign * x])
+    other = jnp.stack([-k * x * y, 1 - k * y * y, sign * y])
+    frame = jnp.stack([one, other, normal])
     angular, linear = take(kin.angular, bodies), take(kin.linear, bodies)
     velocity = linear + cross(angular, offset)
     turning = cross(angular, linear + cross(angular, material)) + curvature[None] * normal
@@ -217,29 +223,6 @@ def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Con
     bounce = jnp.where(near & (gap <= h * approach), bounce, 0.0)
     rest = jnp.where(near, rest, _OUT_OF_REACH)
     return Contacts(contact_model, h, offset, unconstrained, rest, rest, bounce, frame)
-
-
-def resting_stiffness(contact_model: ContactModel, h: float) -> Float[Numbers, " p"]:
-    """Return the normal force on a resting point per depth, N/m, from ``v* = v_n + f_n / c``.
-
-    The value holds up to the depth ``5/2 h`` m (h in s), beyond which the exit speed is constant.
-    """
-    return contact_model.stiffness * BAUMGARTE_FRACTION / h**2
-
-
-def _frame(normal: Float[Array, "3 p *n"]) -> Float[Array, "3 3 p *n"]:
-    """Return rows: two tangents and the normal of the ground (world axes on level ground)."""
-    # The transpose of the smallest rotation that takes z to the normal. A ceiling gets the mirror
-    # image, since its normal may point straight down.
-    x, y, z = normal
-    k, sign = 1.0 / (1.0 + jnp.abs(z)), jnp.where(z < 0, 1.0, -1.0)
-    return jnp.stack(
-        [
-            jnp.stack([1 - k * x * x, -k * x * y, sign * x]),
-            jnp.stack([-k * x * y, 1 - k * y * y, sign * y]),
-            normal,
-        ]
-    )
 
 
 def _square(vector: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:

@@ -13,7 +13,6 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.algebra.numerics import Number, Numbers, xp
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.shapes import ObstaclePart
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.contact.terrain import Block, Boulder, GroundPart, Obstacle, Plane
 
@@ -108,14 +107,6 @@ class Solids(NamedTuple):
     ellipsoids: Parts
     points: tuple[int, int, int, int]
 
-    @property
-    def bodies(self) -> tuple[int, ...]:
-        """Body of every contact point, by kind: first points of all parts, then second points."""
-        found = ()
-        for parts, count in zip(self[:4], self.points, strict=True):
-            found += count * parts.bodies
-        return found
-
 
 class ContactModel(NamedTuple):
     """Contact points of a creature and their constants.
@@ -124,7 +115,7 @@ class ContactModel(NamedTuple):
     corners are at least a third of the box's height above them. The order of points on the floor is
     boxes, meshes, cylinders (`evo_cpg.physics.contact.contact_points`), balls (ends of capsules,
     and spheres), ellipsoids. Obstacles add the corners of meshes again, then the points of
-    `Solids`.
+    `Solids` by kind: the first points of all parts, then their second points.
 
     Attributes:
         bodies: index in the tree of each contact point's body.
@@ -195,7 +186,9 @@ def make_contact_model(creature: Creature, tree: Tree, ground: Ground) -> Contac
     solids = None
     if ground.obstacles:
         solids = _make_solids(creature, tree, ground.obstacles)
-        bodies += [*of_meshes, *solids.bodies]
+        bodies += of_meshes
+        for parts, count in zip(solids[:4], solids.points, strict=True):
+            bodies += count * parts.bodies
     materials = [every[i].material for i in bodies]
 
     def pairs(rule: Combination, name: str) -> Numbers:
@@ -239,19 +232,21 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
         for part in body.shape.obstacle_parts():
             own[part.kind].append((i, part))
 
-    def parts(found: list[tuple[int, ObstaclePart]]) -> Parts:
+    kinds = []
+    for found in own.values():
         bodies = tuple(body for body, _ in found)
         centre = xp.array([part.centre for _, part in found], float).reshape(-1, 3).T
         turned = any(part.axes is not None for _, part in found)
         axes = [np.eye(3) if part.axes is None else part.axes for _, part in found]
-        return Parts(
-            bodies,
-            tree.centre[:, np.array(bodies, int)] + centre,
-            np.stack(axes, -1) if turned else None,
-            xp.array([part.half_extents for _, part in found], float).reshape(-1, 3).T,
-            xp.array([part.radius for _, part in found], float),
+        kinds.append(
+            Parts(
+                bodies,
+                tree.centre[:, np.array(bodies, int)] + centre,
+                np.stack(axes, -1) if turned else None,
+                xp.array([part.half_extents for _, part in found], float).reshape(-1, 3).T,
+                xp.array([part.radius for _, part in found], float),
+            )
         )
-
     blocks, boulders = (
         min(NEAREST, sum(isinstance(x, kind) for x in obstacles)) for kind in (Block, Boulder)
     )
@@ -259,7 +254,7 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
         min(most, blocks * each + boulders) for most, each in zip(_POINTS, _ON_BLOCK, strict=True)
     )
     points = of_box, of_line, of_ball, of_ellipsoid
-    boxes, lines, balls, ellipsoids = map(parts, own.values())
+    boxes, lines, balls, ellipsoids = kinds
     outlines = [part.corners for _, part in own["ellipsoid"]]
     if any(outline is not None for outline in outlines):
         none = np.zeros((1, 3))

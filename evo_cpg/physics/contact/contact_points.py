@@ -24,7 +24,7 @@ from evo_cpg.physics.contact.contact_model import CORNERS, ContactModel, Contact
 from evo_cpg.physics.contact.obstacles import meeting_time, obstacle_points, tangent_point
 from evo_cpg.physics.contact.separation import RoundedBoxes
 from evo_cpg.physics.contact.sweep import Moving, fast_from, moved, time_of_crossing
-from evo_cpg.physics.contact.terrain import GroundPart, Plane, nearest
+from evo_cpg.physics.contact.terrain import Plane, nearest
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.per_body import take
 
@@ -90,64 +90,65 @@ def _lowest(contact_model: ContactModel, kin: Kinematics, h: float) -> list[Cont
     centre = matvec(rotation, expand_dims_like(contact_model.centre, rotation[0]))
     linear, spin = take(kin.linear, bodies), take(kin.angular, bodies)
     floor = (contact_model.ground.floor,)
-    above, up = _surface(floor, origin + centre)
+    above, up = nearest(floor, origin + centre)
     sloping = h > 0 and not isinstance(floor[0], Plane)
     size = expand_dims_like(_sizes(contact_model), above)
     if sloping and angular + ellipsoids:
         # Take the normal where the front of a fast body will meet the ground, such as a cliff.
         least, velocity = fast_from(contact_model.ground.margin, size), linear + cross(spin, centre)
         time = time_of_crossing(floor, origin + centre, velocity, 0.0, least, h, size)
-        _, up = _surface(floor, origin + centre + time[None] * velocity)
+        _, up = nearest(floor, origin + centre + time[None] * velocity)
     # The upward direction h later, relative to the body: d(e . up)/dt = e . (up x w).
     later = up + h * cross(up, spin)
     found = []
 
-    def on_floor(own: slice, offset: Array, radius: Array | float = 0.0) -> tuple:
-        """Return the gap and normal of points of some bodies, and the time within the step, s."""
+    def on_floor(own: slice, offset: Array, radius: Array | float = 0.0) -> ContactPoints:
+        """Return the contact points of some bodies, whose points turn with the bodies."""
         each = offset.shape[1] // origin[:, own].shape[1]
         start, v, w = (jnp.repeat(x[:, own], each, 1) for x in (origin, linear, spin))
-        point = start + offset
-        if not sloping:
-            return *_surface(floor, point), None
-        least = fast_from(contact_model.ground.margin, jnp.repeat(size[own], each, 0))
-        velocity = v + cross(w, offset)
-        time = time_of_crossing(floor, point, velocity, radius, least, h)
-        return *_surface(floor, point + time[None] * velocity), time
+        point, time = start + offset, None
+        if sloping:
+            least = fast_from(contact_model.ground.margin, jnp.repeat(size[own], each, 0))
+            velocity = v + cross(w, offset)
+            time = time_of_crossing(floor, point, velocity, radius, least, h)
+            point = point + time[None] * velocity
+        gap, normal = nearest(floor, point)
+        return ContactPoints(offset, offset, gap, normal, jnp.zeros_like(gap), time)
 
     if boxes:
         own = slice(boxes)
         offset = _lowest_corners(
             later[:, own], contact_model.boxes, rotation[:, :, own], centre[:, own]
         )
-        found.append(_material(offset, *on_floor(own, offset)))
+        found.append(on_floor(own, offset))
     if meshes:
         own = slice(boxes, cornered)
-        offset = _offsets_of_meshes(
-            contact_model, rotation[:, :, own], centre[:, own], later[:, own]
+        offset = _lowest_of_meshes(
+            later[:, own], contact_model.meshes, rotation[:, :, own], centre[:, own]
         )
-        found.append(_material(offset, *on_floor(own, offset)))
+        found.append(on_floor(own, offset))
     if cylinders:
         own = slice(cornered, angular)
         extent = expand_dims_like(contact_model.cylinders, centre)
         offset, material = _lowest_of_rims(
             rotation[:, :, own], centre[:, own], extent, up[:, own], h * spin[:, own]
         )
-        found.append(_material(offset, *on_floor(own, offset), material=material))
+        found.append(on_floor(own, offset)._replace(material_offset=material))
     if balls:
         own = slice(angular, angular + balls)
         radii = expand_dims_like(contact_model.radii, above)
-        over, normal, time = above[own], up[:, own], None
+        over, normal, time, middle = above[own], up[:, own], None, centre[:, own]
         if sloping:
-            over, normal, time = on_floor(own, centre[:, own], radii)
-        offset = centre[:, own] - radii[None] * normal
-        found.append(_material(offset, over - radii, normal, time, centre[:, own]))
+            *_, over, normal, _, time = on_floor(own, middle, radii)
+        # A ball's lowest point stays below its centre.
+        offset, gap = middle - radii[None] * normal, over - radii
+        found.append(ContactPoints(offset, middle, gap, normal, jnp.zeros_like(gap), time))
     if ellipsoids:
         own = slice(angular + balls, None)
         turned, radii = rotation[:, :, own], expand_dims_like(contact_model.semi_axes, centre)
         touching, curvature = tangent_point(turned, radii, up[:, own], spin[:, own])
-        offset = centre[:, own] + touching
-        gap, normal, time = on_floor(own, offset)
-        found.append(ContactPoints(offset, offset, gap, normal, curvature, time))
+        points = on_floor(own, centre[:, own] + touching)
+        found.append(points._replace(curvature_acceleration=curvature))
     return found
 
 
@@ -173,10 +174,11 @@ def _corners_on_obstacles(
         now = moved(Moving(at, origin, take(kin.linear, bodies), spin), time)
         rotation, origin, centre = now.at.axes, now.origin, now.at.centre - now.origin
         time = jnp.repeat(time, CORNERS, 0)
-    _, up = _surface(ground.obstacles, origin + centre)
-    offset = _offsets_of_meshes(contact_model, rotation, centre, up + h * cross(up, spin))
-    corner = jnp.repeat(origin, CORNERS, 1) + offset
-    return [_material(offset, *_surface(ground.obstacles, corner), time)]
+    _, up = nearest(ground.obstacles, origin + centre)
+    later = up + h * cross(up, spin)
+    offset = _lowest_of_meshes(later, contact_model.meshes, rotation, centre)
+    gap, normal = nearest(ground.obstacles, jnp.repeat(origin, CORNERS, 1) + offset)
+    return [ContactPoints(offset, offset, gap, normal, jnp.zeros_like(gap), time)]
 
 
 def _counts(contact_model: ContactModel) -> tuple[int, ...]:
@@ -201,32 +203,9 @@ def _sizes(contact_model: ContactModel) -> Numbers:
     return xp.concatenate([boxes, *ends])
 
 
-def _offsets_of_meshes(
-    contact_model: ContactModel, turned: Array, centre: Array, later: Array
-) -> Array:
-    """Return the vectors from the bodies' origins to the lowest corners of meshes, m."""
-    lowest = _lowest_of_meshes(contact_model.meshes, matvec_t(turned, later))
-    return jnp.repeat(centre, CORNERS, 1) + matvec(jnp.repeat(turned, CORNERS, 2), lowest)
-
-
-def _material(
-    offset: Array, gap: Array, normal: Array, time: Array | None, material: Array | None = None
-) -> ContactPoints:
-    """Return contact points of corners (moving with the body) or balls (with their centre)."""
-    none = jnp.zeros_like(gap)
-    material = offset if material is None else material
-    return ContactPoints(offset, material, gap, normal, none, time)
-
-
 def clearance(contact_model: ContactModel, kin: Kinematics) -> Float[Array, "p *n"]:
     """Return the distance of every contact point from the ground, m, negative inside it."""
     return contact_points(contact_model, kin).gap
-
-
-def _surface(parts: tuple[GroundPart, ...], point: Float[Array, "3 p *n"]) -> tuple[Array, Array]:
-    """Return the distance of points from the nearest part, and the part's normal."""
-    gap, normal = nearest(parts, point)
-    return gap, jnp.broadcast_to(normal, point.shape)
 
 
 def _lowest_corners(
@@ -291,22 +270,21 @@ def _lowest_of_rims(
     points = lower + arm, upper + arm, lower + third + swing, lower + third - swing
     turning = (dot(axis, up) ** 2)[None] * arm
     materials = lower + turning, upper + turning, *points[2:]
-
-    def in_order(vectors: tuple[Array, ...]) -> Array:
-        stacked = jnp.stack(vectors, 2)
-        return stacked.reshape(3, -1, *stacked.shape[3:])
-
-    return in_order(points), in_order(materials)
+    points, materials = (jnp.stack(vectors, 2) for vectors in (points, materials))
+    shape = 3, -1, *points.shape[3:]
+    return points.reshape(shape), materials.reshape(shape)
 
 
-def _lowest_of_meshes(meshes: np.ndarray, up: Float[Array, "3 m *n"]) -> Float[Array, "3 c *n"]:
+def _lowest_of_meshes(
+    up: Array, meshes: np.ndarray, rotation: Float[Array, "3 3 m *n"], centre: Array
+) -> Float[Array, "3 c *n"]:
     """Return four corners of each mesh, mesh by mesh: the lowest one and its support corners.
 
     Height above the lowest corner, divided by a slope, lowers a corner's score. The second corner
     is farthest from the first. The third and fourth are farthest from their line on either side. If
     no other corner lies low enough, the first corner is repeated.
     """
-    corners = as_matrix_of(meshes, up)
+    up, corners = matvec_t(rotation, up), as_matrix_of(meshes, up)
     rise = (corners * up[:, None]).sum(0)
     rise = (rise - rise.min(0, keepdims=True)) / _TILT
     table = jnp.asarray(np.swapaxes(meshes, 0, 2), up.dtype)
@@ -323,4 +301,5 @@ def _lowest_of_meshes(meshes: np.ndarray, up: Float[Array, "3 m *n"]) -> Float[A
     across = across / jnp.sqrt(dot(across, across) + _FLOOR)[None]
     aside = (edges * across[:, None]).sum(0)
     four = jnp.stack([first, second, best(aside - rise), best(-aside - rise)], 2)
-    return jax.lax.stop_gradient(four).reshape(3, -1, *up.shape[2:])
+    lowest = jax.lax.stop_gradient(four).reshape(3, -1, *up.shape[2:])
+    return jnp.repeat(centre, CORNERS, 1) + matvec(jnp.repeat(rotation, CORNERS, 2), lowest)

@@ -41,11 +41,10 @@ from evo_cpg.physics.contact.pairs import (
     PointMotion,
     acceleration_field,
     parting_acceleration,
-    picking,
     placed_boxes,
 )
-from evo_cpg.physics.tree import joints, root
 from evo_cpg.physics.tree.kinematics import Kinematics, motion_of_bodies
+from evo_cpg.physics.tree.root import ROOT_DOFS
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 
 # Further approach within a step, because rates change in it, as a fraction of the thickness.
@@ -54,6 +53,9 @@ _MARGIN = 0.1
 # Number of consecutive points that one test skips. Fitted: 4 to 8 need equally many tests for
 # vectors of 16 humanoids, 1 and 12 need a third more.
 _TOGETHER = 6
+
+# Type of indices, because indices without sign need no test of their sign.
+_NO_SIGN = np.uint32
 
 
 class _Points(NamedTuple):
@@ -217,14 +219,17 @@ class ManyPairContacts:
 
     def motion(self, rates: Float[Array, "d *n"]) -> BodyMotion:
         """Return the motion of all bodies at joint rates, with the root at rest."""
-        return motion_of_bodies(self.tree, self.kin, root.at_rest(rates), rates)
+        still = jnp.zeros((ROOT_DOFS, *rates.shape[1:]), rates.dtype)
+        return motion_of_bodies(self.tree, self.kin, still, rates)
 
     def axes(self) -> tuple[Array, Array]:
         """Return joint axes a and ``a x o``, padded with a zero axis: ``(3, d + 1, *n)``."""
-        origins = self.places[:, np.array(self.tree.dof_bodies, int)]
-        a, moments = joints.about(self.kin.axes, origins)
-        none = jnp.zeros_like(a[:, :1])
-        return jnp.concatenate([a, none], 1), jnp.concatenate([moments, none], 1)
+        S, origins = self.kin.axes, self.places[:, np.array(self.tree.dof_bodies, int)]
+        moments = cross(S.angular, origins)
+        if S.linear is not None:
+            moments = moments - S.linear
+        none = jnp.zeros_like(moments[:, :1])
+        return jnp.concatenate([S.angular, none], 1), jnp.concatenate([moments, none], 1)
 
     # Quantities of points.
 
@@ -407,7 +412,7 @@ def _over_points(runs: tuple[_Run, ...], look: Callable, start: Any) -> Any:
         def group(
             carry: Any, g: Array, run: _Run = run, point: Callable = point
         ) -> tuple[Any, None]:
-            points = _TOGETHER * g + _counted(_TOGETHER)
+            points = _TOGETHER * g + jnp.arange(_TOGETHER, dtype=_NO_SIGN)
             return jax.lax.cond(
                 jnp.any(_at(run.near, g) > 0),
                 lambda carry: jax.lax.scan(point, carry, points)[0],
@@ -415,13 +420,8 @@ def _over_points(runs: tuple[_Run, ...], look: Callable, start: Any) -> Any:
                 carry,
             ), None
 
-        start, _ = jax.lax.scan(group, start, _counted(len(run.near)))
+        start, _ = jax.lax.scan(group, start, jnp.arange(len(run.near), dtype=_NO_SIGN))
     return start
-
-
-def _counted(count: int) -> Array:
-    """Return the numbers from 0. Indices without sign need no test of their sign."""
-    return jnp.arange(count, dtype=np.uint32)
 
 
 def _of_points(runs: tuple[_Run, ...], look: Callable) -> list[Float[Array, "k *n"]]:
@@ -485,6 +485,8 @@ def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
     speed = jnp.sqrt(dot(passing, passing)) + jnp.sqrt(dot(own.angular, own.angular)) * size
     approach, margin = h * speed, _MARGIN * (half.min(0) + radius)
     twists = contacts.twists(contacts.qd)
+    owners = tree.dof_bodies
+    chains = [set(chain_to_root(tree, body)) for body in range(tree.body_count)]
     found, start, points = [], 0, 0
     for run in pairs.runs:
         stop = start + run.count
@@ -493,7 +495,16 @@ def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
         stiffness = pairs.stiffness[points : points + count]
         placed = (centre, kin.rotation, half, radius), size, approach, margin
         nearest = _nearest(run, first, second, placed, twists, h)
-        paths = _paths(tree, first, second)
+        # The joint axes between the bodies of each pair.
+        between = []
+        for one, two in zip(first, second, strict=True):
+            axes = [k for k, body in enumerate(owners) if body in chains[one] ^ chains[two]]
+            between.append([(k, 1.0 if owners[k] in chains[two] else -1.0) for k in axes])
+        most = max(map(len, between))
+        padded = [path + [(len(owners), 0.0)] * (most - len(path)) for path in between]
+        table = np.array(padded).reshape(len(padded), most, 2)
+        dofs = table[..., 0].astype(np.int32)
+        paths = _Paths(dofs, table[..., 1].astype(np.float32), dofs * (dofs + 1) // 2)
         watched = nearest.watched
         none = jnp.zeros((-len(watched) % _TOGETHER, *watched.shape[1:]), watched.dtype)
         groups = jnp.concatenate([watched, none]).reshape(-1, _TOGETHER, *watched.shape[1:])
@@ -532,7 +543,7 @@ def _nearest(
 
         def look(points: _Points) -> _Points:
             own = zip((0, 1), bodies, strict=True)
-            found = find(*(run.boxes(boxes, picking(body), side) for side, body in own))
+            found = find(*(run.boxes(boxes, body, side) for side, body in own))
             gap = jnp.concatenate([one.gap for one in found])
             own = [[_at(x, body, 1, True) for x in (spin, linear)] for body in bodies]
             closing = jnp.concatenate([-_apart(one, own) for one in found])
@@ -552,30 +563,9 @@ def _nearest(
 
         return jax.lax.cond(jnp.any(close), look, lambda points: points, points), None
 
-    return jax.lax.scan(round_, start, _counted(run.count))[0]
+    return jax.lax.scan(round_, start, jnp.arange(run.count, dtype=_NO_SIGN))[0]
 
 
 def _components(vectors: list[Array]) -> Any:
     """Return the first components of all vectors ``(3, 1, *n)``, the second, and so on."""
     return tuple(jnp.concatenate([x[k] for x in vectors]) for k in range(len(vectors[0])))
-
-
-def _paths(tree: Tree, first: np.ndarray, second: np.ndarray) -> _Paths:
-    """Find the joint axes between the bodies of each pair."""
-    chains = [set(chain_to_root(tree, body)) for body in range(tree.body_count)]
-    owners = tree.dof_bodies
-    paths = []
-    for one, two in zip(first, second, strict=True):
-        between = chains[one] ^ chains[two]
-        paths.append(
-            [
-                (k, 1.0 if body in chains[two] else -1.0)
-                for k, body in enumerate(owners)
-                if body in between
-            ]
-        )
-    most = max(map(len, paths))
-    padded = [path + [(len(owners), 0.0)] * (most - len(path)) for path in paths]
-    both = np.array(padded).reshape(len(paths), most, 2)
-    dofs = both[..., 0].astype(np.int32)
-    return _Paths(dofs, both[..., 1].astype(np.float32), dofs * (dofs + 1) // 2)

@@ -34,7 +34,7 @@ from evo_cpg.creature.algebra.linear import (
     t_matmul,
     where_each,
 )
-from evo_cpg.creature.algebra.numerics import Number, xp
+from evo_cpg.creature.algebra.numerics import xp
 from evo_cpg.physics.contact.box_separation import separation_of_boxes
 from evo_cpg.physics.contact.contact_model import NEAREST, ContactPoints, Ground, Parts, Solids
 from evo_cpg.physics.contact.separation import (
@@ -62,7 +62,7 @@ _FLOOR = 1e-20
 def obstacle_points(
     solids: Solids, ground: Ground, kin: Kinematics, h: float
 ) -> list[ContactPoints]:
-    """Return the points at which parts may touch obstacles, in the order of `Solids.bodies`.
+    """Return the points at which parts may touch obstacles, in the order of `ContactModel`.
 
     Fast parts meet the obstacles in their way instead of passing through them.
     """
@@ -122,36 +122,37 @@ def _near_obstacles(
     speeds = take(kin.linear, bodies), take(kin.angular, bodies)
     placed = Moving(RoundedBoxes(centre, axes, half, radius), origin, *speeds)
     corners = None if parts.corners is None else as_matrix_of(parts.corners, origin)
+    outline = PartShapes(ellipsoids, corners)
+    # Each obstacle is one box for all parts and individuals: constants cost no operation.
+    point = jnp.zeros((3, *(1 for _ in origin.shape[1:])), origin.dtype)
     found = []
     for kind in (Block, Boulder):
         alike = [obstacle for obstacle in ground.obstacles if isinstance(obstacle, kind)]
-        nearest = _nearest(alike, placed, PartShapes(ellipsoids, corners), ground.margin, h)
-        found += [(kind is Block, near) for near in nearest]
+        if not alike:
+            continue
+        boxes = [_as_box(obstacle, centre) for obstacle in alike]
+        distances = []
+        for box in boxes:
+            # An approximate distance, by alternating projections.
+            first = within(box, centre)
+            own = within(placed.at, first)
+            separation, sunk = within(box, own) - own, first - centre
+            gap = jnp.sqrt(dot(separation, separation) + _FLOOR) - radius - box.radius
+            # This term ranks overlapping obstacles: nearer to the part's centre comes first.
+            distances.append(gap + _BEHIND * jnp.sqrt(dot(sunk, sunk) + _FLOOR))
+        times = [jnp.zeros_like(distance) for distance in distances]
+        if h > 0:
+            single = [_as_box(obstacle, point) for obstacle in alike]
+            stacked = jax.tree.map(lambda *each: jnp.stack(each), *single)
+            times, swept = times_of_contact(placed, outline, stacked, ground.margin, h)
+            distances = [
+                jnp.where(t > 0, new, distance)
+                for t, new, distance in zip(times, swept, distances, strict=True)
+            ]
+        near = _smallest(list(zip(distances, boxes, times, strict=True)), NEAREST)
+        for away, box, time in near:
+            found.append((kind is Block, _Near(away, box, time, moved(placed, time))))
     return found
-
-
-def _nearest(
-    obstacles: list[Block | Boulder], parts: Moving, outline: PartShapes, margin: Number, h: float
-) -> list[_Near]:
-    """Return the obstacles of one kind that are nearest to each part or overlap with it."""
-    if not obstacles:
-        return []
-    boxes = [_as_box(obstacle, parts.at.centre) for obstacle in obstacles]
-    distances = [_apart(parts.at, box) for box in boxes]
-    times = [jnp.zeros_like(distance) for distance in distances]
-    if h > 0:
-        # Each obstacle is one box for all parts and individuals: constants cost no operation.
-        point = jnp.zeros((3, *(1 for _ in parts.origin.shape[1:])), parts.origin.dtype)
-        single = [_as_box(obstacle, point) for obstacle in obstacles]
-        stacked = jax.tree.map(lambda *each: jnp.stack(each), *single)
-        times, swept = times_of_contact(parts, outline, stacked, margin, h)
-        distances = [
-            jnp.where(t > 0, new, distance)
-            for t, new, distance in zip(times, swept, distances, strict=True)
-        ]
-    found = list(zip(distances, boxes, times, strict=True))
-    near = _smallest(found, NEAREST)
-    return [_Near(away, box, time, moved(parts, time)) for away, box, time in near]
 
 
 def _smallest(candidates: list[tuple], count: int) -> list[tuple]:
@@ -166,35 +167,21 @@ def _smallest(candidates: list[tuple], count: int) -> list[tuple]:
     return best
 
 
-def _apart(parts: RoundedBoxes, box: RoundedBoxes) -> Float[Array, "p *n"]:
-    """Return approximate distances of parts from an obstacle, m, by alternating projections."""
-    first = within(box, parts.centre)
-    own = within(parts, first)
-    separation = within(box, own) - own
-    sunk = first - parts.centre
-    # The second term ranks overlapping obstacles: nearer to the part's centre comes first.
-    gap = jnp.sqrt(dot(separation, separation) + _FLOOR) - parts.radius - box.radius
-    return gap + _BEHIND * jnp.sqrt(dot(sunk, sunk) + _FLOOR)
-
-
 def _as_box(obstacle: Obstacle, like: Float[Array, "3 p *n"]) -> RoundedBoxes:
     """Return a block without radius, or a boulder without extent."""
     none = jnp.zeros_like(like[0])
-
-    def spread(values: object) -> Array:
-        return expand_dims_like(array_of(values), like) + 0 * like
-
     one = none + 1.0
+    centre = expand_dims_like(array_of(obstacle.centre), like) + 0 * like
     if isinstance(obstacle, Block):
         turn = xp.cos(obstacle.heading), xp.sin(obstacle.heading)
         c, s = (expand_dims_like(array_of(x), none) + none for x in turn)
-        half, radius = spread(obstacle.half_extents), none
+        half, radius = expand_dims_like(array_of(obstacle.half_extents), like) + 0 * like, none
     else:
         c, s, half = one, none, jnp.zeros_like(like)
         radius = expand_dims_like(array_of(obstacle.radius), none) + none
     rows = [[c, -s, none], [s, c, none], [none, none, one]]
     axes = jnp.stack([jnp.stack(row) for row in rows])
-    return RoundedBoxes(spread(obstacle.centre), axes, half, radius)
+    return RoundedBoxes(centre, axes, half, radius)
 
 
 def _touching(
@@ -313,7 +300,22 @@ def nearest_to_box(
     metric = t_matmul(turned, turned)
     here = matvec_t(box.axes, centre - box.centre)
     inside = jnp.abs(here) - box.half_extents
-    point = _least(metric, here, box.half_extents)
+    # The point with the least (point - here) . metric (point - here): coordinate descent finds the
+    # coordinates that are held at a face, and elimination solves for the others.
+    extent = box.half_extents
+    point = jnp.clip(here, -extent, extent)
+    diagonal = jnp.stack([metric[i, i] for i in range(3)])
+    for _ in range(_ROUNDS):
+        for i in range(3):
+            gradient = dot(metric[i], point - here)
+            moved_to = jnp.clip(point[i] - gradient / diagonal[i], -extent[i], extent[i])
+            point = jnp.stack([moved_to if k == i else point[k] for k in range(3)])
+        held = (jnp.abs(point) >= extent) & (matvec(metric, point - here) * point < 0)
+        for _ in range(3):
+            # A coordinate that would leave the box is held at the face. Solve for the others again.
+            ahead = point - _solve_free(metric, matvec(metric, point - here), held)
+            point = jnp.clip(jnp.where(held, point, ahead), -extent, extent)
+            held = held | (jnp.abs(ahead) > extent)
     displacement = here - point
     pull = matvec(metric, displacement)
     # A centre inside the box leaves through the nearest face.
@@ -325,29 +327,6 @@ def nearest_to_box(
     reach = semi_axes * matvec(matmul(jnp.swapaxes(axes, 0, 1), box.axes), normal)
     gap = dot(normal, here - point) - jnp.sqrt(dot(reach, reach) + _FLOOR)
     return gap, matvec(box.axes, normal)
-
-
-def _least(metric: Array, here: Array, extent: Array) -> Array:
-    """Return the point of a box with the least ``(x - here) . metric (x - here)``.
-
-    Coordinate descent finds the coordinates that are held at a face. Elimination solves for the
-    others.
-    """
-    x = jnp.clip(here, -extent, extent)
-    diagonal = jnp.stack([metric[i, i] for i in range(3)])
-
-    for _ in range(_ROUNDS):
-        for i in range(3):
-            gradient = dot(metric[i], x - here)
-            moved = jnp.clip(x[i] - gradient / diagonal[i], -extent[i], extent[i])
-            x = jnp.stack([moved if k == i else x[k] for k in range(3)])
-        held = (jnp.abs(x) >= extent) & (matvec(metric, x - here) * x < 0)
-        for _ in range(3):
-            # A coordinate that would leave the box is held at the face. Solve for the others again.
-            ahead = x - _solve_free(metric, matvec(metric, x - here), held)
-            x = jnp.clip(jnp.where(held, x, ahead), -extent, extent)
-            held = held | (jnp.abs(ahead) > extent)
-    return x
 
 
 def _solve_free(metric: Array, gradient: Array, held: Array) -> Array:

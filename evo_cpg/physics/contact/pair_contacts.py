@@ -50,9 +50,9 @@ from evo_cpg.physics.contact.pairs import (
     separations,
 )
 from evo_cpg.physics.contact.separation import Separation
-from evo_cpg.physics.tree import root
 from evo_cpg.physics.tree.kinematics import Kinematics, motion_of_bodies
 from evo_cpg.physics.tree.per_body import take
+from evo_cpg.physics.tree.root import ROOT_DOFS
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 
 
@@ -92,7 +92,8 @@ class FewPairContacts(NamedTuple):
         """Return the velocity-product bias at the joint rates after the step, m/s^2."""
         rates = self.qd + self.h * qdd
         # The motion of the root does not change the separation, so hold the root at rest.
-        motion = motion_of_bodies(self.tree, self.kin, root.at_rest(rates), rates)
+        still = jnp.zeros((ROOT_DOFS, *rates.shape[1:]), rates.dtype)
+        motion = motion_of_bodies(self.tree, self.kin, still, rates)
         return _bias(self.pairs, self.kin.origin, motion, self.where)
 
     def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
@@ -142,10 +143,8 @@ class FewPairForces(NamedTuple):
     force: Float[Array, "p *n"]
     derivative: Float[Array, "p *n"]
 
-    @property
-    def sums(self) -> None:
-        """None: code that is written out has nothing to save."""
-        return None
+    # Code that is written out has nothing to save.
+    sums = None
 
     @property
     def load(self) -> Float[Array, "*n"]:
@@ -181,7 +180,22 @@ def find_pair_contacts(
         return ManyPairContacts(tree, pairs, kin, qd, h)
     where = separations(pairs, kin)
     rest, bias = rest_velocity(where.gap, h), _bias(pairs, kin.origin, kin, where)
-    jacobian = _jacobian(tree, pairs, kin, where)
+    _, normal, *points, _ = where
+    origins = take(kin.origin, np.array(tree.dof_bodies, int))
+    chains = [[set(chain_to_root(tree, body)) for body in bodies] for bodies in pairs.owners]
+    speeds = []
+    for point, own, others in zip(points, chains, reversed(chains), strict=True):
+        # A joint that moves both bodies does not part them.
+        each = zip(own, others, strict=True)
+        moves = [[body in one - other for body in tree.dof_bodies] for one, other in each]
+        # Speed of the points along their normals, per rate of each degree of freedom.
+        offset, S = point[:, :, None] - origins[:, None], kin.axes
+        along = jnp.broadcast_to(normal[:, :, None], offset.shape)
+        speed = dot(S.angular[:, None], cross(offset, along))
+        if S.linear is not None:
+            speed = speed + dot(S.linear[:, None], along)
+        speeds.append(expand_dims_like(np.array(moves, float), speed) * speed)
+    jacobian = speeds[1] - speeds[0]
     velocity = (jacobian * qd[None]).sum(1) + 0.5 * h * bias
     return FewPairContacts(
         tree, pairs, kin, qd, h, where.gap, jacobian, velocity, rest, bias, where
@@ -200,24 +214,3 @@ def _bias(pairs: Pairs, origin: Array, motion: Kinematics | BodyMotion, where: S
         acceleration = take(a, own) + matvec(take(A, own, 2), offset)
         moving.append(PointMotion(angular, velocity, acceleration))
     return parting_acceleration(normal, carried, moving)
-
-
-def _jacobian(
-    tree: Tree, pairs: Pairs, kin: Kinematics, where: Separation
-) -> Float[Array, "p d *n"]:
-    """Return J of `FewPairContacts`: joints that move only the second body minus the first's."""
-    _, normal, *points, _ = where
-    origins = take(kin.origin, np.array(tree.dof_bodies, int))
-    chains = [[set(chain_to_root(tree, body)) for body in bodies] for bodies in pairs.owners]
-    speeds = []
-    for point, own, others in zip(points, chains, reversed(chains), strict=True):
-        each = zip(own, others, strict=True)
-        moves = [[body in one - other for body in tree.dof_bodies] for one, other in each]
-        # Speed of the points along their normals, per rate of each degree of freedom.
-        offset, S = point[:, :, None] - origins[:, None], kin.axes
-        along = jnp.broadcast_to(normal[:, :, None], offset.shape)
-        speed = dot(S.angular[:, None], cross(offset, along))
-        if S.linear is not None:
-            speed = speed + dot(S.linear[:, None], along)
-        speeds.append(expand_dims_like(np.array(moves, float), speed) * speed)
-    return speeds[1] - speeds[0]

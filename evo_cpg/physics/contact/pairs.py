@@ -85,15 +85,19 @@ class Alike(NamedTuple):
     turned: tuple[tuple[int, int, int], tuple[int, int, int]]
     count: int
 
-    def boxes(self, placed: tuple[Array, ...], pick: Callable, side: int) -> RoundedBoxes:
+    def boxes(
+        self, placed: tuple[Array, ...], bodies: np.ndarray | Array, side: int
+    ) -> RoundedBoxes:
         """Return the boxes of the first (side 0) or the second bodies (side 1) of some pairs.
 
-        ``placed`` is centres, axes as columns, half extents and radii of all bodies' boxes, m.
-        ``pick`` takes bodies from an array along an axis.
+        ``placed`` is centres, axes as columns, half extents and radii of all bodies' boxes, m. The
+        bodies are a list of indices, or one index that may be traced.
         """
+        known = isinstance(bodies, np.ndarray)
+        pick: Callable[..., Array] = take if known else jax.lax.dynamic_index_in_dim
         order = np.array(self.turned[side])
         axes = zip(placed, (1, 2, 1, 0), strict=True)
-        centre, turned, half, radius = (pick(x, axis) for x, axis in axes)
+        centre, turned, half, radius = (pick(x, bodies, axis) for x, axis in axes)
         return RoundedBoxes(centre, take(turned, order), take(half, order, 0), radius)
 
 
@@ -230,7 +234,20 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
 
     cases = chosen(choose, still)
     if whole_plan:
-        _leave_out_the_others(creature, settings, pose)
+        # Decide why the other pairs are left out, so that a replay checks it.
+        def why() -> tuple[LeftOut, list[_Case]]:
+            left = left_out(creature, tree, settings)
+            return left, [case for case in map(pose.case, left.others) if pose.passes(case)]
+
+        def still_out(reasons: tuple[LeftOut, list[_Case]]) -> Condition:
+            left, beside = reasons
+            passing = [pair for pair in left.others if pair not in [case.pair for case in beside]]
+            holds = [pose.passes(case) for case in beside]
+            if passing:
+                holds.append(passing_at_rest(creature, tree, settings, passing).all())
+            return all_hold([still_apart(creature, tree, left), *holds])
+
+        chosen(why, still_out)
     if not cases:
         return None
     groups = itertools.groupby(cases, lambda case: case[:2])
@@ -254,25 +271,6 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
         xp.array([box.radius for box in boxes]),
         stiffness,
     )
-
-
-def _leave_out_the_others(creature: Creature, settings: SelfCollision, pose: _NeutralPose) -> None:
-    """Decide why the other pairs of a whole plan are left out, so that a replay checks it."""
-    tree = pose.tree
-
-    def why() -> tuple[LeftOut, list[_Case]]:
-        left = left_out(creature, tree, settings)
-        return left, [case for case in map(pose.case, left.others) if pose.passes(case)]
-
-    def still(reasons: tuple[LeftOut, list[_Case]]) -> Condition:
-        left, beside = reasons
-        passing = [pair for pair in left.others if pair not in [case.pair for case in beside]]
-        holds = [pose.passes(case) for case in beside]
-        if passing:
-            holds.append(passing_at_rest(creature, tree, settings, passing).all())
-        return all_hold([still_apart(creature, tree, left), *holds])
-
-    chosen(why, still)
 
 
 def _of_points(each: tuple[int, ...], runs: tuple[Alike, ...]) -> tuple[int, ...]:
@@ -343,16 +341,10 @@ def separations(pairs: Pairs, kin: Kinematics) -> Separation:
         if pairs.looped:
             found += _one_by_one(run, bodies, placed)
         else:
-            picks = (lambda x, axis, own=own: take(x, own, axis) for own in bodies)
-            found += find(*(run.boxes(placed, pick, side) for side, pick in enumerate(picks)))
+            found += find(*(run.boxes(placed, own, side) for side, own in enumerate(bodies)))
         start += run.count
     axis = 1 - kin.origin.ndim
     return jax.tree.map(lambda *parts: jnp.concatenate(parts, axis), *found)
-
-
-def picking(body: Array) -> Callable[[Array, int], Array]:
-    """Return a function that picks one body, whose index may be traced, and keeps its axis."""
-    return lambda x, axis: jax.lax.dynamic_index_in_dim(x, body, axis)
 
 
 def _one_by_one(
@@ -361,7 +353,7 @@ def _one_by_one(
     """Return the separations of the pairs of a run, in a loop over the pairs."""
 
     def look(carry: None, pair: Array) -> tuple[None, list[Separation]]:
-        boxes = (run.boxes(placed, picking(pair[side]), side) for side in range(2))
+        boxes = (run.boxes(placed, pair[side], side) for side in range(2))
         return carry, KINDS[run.kind][0](*boxes)
 
     _, found = jax.lax.scan(look, None, jnp.asarray(np.stack(bodies, 1), jnp.int32))

@@ -105,11 +105,11 @@ def separation_of_lines(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     s = jnp.clip(both * t - own, -most, most)
     end, s = _ends(s, -own, farthest * jnp.abs(both), most, sine)
 
-    def at(s: Array) -> Separation:
-        t = jnp.clip(both * s + other, -farthest, farthest)
-        return _rounded(a, b, a.centre + s[None] * d, b.centre + t[None] * e)
-
-    return [at(s), unless(jnp.abs(end - s) < same(a, b), at(end))]
+    found = []
+    for here in (s, end):
+        there = jnp.clip(both * here + other, -farthest, farthest)
+        found.append(_rounded(a, b, a.centre + here[None] * d, b.centre + there[None] * e))
+    return [found[0], unless(jnp.abs(end - s) < same(a, b), found[1])]
 
 
 def _ends(
@@ -161,14 +161,9 @@ def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separat
     middle, direction = (matvec_t(b.axes, x) for x in (a.centre - b.centre, a.axes[:, 0]))
     most, extent = a.half_extents[0] + 0 * middle[0], b.half_extents
 
-    def nearest(s: Array) -> tuple[Array, Array]:
-        """Return a point of the line, and the nearest point of the box."""
-        point = middle + s[None] * direction
-        return point, jnp.clip(point, -extent, extent)
-
     def slope(s: Array) -> Array:
-        point, inside = nearest(s)
-        return dot(point - inside, direction)
+        point = middle + s[None] * direction
+        return dot(point - jnp.clip(point, -extent, extent), direction)
 
     # The derivative is linear between the planes of the faces. Find the interval of its root.
     low, high = -most, most
@@ -187,24 +182,26 @@ def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separat
     fraction = jnp.where(bends, -falls / jnp.where(bends, rises - falls, 1.0), 0.5)
     s = low + (high - low) * fraction
 
-    def at(s: Array) -> Separation:
-        point, inside = nearest(s)
+    near, end = _ends_beside_box(s, middle, direction, extent, most, a.radius + b.radius)
+    found = []
+    for s in (near, end):
+        point = middle + s[None] * direction
+        inside = jnp.clip(point, -extent, extent)
         beyond = jnp.abs(point) - extent
         deepest = beyond.max(0)
         # A point in the box leaves it through the nearest face.
         face = jnp.where(beyond >= deepest[None], jnp.where(point < 0, 1.0, -1.0), 0.0)
         buried = (deepest < _ON_FACE)[None]
-        direction = jnp.where(buried, face, inside - point)
-        length = jnp.sqrt(dot(direction, direction) + _TINY)
-        normal = matvec(b.axes, direction / length[None])
+        apart = jnp.where(buried, face, inside - point)
+        length = jnp.sqrt(dot(apart, apart) + _TINY)
+        normal = matvec(b.axes, apart / length[None])
         inside = jnp.where(buried & (face != 0), -face * extent, inside)
         gap = jnp.where(deepest < _ON_FACE, deepest, length) - a.radius - b.radius
         first, second = (b.centre + matvec(b.axes, x) for x in (point, inside))
         first, second = first + a.radius[None] * normal, second - b.radius[None] * normal
-        return Separation(gap, normal, first, second, jnp.zeros((2, *gap.shape), gap.dtype))
-
-    near, end = _ends_beside_box(s, middle, direction, extent, most, a.radius + b.radius)
-    return [at(near), unless(jnp.abs(end - near) < same(a, b), at(end))]
+        none = jnp.zeros((2, *gap.shape), gap.dtype)
+        found.append(Separation(gap, normal, first, second, none))
+    return [found[0], unless(jnp.abs(end - near) < same(a, b), found[1])]
 
 
 def _ends_beside_box(
@@ -265,13 +262,13 @@ def separation_of_rounded(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     parallel = 1.0 - turn[0, 0] * turn[0, 0]
     end, near = _ends(x[0], away[0], reach, a.half_extents[0] + 0 * reach, parallel)
 
-    def at(s: Array) -> Separation:
+    found = []
+    for s in (near, end):
         here = jnp.concatenate([s[None], x[1:]])
-        there = matvec_t(turn, here - away)
-        there = jnp.clip(there, -b.half_extents, b.half_extents)
-        return _rounded(a, b, a.centre + matvec(a.axes, here), b.centre + matvec(b.axes, there))
-
-    return [at(near), unless(jnp.abs(end - near) < same(a, b), at(end))]
+        there = jnp.clip(matvec_t(turn, here - away), -b.half_extents, b.half_extents)
+        points = a.centre + matvec(a.axes, here), b.centre + matvec(b.axes, there)
+        found.append(_rounded(a, b, *points))
+    return [found[0], unless(jnp.abs(end - near) < same(a, b), found[1])]
 
 
 def _rounded(a: RoundedBoxes, b: RoundedBoxes, first: Array, second: Array) -> Separation:

@@ -171,7 +171,7 @@ Obstacle = Block | Boulder
 
 def nearest(
     parts: tuple[GroundPart, ...], point: Float[Array, "3 *rest"]
-) -> tuple[Float[Array, "*rest"], Float[Array, "3 *#rest"]]:
+) -> tuple[Float[Array, "*rest"], Float[Array, "3 *rest"]]:
     """Return the signed distance of points from the nearest part, m, and that part's normal."""
     gap, normal = parts[0].distance(point)
     for part in parts[1:]:
@@ -179,7 +179,7 @@ def nearest(
         closer = other < gap
         gap = jnp.where(closer, other, gap)
         normal = jnp.where(closer[None], direction, normal)
-    return gap, normal
+    return gap, jnp.broadcast_to(normal, point.shape)
 
 
 def _above(point: Array, height: Array, along_x: Array, along_y: Array) -> tuple[Array, Array]:

@@ -36,7 +36,7 @@ from evo_cpg.physics.tree.joint_torque import (
 )
 from evo_cpg.physics.tree.kinematics import Kinematics, kinematics, motion_of_bodies
 from evo_cpg.physics.tree.root import JOINTS, ROOT
-from evo_cpg.physics.tree.spatial_algebra import BodyMotion, Inertia, Wrench, make_inertia, plus
+from evo_cpg.physics.tree.spatial_algebra import Inertia, Wrench, make_inertia
 from evo_cpg.physics.tree.state import State
 from evo_cpg.physics.tree.tendon import TendonLaws, tendon_laws
 from evo_cpg.physics.water.force_law import blocks, in_body_axes, weight
@@ -169,8 +169,28 @@ def with_mean_products(
     state, kin = equations.state, equations.kin
     velocity, rates = state.velocity + h * root, state.qd + h * qdd
     moving = motion_of_bodies(world.tree, kin, velocity, rates)
-    bias = plus(equations.bias, bias_of_mean(world, kin, moving, h))
-    return equations._replace(bias=bias)
+    rotation, tree, start = kin.rotation, world.tree, world.bodies(kin, h)
+    velocity, other = start.velocity, in_body_axes(rotation, moving.angular, moving.linear)
+    end = start.moving(other)
+    accelerations = in_body_axes(
+        rotation, moving.bias_angular - kin.bias_angular, moving.bias_linear - kin.bias_linear
+    )
+    constant = as_matrix_of(tree.inertia, velocity)
+    needed = _gyration(world, other) - _gyration(world, velocity)
+    needed = needed + matvec(constant, accelerations)
+    for law in world.forces:
+        for sign, bodies in ((1.0, start), (-1.0, end)):
+            wrench = law.averaged(start, bodies)
+            if wrench is not None:
+                needed = needed + sign * wrench
+        inertia = law.inertia(start)
+        if inertia is not None:
+            needed = needed + matvec(inertia, accelerations)
+    moment, force = 0.5 * needed[:3], 0.5 * needed[3:]
+    if not world.submerged:
+        moment = moment - gyroscopic_change(tree, velocity[:3], h)
+    change = Wrench(matvec(rotation, moment), matvec(rotation, force))
+    return equations._replace(bias=jax.tree.map(jnp.add, equations.bias, change))
 
 
 def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations:
@@ -227,31 +247,6 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     angular, mixed, linear = (matmul_t(matmul(rotation, block), rotation) for block in matrix)
     bias = Wrench(matvec(rotation, moment), matvec(rotation, force))
     return make_inertia(angular, mixed, linear), bias
-
-
-def bias_of_mean(world: World, kin: Kinematics, moving: BodyMotion, h: float) -> Wrench:
-    """Return the change of the bias wrench by mean velocity products in a step, world axes."""
-    rotation, tree, start = kin.rotation, world.tree, world.bodies(kin, h)
-    velocity, other = start.velocity, in_body_axes(rotation, moving.angular, moving.linear)
-    end = start.moving(other)
-    accelerations = in_body_axes(
-        rotation, moving.bias_angular - kin.bias_angular, moving.bias_linear - kin.bias_linear
-    )
-    constant = as_matrix_of(tree.inertia, velocity)
-    needed = _gyration(world, other) - _gyration(world, velocity)
-    needed = needed + matvec(constant, accelerations)
-    for law in world.forces:
-        for sign, bodies in ((1.0, start), (-1.0, end)):
-            wrench = law.averaged(start, bodies)
-            if wrench is not None:
-                needed = needed + sign * wrench
-        inertia = law.inertia(start)
-        if inertia is not None:
-            needed = needed + matvec(inertia, accelerations)
-    moment, force = 0.5 * needed[:3], 0.5 * needed[3:]
-    if not world.submerged:
-        moment = moment - gyroscopic_change(tree, velocity[:3], h)
-    return Wrench(matvec(rotation, moment), matvec(rotation, force))
 
 
 def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6 b *n"]:

@@ -84,34 +84,20 @@ def full_step(
 
 
 def damped_step(
-    problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
+    problem: StepProblem, radius: Float[Array, "p *n"], start: Float[Array, "v *n"]
 ) -> Iterate:
-    """Return the next iterate."""
-    velocity = problem.velocity(y)
-    linear = problem.linearized(radius, y[JOINTS], velocity)
-    end = problem.motion(linear)
-    # If the potential falls more slowly than this, rounding would determine the step's length.
-    tolerance, _ = tolerances(y)
-    least = problem.h * tolerance**2 * problem.square_of_forces(y, linear)
-    return line_search(problem, radius, y, velocity, linear, end, least)
+    """Return the next iterate: the one with the least potential on the line to the solution.
 
-
-def line_search(
-    problem: StepProblem,
-    radius: Float[Array, "p *n"],
-    start: Float[Array, "v *n"],
-    velocity: Float[Array, "3 p *n"] | None,
-    linear: Linearization,
-    end: Float[Array, "v *n"],
-    least: Float[Array, "*n"],
-) -> Iterate:
-    """Return the iterate with the least potential on a line.
-
-    The line leads from the accelerations ``start``, at which the laws are linearized, to ``end``.
-    If the potential decreases by less than ``least`` (W) per length, the end is returned without a
-    search.
+    The line leads from the accelerations ``start`` to those under the laws linearized there. If the
+    potential hardly decreases along the line, its end is returned without a search.
     """
-    direction, h = end - start, problem.h
+    velocity = problem.velocity(start)
+    linear = problem.linearized(radius, start[JOINTS], velocity)
+    direction, h = problem.motion(linear) - start, problem.h
+    # If the potential falls more slowly than this (W per length), rounding would determine the
+    # step's length.
+    tolerance, _ = tolerances(start)
+    least = h * tolerance**2 * problem.square_of_forces(start, linear)
     turning, pairs = direction[JOINTS], problem.equations.pairs
     change = None if velocity is None else problem.change_of_velocity(direction)
     parting = None if pairs is None else pairs.change(turning)

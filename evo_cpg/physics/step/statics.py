@@ -12,10 +12,10 @@ laws except the water's. Springs, soft limits and motors exert the torques. The 
 joints at the neutral angle. Muscles are relaxed. Q vanishes at an equilibrium, and -dQ/dx is its
 stiffness. The joint of a root that hangs on the world bears F and M, which then are zero.
 
-The ground has the stiffness of a resting contact in a step of the simulation
-(`resting_stiffness`). The simulation therefore finds no motion in an equilibrium found here.
-Friction is Coulomb's law. A spring of that stiffness holds a sticking point where it touched down.
-A point beyond the friction cone slides. Friction then opposes the slip with its largest force.
+The ground has the stiffness of a resting contact in a step of the simulation (`static_forces`). The
+simulation therefore finds no motion in an equilibrium found here. Friction is Coulomb's law. A
+spring of that stiffness holds a sticking point where it touched down. A point beyond the friction
+cone slides. Friction then opposes the slip with its largest force.
 
 Differs from the simulation, whose friction is a velocity law. A point with the tangential force f
 creeps there at ``f / c`` (see `evo_cpg.physics.contact.contact`). Here it stays. The forces
@@ -32,24 +32,24 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec, matvec_t
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.contact.contact import resting_stiffness
-from evo_cpg.physics.contact.contact_model import ContactModel
+from evo_cpg.physics.contact.contact import BAUMGARTE_FRACTION
 from evo_cpg.physics.contact.contact_points import contact_points
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree import joints
 from evo_cpg.physics.tree.ball_limit import ball_laws
 from evo_cpg.physics.tree.joint_torque import (
+    Coordinates,
     MotorCommand,
     clamp_torque,
     limit_torque,
     motor_torque,
     passive_torque,
 )
-from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
+from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.spatial_algebra import Wrench
 from evo_cpg.physics.tree.state import State, resting_state
-from evo_cpg.physics.tree.tendon import static_force, torque_of
+from evo_cpg.physics.tree.tendon import length_of, passive_force, torque_of
 from evo_cpg.physics.water.force_law import weight
 
 
@@ -114,11 +114,26 @@ def static_forces(
     moment, force = matvec(kin.rotation, wrench[:3]), matvec(kin.rotation, wrench[3:])
     touch = Touch(*friction[:2], friction.limit, *friction[2:])
     if world.contact_model is not None:
-        force_on, touch = _ground(world.contact_model, h, kin, friction)
-        owner = np.array(world.contact_model.bodies)[:, None] == np.arange(tree.body_count)
-        owner = owner.astype(float)
-        offset = touch.place - take(kin.origin, np.array(world.contact_model.bodies))
-        moment, force = moment + cross(offset, force_on) @ owner, force + force_on @ owner
+        model, owners = world.contact_model, np.array(world.contact_model.bodies)
+        rotation, origin = take(kin.rotation, owners, 2), take(kin.origin, owners)
+        offset, _, gap, normal, *_ = contact_points(model, kin)
+        # Normal force per depth (N/m), from v* = v_n + f_n / c. It holds up to a depth of 5/2 h m
+        # (h in s), beyond which the exit speed is constant.
+        stiffness = expand_dims_like(model.stiffness * BAUMGARTE_FRACTION / h**2, gap)
+        depth, place = jnp.maximum(-gap, 0.0), origin + offset
+        now = origin + matvec(rotation, friction.point)
+        slip = friction.slip + now - friction.place
+        slip = slip - dot(slip, normal)[None] * normal
+        limit = expand_dims_like(model.static_friction, gap) * depth
+        square, most = dot(slip, slip), friction.limit
+        slides = square > most * most
+        # Avoid the square root of 0, which has no derivative.
+        size = jnp.sqrt(jnp.where(slides, square, 1.0))
+        tangential = jnp.where(slides, most / size, 1.0)[None] * slip
+        push = stiffness[None] * (depth[None] * normal - jnp.where(gap < 0, tangential, 0.0))
+        touch = Touch(matvec_t(rotation, offset), place, stiffness * depth, slip, limit)
+        owner = (owners[:, None] == np.arange(tree.body_count)).astype(float)
+        moment, force = moment + cross(place - origin, push) @ owner, force + push @ owner
     # Moments about the world's origin add up over the bodies that a joint carries.
     about = moment + cross(kin.origin, force)
     # A table with 1 where a degree of freedom carries a body.
@@ -147,7 +162,20 @@ def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
         stop = limit_torque(balls.limits, balls.angles.q, balls.angles.qd, 0.0)[0]
         own = own + balls.torque_of(stop, len(q))
     tendons = tree.tendons
-    return own if tendons is None else own + torque_of(tendons, static_force(tendons, q), len(q))
+    if tendons is None:
+        return own
+    length = length_of(tendons, q)
+    still = jnp.zeros_like(length)
+    lengths = Coordinates(length, still)
+    motor = motor_torque(tendons, lengths, MotorCommand(still), 0.0).start
+    # A motor without a spring would hold any length. A spring as stiff as a soft limit holds its
+    # tendon, because no single coordinate of the search for rest stays fixed then.
+    rigid = (tendons.servo_gain > 0) & (tendons.servo_stiffness == 0)
+    hold = jnp.where(rigid, expand_dims_like(tendons.limit_stiffness, length), 0.0)
+    motor = clamp_torque(tendons, motor - hold * length)
+    limit, _ = limit_torque(tendons, length, still, 0.0)
+    force = passive_force(tendons, lengths, 0.0)[0] + limit + motor
+    return own + torque_of(tendons, force, len(q))
 
 
 def radius_of_gyration(tree: Tree) -> float:
@@ -161,28 +189,3 @@ def radius_of_gyration(tree: Tree) -> float:
         own = np.trace(tree.inertia[:3, :3, i]) / 2 - tree.mass[i] * tree.com[:, i] @ tree.com[:, i]
         squares.append(own + tree.mass[i] * centre @ centre)
     return float(np.sqrt(np.sum(squares) / tree.mass.sum()))
-
-
-def _ground(
-    contact_model: ContactModel, h: float, kin: Kinematics, friction: FrictionState
-) -> tuple[Float[Array, "3 p"], Touch]:
-    """Return the force on every contact point, N, and the state of the contact points."""
-    bodies = np.array(contact_model.bodies)
-    offset, _, gap, normal, *_ = contact_points(contact_model, kin)
-    stiffness = expand_dims_like(resting_stiffness(contact_model, h), gap)
-    point, place = (
-        matvec_t(take(kin.rotation, bodies, 2), offset),
-        take(kin.origin, bodies) + offset,
-    )
-    depth = jnp.maximum(-gap, 0.0)
-    now = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), friction.point)
-    slip = friction.slip + now - friction.place
-    slip = slip - dot(slip, normal)[None] * normal
-    limit = expand_dims_like(contact_model.static_friction, gap) * depth
-    square, most = dot(slip, slip), friction.limit
-    slides = square > most * most
-    # Avoid the square root of 0, which has no derivative.
-    size = jnp.sqrt(jnp.where(slides, square, 1.0))
-    tangential = jnp.where(slides, most / size, 1.0)[None] * slip
-    push = stiffness[None] * (depth[None] * normal - jnp.where(gap < 0, tangential, 0.0))
-    return push, Touch(point, place, stiffness * depth, slip, limit)

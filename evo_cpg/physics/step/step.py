@@ -16,7 +16,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.linear import expand_dims_like, matvec, matvec_t
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.step.equations import (
@@ -35,7 +35,7 @@ from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.muscle import metabolic_power
 from evo_cpg.physics.tree.root import ROOT
-from evo_cpg.physics.tree.spatial_algebra import Inertia, Wrench, inertial_wrench, plus
+from evo_cpg.physics.tree.spatial_algebra import Inertia, Wrench
 from evo_cpg.physics.tree.state import State, integrate
 from evo_cpg.physics.tree.tendon import length_of, torque_of
 
@@ -134,31 +134,25 @@ def _step(
 ) -> tuple[State, Effort]:
     if friction_scale is not None:
         world = world.with_friction(friction_scale)
+    tree, holding = world.tree, None
     if needs_iteration(world):
         if world.held:
             raise ValueError("only a step without iteration can hold the root still")
-        found = solve_step(world, h, state, command, warmstart)
-        return _finish(world.tree, h, state, command, found)
-    equations = prepare(world, h, state, command)
-    with jax.named_scope("solve"):
-        first = solve_at_once(world, h, equations)
-        equations = with_mean_products(world, h, equations, *first)
-        # Both solves have the same matrix, only their forces differ.
-        found = solve_at_once(world, h, equations)
-    motor, tendons = equations.motor.at(world.tree, found.qdd, h), equations.tendons
-    tension = None if tendons is None else tendons.commanded(found.qdd, h)
-    solution = StepSolution(found.root, found.qdd, motor, tension=tension)
-    new_state, effort = _finish(world.tree, h, state, command, solution)
-    if world.held:
-        kin, inertia, bias = equations.kin, equations.inertia, equations.bias
-        effort = effort._replace(holding=holding_wrench(world.tree, kin, inertia, bias, found))
-    return new_state, effort
-
-
-def _finish(
-    tree: Tree, h: float, state: State, command: MotorCommand, solution: StepSolution
-) -> tuple[State, Effort]:
-    """Return the state after the step, and the forces."""
+        solution = solve_step(world, h, state, command, warmstart)
+    else:
+        equations = prepare(world, h, state, command)
+        with jax.named_scope("solve"):
+            first = solve_at_once(world, h, equations)
+            equations = with_mean_products(world, h, equations, *first)
+            # Both solves have the same matrix, only their forces differ.
+            found = solve_at_once(world, h, equations)
+        motor, laws, tension = equations.motor.at(tree, found.qdd, h), equations.tendons, None
+        if laws is not None:
+            tension = laws.motor.at(laws.tendons, length_of(laws.tendons, found.qdd), h)
+        solution = StepSolution(found.root, found.qdd, motor, tension=tension)
+        if world.held:
+            kin, inertia, bias = equations.kin, equations.inertia, equations.bias
+            holding = holding_wrench(tree, kin, inertia, bias, found)
     with jax.named_scope("integrate"):
         new_state = integrate(tree, state, solution.root, solution.qdd, h)
     power = jnp.abs(solution.torque * 0.5 * (state.qd + new_state.qd))
@@ -179,7 +173,8 @@ def _finish(
         solution.pair_force,
         solution.residual,
         solution.warmstart,
-        tension=solution.tension,
+        holding,
+        solution.tension,
     )
 
 
@@ -193,6 +188,8 @@ def holding_wrench(
     p of the step. X moves a wrench to the root's centre. The wrench includes the reaction to the
     implicit drag, so the momentum of the step balances to rounding.
     """
-    accelerations = body_accelerations(tree, kin, jnp.concatenate(found))
-    total = plus(inertial_wrench(inertia, accelerations), bias)
+    turning, moving = body_accelerations(tree, kin, jnp.concatenate(found))
+    moment = matvec(inertia.angular, turning) + matvec(inertia.mixed, moving)
+    force = matvec_t(inertia.mixed, turning) + matvec(inertia.linear, moving)
+    total = Wrench(moment + bias.moment, force + bias.force)
     return generalized_force(tree, kin, total)[ROOT]

@@ -68,17 +68,6 @@ class SearchRecord(NamedTuple):
     restitution: Float[Array, "*n"]
     bias_updates: Int[Array, "*n"]
 
-    @classmethod
-    def of(cls, visited: Visited, outer: Outer) -> "SearchRecord":
-        """Return the record of a finished search.
-
-        Rounds that an individual did not need repeat the solution of its last round.
-        """
-        cones = [visited.cones[0]]
-        for k, one in enumerate(visited.cones[1:], 1):
-            cones.append(where_each(visited.last_round < k, cones[-1], one))
-        return cls(tuple(cones), visited.biases, outer.restitution, outer.bias_updates)
-
 
 def replay(problem: StepProblem, radius: Float[Array, "p *n"], record: SearchRecord) -> SolvedStep:
     """Return the solution by one Newton step under every cone and pair bias, for derivatives."""

@@ -32,7 +32,6 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import cross, dot, matvec, where_each
 from evo_cpg.creature.algebra.numerics import xp
-from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import solve_symmetric
 from evo_cpg.physics.contact.contact import ContactLinearization
 from evo_cpg.physics.contact.pair_contacts import PairForces
@@ -48,8 +47,8 @@ from evo_cpg.physics.tree.generalized import (
 )
 from evo_cpg.physics.tree.joint_torque import changes_overload, linearized_torque
 from evo_cpg.physics.tree.per_body import take
-from evo_cpg.physics.tree.root import JOINTS, plus_joint_diagonal
-from evo_cpg.physics.tree.tendon import TendonForce
+from evo_cpg.physics.tree.root import JOINTS, ROOT_DOFS
+from evo_cpg.physics.tree.tendon import TendonForce, length_of
 
 # Fraction of the other forces (drag, springs, velocity products) in the norm of all forces. It
 # matters only if there is neither weight nor load nor torque.
@@ -112,7 +111,9 @@ class StepProblem(NamedTuple):
             equations.derivative,
         )
         if equations.tendons is not None:
-            mass, force = equations.tendons.springs().added_to(mass, force)
+            laws = equations.tendons
+            springs = TendonForce(laws.tendons, laws.passive, laws.derivative)
+            mass, force = springs.added_to(mass, force)
         return cls(world, h, equations, mass, force)
 
     def under(
@@ -171,10 +172,24 @@ class StepProblem(NamedTuple):
         by body, except in steps in which pairs push, because these join branches of the tree.
         Tendons join branches in every step.
         """
+        tree, equations, contacts = self.world.tree, self.equations, self.equations.contacts
+        depth = np.zeros(tree.body_count, int)
+        axes = np.bincount(np.array(tree.dof_bodies, int), minlength=tree.body_count)
+        for body, parent in enumerate(tree.parents):
+            if parent >= 0:
+                depth[body] = depth[parent] + axes[body]
         joined = linear.tendons is not None or linear.balls is not None
-        if joined or not _is_long(self.world.tree):
+        if joined or depth.max() <= _LONGEST_ELIMINATED:
             return self._by_elimination(linear)
-        free = self._body_by_body(linear)
+        inertia, bias = equations.inertia, equations.bias
+        if contacts is not None and linear.contact is not None:
+            blocks = linear.contact.inertia(contacts, inertia)
+            inertia = jax.tree.map(jnp.add, inertia, blocks)
+            wrench = contacts.wrench(linear.contact.at(contacts.unconstrained_velocity), bias)
+            bias = jax.tree.map(jnp.subtract, bias, wrench)
+        torque = equations.passive + linear.torque
+        resistance = equations.derivative + self.h * linear.derivative
+        free = jnp.concatenate(solve(tree, equations.kin, inertia, bias, torque, resistance))
         if linear.pairs is None:
             return free
         pushed = linear.pairs.load > 0
@@ -191,7 +206,8 @@ class StepProblem(NamedTuple):
             blocks = linear.contact.inertia(contacts, equations.inertia)
             matrix = matrix + mass_matrix(tree, equations.kin, blocks)
             force = force + self._ground(linear.contact.at(contacts.unconstrained_velocity))
-        matrix = plus_joint_diagonal(matrix, h * linear.derivative)
+        dofs = ROOT_DOFS + np.arange(tree.dof_count)
+        matrix = matrix.at[dofs, dofs].add(h * linear.derivative)
         if linear.pairs is not None:
             pushes, stiffening = linear.pairs.newton()
             torque, matrix = torque + pushes, matrix.at[JOINTS, JOINTS].add(stiffening)
@@ -200,20 +216,6 @@ class StepProblem(NamedTuple):
         if linear.balls is not None:
             matrix, force = linear.balls.added_to(matrix, force)
         return solve_symmetric(matrix, force.at[JOINTS].add(torque))
-
-    def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
-        """Return the accelerations without pairs, by the articulated-body algorithm."""
-        equations, h, contacts = self.equations, self.h, self.equations.contacts
-        inertia, bias = equations.inertia, equations.bias
-        if contacts is not None and linear.contact is not None:
-            blocks = linear.contact.inertia(contacts, inertia)
-            inertia = jax.tree.map(jnp.add, inertia, blocks)
-            wrench = contacts.wrench(linear.contact.at(contacts.unconstrained_velocity), bias)
-            bias = jax.tree.map(jnp.subtract, bias, wrench)
-        torque = equations.passive + linear.torque
-        resistance = equations.derivative + h * linear.derivative
-        found = solve(self.world.tree, equations.kin, inertia, bias, torque, resistance)
-        return jnp.concatenate(found)
 
     def residual(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "*n"]:
         """Return the error of the force laws at a motion, relative to `square_of_forces`.
@@ -319,8 +321,11 @@ class StepProblem(NamedTuple):
             found = found | (equations.contacts.target_velocity > velocity[2]).any(0)
         if equations.pairs is not None:
             found = found | equations.pairs.touches(qdd)
-        tendons = equations.tendons
-        return found if tendons is None else found | tendons.changes_overload(qdd, h)
+        if equations.tendons is None:
+            return found
+        laws, tendons = equations.tendons, equations.tendons.tendons
+        change = length_of(tendons, qdd)
+        return found | changes_overload(tendons, laws.motor, laws.lengths, change, h)
 
     @property
     def pair_bias(self) -> Float[Array, "k *n"]:
@@ -339,13 +344,3 @@ class StepProblem(NamedTuple):
         assert equations.contacts is not None
         wrench = equations.contacts.wrench(force, equations.bias)
         return generalized_force(self.world.tree, equations.kin, wrench)
-
-
-def _is_long(tree: Tree) -> bool:
-    """Return whether a chain of joints is so long that elimination loses too many digits."""
-    depth = np.zeros(tree.body_count, int)
-    axes = np.bincount(np.array(tree.dof_bodies, int), minlength=tree.body_count)
-    for body, parent in enumerate(tree.parents):
-        if parent >= 0:
-            depth[body] = depth[parent] + axes[body]
-    return bool(depth.max() > _LONGEST_ELIMINATED)

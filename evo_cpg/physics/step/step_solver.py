@@ -50,6 +50,7 @@ from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.joint_torque import MotorCommand, clamp_torque
 from evo_cpg.physics.tree.root import JOINTS, ROOT
 from evo_cpg.physics.tree.state import State
+from evo_cpg.physics.tree.tendon import length_of
 
 # Most Newton iterations in a step.
 _ITERATIONS = 60
@@ -77,7 +78,15 @@ def solve_step(
 
     Steps with neither are solved at once, joint limits included (`equations.solve_at_once`).
     """
-    problem = _with_velocity_products(world, h, state, command)
+    equations = prepare(world, h, state, command)
+    problem = StepProblem.of(world, h, equations)
+    # The velocity products are means over the start and the end of the free motion. Individuals
+    # whose free motion is wrong keep the initial ones.
+    free = free_motion(problem)
+    later = with_mean_products(world, h, equations, free[ROOT], free[JOINTS])
+    unlike = problem.needs_contact_or_other_limits(free)
+    bias = where_each(unlike, equations.bias, later.bias)
+    problem = StepProblem.of(world, h, equations._replace(bias=bias))
     batch = state.q.shape[1:]
     if warmstart is None:
         warmstart = coldstart(world, batch, state.q.dtype)
@@ -91,8 +100,31 @@ def solve_step(
         first,
         template,
     )
-    end = problem.under(answer.restitution, answer.bias)
-    return _solution(end, answer.radius, answer.y)
+    # The forces of the laws at the solution.
+    end, y, radius = problem.under(answer.restitution, answer.bias), answer.y, answer.radius
+    qdd, velocity = y[JOINTS], end.velocity(y)
+    linear, allowed = end.linearized(radius, qdd, velocity), end.cone_radius(velocity)
+    contacts, local, force = end.equations.contacts, None, None
+    if contacts is not None and linear.contact is not None:
+        local = linear.contact.force
+        force = matvec_t(contacts.frame, local)
+    solved = jax.lax.stop_gradient(end.residual(y, linear))
+    friction = jax.lax.stop_gradient(end.coulomb_error(radius, allowed, velocity, linear))
+    tree, tendons, tension = world.tree, end.equations.tendons, None
+    if tendons is not None:
+        tension = tendons.motor.at(tendons.tendons, length_of(tendons.tendons, qdd), h)
+        tension = clamp_torque(tendons.tendons, tension)
+    return StepSolution(
+        root=y[ROOT],
+        qdd=qdd,
+        torque=clamp_torque(tree, end.equations.motor.at(tree, qdd, h)),
+        contact_frame_force=local,
+        contact_force=force,
+        pair_force=None if linear.pairs is None else linear.pairs.force,
+        residual=Residual(solved, solved + friction),
+        warmstart=Warmstart(qdd, velocity, allowed),
+        tension=tension,
+    )
 
 
 def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
@@ -113,23 +145,6 @@ def coldstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmsta
     velocity = None if world.contact_model is None else jnp.zeros((3, points, *batch), dtype)
     qdd = jnp.zeros((world.tree.dof_count, *batch), dtype)
     return Warmstart(qdd, velocity, jnp.zeros((points, *batch), dtype))
-
-
-def _with_velocity_products(
-    world: World, h: float, state: State, command: MotorCommand
-) -> StepProblem:
-    """Return the problem of a step.
-
-    Its velocity products are means over the start and the end of the free motion. Individuals whose
-    free motion is wrong (`free_motion`) keep the initial velocity products.
-    """
-    equations = prepare(world, h, state, command)
-    problem = StepProblem.of(world, h, equations)
-    free = free_motion(problem)
-    later = with_mean_products(world, h, equations, free[ROOT], free[JOINTS])
-    unlike = problem.needs_contact_or_other_limits(free)
-    bias = where_each(unlike, equations.bias, later.bias)
-    return StepProblem.of(world, h, equations._replace(bias=bias))
 
 
 def _solve(
@@ -154,32 +169,9 @@ def _solve(
     begin = updated(start, begin, Iterate(first, start.velocity(first)))
     end = while_each(lambda search: ~search.done, advance, begin)
     answer = SolvedStep(end.y, end.outer.cone.radius, end.outer.restitution, end.outer.bias)
-    return answer, SearchRecord.of(end.visited, end.outer)
-
-
-def _solution(
-    problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
-) -> StepSolution:
-    """Return accelerations, with the forces of the laws at them."""
-    qdd, velocity = y[JOINTS], problem.velocity(y)
-    linear, allowed = problem.linearized(radius, qdd, velocity), problem.cone_radius(velocity)
-    contacts, local, force = problem.equations.contacts, None, None
-    if contacts is not None and linear.contact is not None:
-        local = linear.contact.force
-        force = matvec_t(contacts.frame, local)
-    solved = jax.lax.stop_gradient(problem.residual(y, linear))
-    friction = jax.lax.stop_gradient(problem.coulomb_error(radius, allowed, velocity, linear))
-    tree, h, tendons = problem.world.tree, problem.h, problem.equations.tendons
-    return StepSolution(
-        root=y[ROOT],
-        qdd=qdd,
-        torque=clamp_torque(tree, problem.equations.motor.at(tree, qdd, h)),
-        contact_frame_force=local,
-        contact_force=force,
-        pair_force=None if linear.pairs is None else linear.pairs.force,
-        residual=Residual(solved, solved + friction),
-        warmstart=Warmstart(qdd, velocity, allowed),
-        tension=None
-        if tendons is None
-        else clamp_torque(tendons.tendons, tendons.commanded(qdd, h)),
-    )
+    # Rounds that an individual did not need repeat the solution of its last round.
+    cones, visited = [end.visited.cones[0]], end.visited
+    for k, solution in enumerate(visited.cones[1:], 1):
+        cones.append(where_each(visited.last_round < k, cones[-1], solution))
+    final = end.outer.restitution, end.outer.bias_updates
+    return answer, SearchRecord(tuple(cones), visited.biases, *final)

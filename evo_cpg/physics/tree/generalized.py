@@ -78,7 +78,8 @@ def generalized_equations(
     resistance: Float[Array, "d *#n"],
 ) -> tuple[Float[Array, "v v *n"], Float[Array, "v *n"]]:
     """Return the matrix and the force of the equation that `articulated.solve` solves."""
-    matrix = root.plus_joint_diagonal(mass_matrix(tree, kin, inertia), resistance)
+    matrix, dofs = mass_matrix(tree, kin, inertia), root.ROOT_DOFS + np.arange(tree.dof_count)
+    matrix = matrix.at[dofs, dofs].add(resistance)
     force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
     return matrix, force.at[root.JOINTS].add(torque)
 
@@ -98,30 +99,15 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
     H = H.at[: len(block), : len(block)].set(block)
     if not tree.dof_count:
         return H
-    places, values = _joint_elements(tree, kin, I_c[:])
-    rows, columns = places.T
-    return H.at[rows, columns].set(values).at[columns, rows].set(values)
-
-
-def _joint_elements(
-    tree: Tree, kin: Kinematics, composite: Inertia
-) -> tuple[np.ndarray, Float[Array, "m *n"]]:
-    """Return the joint elements of the mass matrix on and below its diagonal.
-
-    The force ``f = I^c S`` that a unit acceleration of a degree of freedom needs climbs from its
-    body to the root. All degrees of freedom climb together, one body in each round of the loop. At
-    every body, the product of f with the axes of the body's joint gives elements of the row. Axes
-    of one joint meet twice, so only those up to the degree of freedom itself count. At a free root,
-    the components of f are the elements.
-
-    Returns:
-        Rows and columns, ``(m, 2)``, and the elements.
-    """
-    body = np.array(tree.dof_bodies, int)
-    inertia = jax.tree.map(lambda x: take(x, body, 2), composite)
-    columns = joints.momentum(inertia, jax.tree.map(lambda x: x[:, None], kin.axes))
-    f = Wrench(columns.moment[:, 0], columns.force[:, 0])
-    dofs = np.arange(tree.dof_count)
+    # Joint elements on and below the diagonal. The force f = I^c S that a unit acceleration of a
+    # degree of freedom needs climbs from its body to the root. All degrees of freedom climb
+    # together, one body in each round of the loop. At every body, the product of f with the axes of
+    # the body's joint gives elements of the row. Axes of one joint meet twice, so only those up to
+    # the degree of freedom itself count. At a free root, the components of f are the elements.
+    body, dofs = np.array(tree.dof_bodies, int), np.arange(tree.dof_count)
+    of_dofs = jax.tree.map(lambda x: take(x, body, 2), I_c[:])
+    needed = joints.momentum(of_dofs, jax.tree.map(lambda x: x[:, None], kin.axes))
+    f = Wrench(needed.moment[:, 0], needed.force[:, 0])
     places, values = [], []
     while len(dofs):
         met = [
@@ -131,7 +117,7 @@ def _joint_elements(
             if owner == body[one] and other <= dof
         ]
         one, other = np.array(met, int).reshape(-1, 2).T
-        values.append(joints.torque_on_each(kin.axes.take(other), f, one))
+        values.append(joints.torque_on_each(kin.axes, f, (other, one)))
         places.append(root.ROOT_DOFS + np.stack([dofs[one], other], 1))
         f, body = wrench_at_parent(f, take(kin.offset, body)), np.array(tree.parents)[body]
         top, below = np.flatnonzero(body == 0), np.flatnonzero(body > 0)
@@ -142,4 +128,6 @@ def _joint_elements(
             places.append(np.stack([root.ROOT_DOFS + dofs[top], np.full(len(top), k)], 1))
         f = Wrench(take(f.moment, below), take(f.force, below))
         body, dofs = body[below], dofs[below]
-    return np.concatenate(places), jnp.concatenate(values)
+    rows, columns = np.concatenate(places).T
+    values = jnp.concatenate(values)
+    return H.at[rows, columns].set(values).at[columns, rows].set(values)

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec, matvec_t
-from evo_cpg.creature.algebra.rotation import matrix_to_quaternion, quaternion_to_matrix
+from evo_cpg.creature.algebra.linear import matvec_t
+from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.joint_kinds import Link, linked, local_frames
 
@@ -35,20 +35,6 @@ def fixed_link(base: Base) -> Link:
     """Return the frame on which a root hangs as a parent: one body that does not move."""
     rotation, origin = quaternion_to_matrix(base.orientation), base.position[:, None]
     return Link(rotation[:, :, None], origin, *(jnp.zeros_like(origin) for _ in range(4)))
-
-
-def pose(
-    tree: Tree, base: Base, q: Float[Array, "d *n"], qd: Float[Array, "d *n"]
-) -> tuple[Float[Array, "3 *n"], Float[Array, "4 *n"], Float[Array, "6 *n"]]:
-    """Return position, orientation and velocity of the root, as in `state.State`."""
-    group = tree.hanging
-    assert group is not None
-    local = local_frames(tree, q)[group.bodies]
-    link, _, _ = linked(tree, group, fixed_link(base), local, qd)
-    rotation, origin, angular, linear = link.rotation[:, :, 0], *(x[:, 0] for x in link[1:4])
-    arm = matvec(rotation, expand_dims_like(tree.root_centre, origin))
-    velocity = jnp.concatenate([angular, linear + cross(angular, arm)])
-    return origin + arm, matrix_to_quaternion(rotation), velocity
 
 
 def pushed(

@@ -26,13 +26,12 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.laws import BallLimits, ForceLaws
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.muscle import pull_of
-from evo_cpg.physics.tree.per_body import take
 from evo_cpg.physics.tree.state import State
 
 # Resistance of a joint that sticks by dry friction, times the step, relative to its inertia.
@@ -80,16 +79,6 @@ class MotorCommand(NamedTuple):
             none if self.target_angle is None else self.target_angle,
             jnp.zeros((2, *none.shape), none.dtype) if self.activation is None else self.activation,
             none if self.torque is None else self.torque,
-        )
-
-    def to(self, dofs: Int[np.ndarray, " t"]) -> "MotorCommand":
-        """Return the commands to some degrees of freedom, without activations."""
-        rate, angle, _, torque = self
-        return MotorCommand(
-            take(rate, dofs, 0),
-            None if angle is None else take(angle, dofs, 0),
-            None,
-            None if torque is None else take(torque, dofs, 0),
         )
 
 
@@ -144,13 +133,13 @@ def limit_torque(
     )
     derivative = damping + h * stiffness
 
-    def miss(beyond: Array, outwards: Array) -> Array:
-        """Return the excess of a rate towards a limit over v*, times K."""
+    # The excess of the rate towards each limit over v*, times K.
+    missed = []
+    for beyond, outwards in ((q - upper, rate), (lower - q, -rate)):
         back = derivative * outwards + stiffness * beyond
         ahead = derivative * (outwards + (1.0 / h) * beyond) if h else jnp.zeros_like(back)
-        return jnp.maximum(jnp.where(beyond > 0, back, ahead), 0.0)
-
-    above, below = miss(q - upper, rate), miss(lower - q, -rate)
+        missed.append(jnp.maximum(jnp.where(beyond > 0, back, ahead), 0.0))
+    above, below = missed
     return below - above, jnp.where((above > 0) | (below > 0), derivative, 0.0)
 
 
@@ -179,7 +168,7 @@ def linearized_torque(
         Torque at zero acceleration (N m), and its decrease per end-of-step rate (N m s/rad).
     """
     commanded = motor.at(tree, qdd, h)
-    over = overloaded(tree, commanded)
+    over = jnp.abs(commanded) > expand_dims_like(tree.torque_limit, commanded)
     torque = jnp.where(over, clamp_torque(tree, commanded), motor.start)
     derivative = jnp.where(over, 0.0, motor.derivative(tree, h))
     change = h * qdd
@@ -204,9 +193,10 @@ def changes_overload(
     `linearized_torque`.
     """
     commanded = motor.at(tree, qdd, h)
-    given = clamp_torque(tree, commanded)
-    stays = jnp.where(overloaded(tree, motor.start), clamp_torque(tree, motor.start), commanded)
-    least = _SAME_TORQUE * expand_dims_like(tree.torque_limit, given) + _NONE
+    given, limit = clamp_torque(tree, commanded), expand_dims_like(tree.torque_limit, commanded)
+    over = jnp.abs(motor.start) > limit
+    stays = jnp.where(over, clamp_torque(tree, motor.start), commanded)
+    least = _SAME_TORQUE * limit + _NONE
     changes = (jnp.abs(given - stays) > least).any(0)
     if tree.dry_friction is None:
         return changes
@@ -250,12 +240,9 @@ def motor_torque(
     if tree.muscles is None:
         return MotorTorque(torque)
     pull = pull_of(tree.muscles, command.activation, state.q, rates)
-    return MotorTorque(torque + pull.torque(state.q, rates), pull.derivative(h))
-
-
-def overloaded(tree: ForceLaws, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:
-    """Return which axes have a commanded torque above its limit."""
-    return jnp.abs(torque) > expand_dims_like(tree.torque_limit, torque)
+    # The springs act on the mean of three successive angles, with the weight 1/4 of the last one.
+    of_muscles = pull.damping + 0.25 * h * pull.stiffness
+    return MotorTorque(torque + pull.torque(state.q, rates), of_muscles)
 
 
 def clamp_torque(tree: ForceLaws, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:

@@ -6,7 +6,6 @@ functions. Frames and elimination depend on the kind of the joint, and are in
 `evo_cpg.physics.tree.joint_kinds`. Torques are in `evo_cpg.physics.tree.joint_torque`.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -17,14 +16,13 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import cross, dot, matmul, matvec, matvec_t, t_matmul
 from evo_cpg.creature.tree import Group
-from evo_cpg.physics.tree.per_body import in_dof_order, of_joints, take
+from evo_cpg.physics.tree.per_body import of_joints, take
 from evo_cpg.physics.tree.spatial_algebra import (
     BodyMotion,
     Inertia,
     Motion,
     Wrench,
     motion_at_child,
-    motion_product,
 )
 
 
@@ -47,26 +45,6 @@ class Subspace(eqx.Module):
         own = Subspace(self.angular, linear, group.at_once)
         return jax.tree.map(lambda x: of_joints(x, group, batch_ndim), own)
 
-    def take(self, dofs: np.ndarray) -> "Subspace":
-        """Return the columns of some degrees of freedom."""
-        return jax.tree.map(lambda x: take(x, dofs), self)
-
-
-def subspace(parts: Sequence[Subspace], like: Float[Array, "3 *n"]) -> Subspace:
-    """Return S of all degrees of freedom, ``(3, d, *n)``, from the parts of the groups.
-
-    ``like`` has the shape of one column.
-    """
-    none, batch_ndim = jnp.zeros((3, 0, *like.shape[1:]), like.dtype), like.ndim - 1
-    angular = [in_dof_order(S.angular, batch_ndim) for S in parts]
-    if all(S.linear is None for S in parts):
-        return Subspace(jnp.concatenate([none, *angular], 1))
-    linear = [
-        jnp.zeros_like(turning) if S.linear is None else in_dof_order(S.linear, batch_ndim)
-        for S, turning in zip(parts, angular, strict=True)
-    ]
-    return Subspace(jnp.concatenate([none, *angular], 1), jnp.concatenate([none, *linear], 1))
-
 
 def carried(parent: Any, offset: Float[Array, "3 b *n"], S: Subspace, rates: Array) -> BodyMotion:
     """Return the motion of bodies that their parents carry and their joints move.
@@ -87,7 +65,9 @@ def carried(parent: Any, offset: Float[Array, "3 b *n"], S: Subspace, rates: Arr
         else:
             each = [Motion(turning[:, k], moving[:, k]) for k in range(len(rates))]
         for across in each:
-            bias = jax.tree.map(jnp.add, bias, motion_product(velocity, across))
+            turned = cross(velocity.angular, across.linear) + cross(velocity.linear, across.angular)
+            product = Motion(cross(velocity.angular, across.angular), turned)
+            bias = jax.tree.map(jnp.add, bias, product)
             velocity = jax.tree.map(jnp.add, velocity, across)
         return BodyMotion(*velocity, *bias)
     # Angular velocity across each joint, and its rate of change seen from the parent.
@@ -122,14 +102,16 @@ def torque_of(S: Subspace, wrench: Wrench) -> Float[Array, "k b *n"]:
 
 
 def torque_on_each(
-    S: Subspace, wrench: Wrench, which: np.ndarray | None = None
+    S: Subspace, wrench: Wrench, which: tuple[np.ndarray, np.ndarray] | None = None
 ) -> Float[Array, "k *n"]:
     """Return ``S^T f``, with a wrench for each degree of freedom.
 
-    S is ``(3, k, *n)``. ``which`` is the index of each wrench, by default all in order.
+    S is ``(3, k, *n)``. ``which`` are the indices of the degree of freedom and the wrench of each
+    product, by default all in order.
     """
     if which is not None:
-        wrench = Wrench(*(take(x, which) for x in wrench))
+        S = jax.tree.map(lambda x: take(x, which[0]), S)
+        wrench = Wrench(*(take(x, which[1]) for x in wrench))
     torque = dot(S.angular, wrench.moment)
     return torque if S.linear is None else torque + dot(S.linear, wrench.force)
 
@@ -142,14 +124,3 @@ def momentum(inertia: Inertia, S: Subspace) -> Wrench:
     return Wrench(
         moment + matmul(inertia.mixed, S.linear), force + matmul(inertia.linear, S.linear)
     )
-
-
-def about(
-    S: Subspace, origins: Float[Array, "3 d *n"]
-) -> tuple[Float[Array, "3 d *n"], Float[Array, "3 d *n"]]:
-    """Return the motion S about a common point: angular parts, and minus the linear parts.
-
-    The origins of the joints' bodies count from the common point, m.
-    """
-    moments = cross(S.angular, origins)
-    return S.angular, moments if S.linear is None else moments - S.linear

@@ -26,7 +26,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree import hanging, joints, root
 from evo_cpg.physics.tree.joint_kinds import Link, linked, local_frames
 from evo_cpg.physics.tree.joints import Subspace
-from evo_cpg.physics.tree.per_body import PerBody, of_joints
+from evo_cpg.physics.tree.per_body import PerBody, in_dof_order, of_joints
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 from evo_cpg.physics.tree.state import State
 
@@ -73,13 +73,16 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         offsets.append(offset)
         axes.append(S)
     rotation, origin, *motion = bodies[:]
-    return Kinematics(
-        rotation,
-        origin,
-        jnp.concatenate(offsets, 1),
-        joints.subspace(axes, state.position),
-        *motion,
-    )
+    none = jnp.zeros((3, 0, *state.position.shape[1:]), state.position.dtype)
+    angular, linear = [in_dof_order(S.angular, batch_ndim) for S in axes], None
+    if any(S.linear is not None for S in axes):
+        parts = [
+            jnp.zeros_like(turning) if S.linear is None else in_dof_order(S.linear, batch_ndim)
+            for S, turning in zip(axes, angular, strict=True)
+        ]
+        linear = jnp.concatenate([none, *parts], 1)
+    every = Subspace(jnp.concatenate([none, *angular], 1), linear)
+    return Kinematics(rotation, origin, jnp.concatenate(offsets, 1), every, *motion)
 
 
 def motion_of_bodies(

@@ -71,10 +71,6 @@ class Pull(NamedTuple):
         """Return the torque at angles (rad) and rates (rad/s), N m."""
         return self.drive - self.stiffness * q - self.damping * rate
 
-    def derivative(self, h: float) -> Float[Array, "d *n"]:
-        """Return the decrease of the torque per final rate of a step, N m s/rad, never negative."""
-        return self.damping + 0.25 * h * self.stiffness
-
 
 def pull_of(
     muscles: Muscles,

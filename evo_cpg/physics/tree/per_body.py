@@ -40,7 +40,7 @@ class PerBody(Generic[Value]):
     @classmethod
     def of(cls, stacked: Value, batch_ndim: int) -> "PerBody[Value]":
         """Unstack a pytree of arrays with the bodies on the axis in front of the individuals."""
-        return cls(_unstacked(stacked, batch_ndim), batch_ndim)
+        return cls([], batch_ndim).followed_by(stacked)
 
     def __getitem__(self, bodies: slice | Sequence[int]) -> Value:
         chosen = range(len(self._values))[bodies] if isinstance(bodies, slice) else bodies
@@ -53,7 +53,9 @@ class PerBody(Generic[Value]):
 
     def followed_by(self, stacked: Value) -> "PerBody[Value]":
         """Append the values of further bodies."""
-        more = _unstacked(stacked, self._batch_ndim)
+        leaves, structure = jax.tree.flatten(stacked)
+        columns = [jnp.unstack(leaf, axis=-self._batch_ndim - 1) for leaf in leaves]
+        more = [structure.unflatten(own) for own in zip(*columns, strict=True)]
         return PerBody((*self._values, *more), self._batch_ndim)
 
     def plus(self, bodies: Sequence[int], stacked: Value) -> "PerBody[Value]":
@@ -126,9 +128,3 @@ def spread(parts: Array, bodies: Sequence[int], count: int, axis: int = 1) -> Ar
         each[body] = each[body] + part if body in each else part
     none = jnp.zeros_like(next(iter(each.values())))
     return jnp.stack([each.get(body, none) for body in range(count)], axis)
-
-
-def _unstacked(stacked: Value, batch_ndim: int) -> list[Value]:
-    leaves, structure = jax.tree.flatten(stacked)
-    columns = [jnp.unstack(leaf, axis=-batch_ndim - 1) for leaf in leaves]
-    return [structure.unflatten(own) for own in zip(*columns, strict=True)]

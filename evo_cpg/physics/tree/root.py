@@ -11,7 +11,6 @@ coordinates, on displacement before rotation (`evo_cpg.physics.step.statics`).
 """
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import (
@@ -22,7 +21,6 @@ from evo_cpg.creature.algebra.linear import (
     matvec,
     matvec_t,
 )
-from evo_cpg.creature.algebra.rotation import integrate_quaternion
 from evo_cpg.native.fuse import symmetric
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion, Inertia, Motion, Wrench
 
@@ -38,32 +36,10 @@ ROOT, JOINTS = slice(0, ROOT_DOFS), slice(ROOT_DOFS, None)
 LENGTHS, SYMMETRIES = 3, (0, 1, 5)
 
 
-# Pose and velocity.
-
-
-def at_rest(joint_rates: Float[Array, "d *n"]) -> Float[Array, "6 *n"]:
-    """Return the velocity of a root at rest, for joint rates of the same batch."""
-    return jnp.zeros((ROOT_DOFS, *joint_rates.shape[1:]), joint_rates.dtype)
-
-
 def motion(velocity: Float[Array, "6 *n"]) -> BodyMotion:
     """Return velocity and velocity-product acceleration of the root's body."""
     w, v = velocity[:3], velocity[3:]
     return BodyMotion(w, v, jnp.zeros_like(w), cross(v, w))
-
-
-def moved(
-    position: Float[Array, "3 *n"],
-    orientation: Float[Array, "4 *n"],
-    velocity: Float[Array, "6 *n"],
-    h: float | Float[Array, ""],
-) -> tuple[Float[Array, "3 *n"], Float[Array, "4 *n"]]:
-    """Return the pose after h seconds (negative: before) at a constant velocity."""
-    turned = integrate_quaternion(orientation, velocity[:3], h)
-    return position + h * velocity[3:], turned
-
-
-# Generalized vectors.
 
 
 def solved(inertia: Inertia, bias: Wrench) -> Motion:
@@ -77,11 +53,3 @@ def solved(inertia: Inertia, bias: Wrench) -> Motion:
     turning = matvec(inverse_symmetric(schur), matvec(coupling, bias.force) - bias.moment)
     moving = matvec(linear_inverse, -bias.force - matvec_t(inertia.mixed, turning))
     return Motion(turning, moving)
-
-
-def plus_joint_diagonal(
-    matrix: Float[Array, "v v *n"], diagonal: Float[Array, "d *#n"]
-) -> Float[Array, "v v *n"]:
-    """Add a diagonal of the joints to a generalized matrix."""
-    joints = np.arange(ROOT_DOFS, len(matrix))
-    return matrix.at[joints, joints].add(diagonal)

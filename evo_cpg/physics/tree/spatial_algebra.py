@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import cross, matmul, matmul_t, matvec, matvec_t, skew
+from evo_cpg.creature.algebra.linear import cross, matmul, matmul_t, skew
 from evo_cpg.native.fuse import symmetric
 
 
@@ -50,26 +50,12 @@ class Wrench(NamedTuple):
     force: Float[Array, "3 *rest"]
 
 
-def plus(one: Wrench, other: Wrench) -> Wrench:
-    """Return the sum of two wrenches."""
-    return Wrench(one.moment + other.moment, one.force + other.force)
-
-
 class Inertia(NamedTuple):
     """Symmetric 6x6 matrices by their 3x3 blocks, ``[[angular, mixed], [mixed^T, linear]]``."""
 
     angular: Float[Array, "3 3 *rest"]
     mixed: Float[Array, "3 3 *rest"]
     linear: Float[Array, "3 3 *rest"]
-
-
-def inertial_wrench(inertia: Inertia, acceleration: Motion) -> Wrench:
-    """Return the wrench that gives an inertia an acceleration."""
-    turning, moving = acceleration
-    return Wrench(
-        matvec(inertia.angular, turning) + matvec(inertia.mixed, moving),
-        matvec_t(inertia.mixed, turning) + matvec(inertia.linear, moving),
-    )
 
 
 def make_inertia(
@@ -88,14 +74,6 @@ def make_inertia(
 def motion_at_child(motion: Motion, offset: Float[Array, "3 *#rest"]) -> Motion:
     """Return a motion at a point that is ``offset`` away."""
     return Motion(motion.angular, motion.linear + cross(motion.angular, offset))
-
-
-def motion_product(velocity: Motion, motion: Motion) -> Motion:
-    """Return ``v x m``: the rate of change of a motion that moves with a velocity."""
-    return Motion(
-        cross(velocity.angular, motion.angular),
-        cross(velocity.angular, motion.linear) + cross(velocity.linear, motion.angular),
-    )
 
 
 def wrench_at_parent(wrench: Wrench, offset: Float[Array, "3 *#rest"]) -> Wrench:

@@ -9,11 +9,11 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import array_of
-from evo_cpg.creature.algebra.rotation import integrate_quaternion
+from evo_cpg.creature.algebra.linear import array_of, cross, expand_dims_like, matvec
+from evo_cpg.creature.algebra.rotation import integrate_quaternion, matrix_to_quaternion
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.tree import hanging, joint_kinds, root
-from evo_cpg.physics.tree.hanging import Base
+from evo_cpg.physics.tree import joint_kinds, root
+from evo_cpg.physics.tree.hanging import Base, fixed_link
 
 
 class State(eqx.Module):
@@ -61,8 +61,8 @@ class State(eqx.Module):
         q = joint_kinds.displaced(tree, self.q, h * self.qd)
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
-        pose = root.moved(self.position, self.orientation, self.velocity, h)
-        return State(*pose, self.velocity, q, self.qd)
+        turned = integrate_quaternion(self.orientation, self.velocity[:3], h)
+        return State(self.position + h * self.velocity[3:], turned, self.velocity, q, self.qd)
 
     def displaced(self, tree: Tree, x: Float[Array, " v"]) -> "State":
         """Return the state at static coordinates from this pose (`step.statics`)."""
@@ -74,10 +74,16 @@ class State(eqx.Module):
 
     def placed(self, tree: Tree) -> "State":
         """Return the state with a root that hangs put where its joint holds it."""
-        if self.base is None:
+        group = tree.hanging
+        if self.base is None or group is None:
             return self
-        pose = hanging.pose(tree, self.base, self.q, self.qd)
-        return State(*pose, self.q, self.qd, self.base)
+        local = joint_kinds.local_frames(tree, self.q)[group.bodies]
+        link, _, _ = joint_kinds.linked(tree, group, fixed_link(self.base), local, self.qd)
+        rotation, origin, angular, linear = link.rotation[:, :, 0], *(x[:, 0] for x in link[1:4])
+        arm = matvec(rotation, expand_dims_like(tree.root_centre, origin))
+        velocity = jnp.concatenate([angular, linear + cross(angular, arm)])
+        turned = matrix_to_quaternion(rotation)
+        return State(origin + arm, turned, velocity, self.q, self.qd, self.base)
 
 
 def integrate(

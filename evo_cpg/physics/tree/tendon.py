@@ -16,6 +16,7 @@ elimination in generalized coordinates (`evo_cpg.physics.step.step_problem`).
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -26,10 +27,7 @@ from evo_cpg.physics.tree.joint_torque import (
     Coordinates,
     MotorCommand,
     MotorTorque,
-    changes_overload,
-    clamp_torque,
     expected_limit_torque,
-    limit_torque,
     linearized_torque,
     motor_torque,
 )
@@ -63,19 +61,6 @@ class TendonLaws(NamedTuple):
         stop, slope = expected_limit_torque(self.tendons, self.lengths, h)
         resistance = self.derivative + h * (self.motor.derivative(self.tendons, h) + slope)
         return TendonForce(self.tendons, self.passive + self.motor.start + stop, resistance)
-
-    def springs(self) -> "TendonForce":
-        """Return the force of springs and dampers, with the armature."""
-        return TendonForce(self.tendons, self.passive, self.derivative)
-
-    def changes_overload(self, qdd: Float[Array, "d *n"], h: float) -> Bool[Array, "*n"]:
-        """Return `evo_cpg.physics.tree.joint_torque.changes_overload` for the tendons."""
-        change = length_of(self.tendons, qdd)
-        return changes_overload(self.tendons, self.motor, self.lengths, change, h)
-
-    def commanded(self, qdd: Float[Array, "d *n"], h: float) -> Float[Array, "t *n"]:
-        """Return the forces that the motors command at the end of the step."""
-        return self.motor.at(self.tendons, length_of(self.tendons, qdd), h)
 
 
 class TendonForce(NamedTuple):
@@ -125,7 +110,8 @@ def tendon_laws(
     lengths = lengths_of(tendons, state)
     passive, derivative = passive_force(tendons, lengths, h)
     derivative = derivative + expand_dims_like(tendons.armature, derivative)
-    own = command.to(np.maximum(tendons.channels, 0))
+    channels = np.maximum(tendons.channels, 0)
+    own = jax.tree.map(lambda x: take(x, channels, 0), command._replace(activation=None))
     motor = motor_torque(tendons, lengths, own, h)
     return TendonLaws(tendons, lengths, passive, derivative, motor)
 
@@ -141,33 +127,6 @@ def passive_force(
     stretch, slack = stretch_of(tendons, ahead)
     stiffness = jnp.where(slack, 0.0, stiffness)
     return -stiffness * stretch - damping * lengths.qd, h * (damping + h * stiffness)
-
-
-def static_force(tendons: Tendons, q: Float[Array, " d"]) -> Float[Array, " t"]:
-    """Return the forces of tendons at rest whose motors hold the neutral length.
-
-    A motor without a spring would hold any length. A spring as stiff as a soft limit holds its
-    tendon, because no single coordinate of the search for rest stays fixed then.
-    """
-    length = length_of(tendons, q)
-    zero = jnp.zeros_like(length)
-    lengths = Coordinates(length, zero)
-    motor = motor_torque(tendons, lengths, MotorCommand(zero), 0.0).start
-    rigid = (tendons.servo_gain > 0) & (tendons.servo_stiffness == 0)
-    hold = jnp.where(rigid, expand_dims_like(tendons.limit_stiffness, length), 0.0)
-    motor = clamp_torque(tendons, motor - hold * length)
-    limit, _ = limit_torque(tendons, length, zero, 0.0)
-    return passive_force(tendons, lengths, 0.0)[0] + limit + motor
-
-
-def tendon_energy(tendons: Tendons, state: State) -> Float[Array, "*n"]:
-    """Return the energy of the tendons' springs and armature, J."""
-    length, rate = lengths_of(tendons, state)
-    stretch, _ = stretch_of(tendons, length)
-    stiffness, armature = (
-        expand_dims_like(x, length) for x in (tendons.stiffness, tendons.armature)
-    )
-    return 0.5 * (armature * rate**2 + stiffness * stretch**2).sum(0)
 
 
 def lengths_of(tendons: Tendons, state: State) -> Coordinates:

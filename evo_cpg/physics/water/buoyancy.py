@@ -50,7 +50,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matmul_t
+from evo_cpg.creature.algebra.linear import dot, expand_dims_like, matmul_t
 from evo_cpg.creature.algebra.numerics import Numbers, xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Cell, Profile
@@ -190,15 +190,6 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
     return DisplacedWater(total[0], total[1:])
 
 
-def buoyancy(
-    displaced: DisplacedWater, up: Float[Array, "3 b *n"], specific_weight: Float[Array, ""] | float
-) -> Float[Array, "6 b *n"]:
-    """Return the buoyancy wrench on each body in water of a weight rho g (N/m^3), body axes."""
-    return specific_weight * jnp.concatenate(
-        [cross(displaced.moment, up), displaced.volume[None] * up]
-    )
-
-
 def _round(
     density: tuple[float, float, float], half_axes: Array, up: Array, depth: Array
 ) -> tuple[Array, Array]:
@@ -292,25 +283,11 @@ def _polyhedron(cells: Cells, up: Array, depth: Array) -> tuple[Array, Array]:
     limit = float(np.linalg.norm(triangles, axis=-1).max())
     flat_up, flat_depth = up.reshape(3, -1), jnp.clip(depth, -limit, limit).reshape(-1)
     first, second, third = (flat_depth[None] - corner @ flat_up for corner in corners)
-    value, derivatives = _wet_difference(first, second, third)
-    facing = faces @ flat_up
-    fraction = -(facing * (derivatives[0] + derivatives[1] + derivatives[2])).sum(0)
-    moment = faces.T @ value
-    for corner, derivative in zip(corners, derivatives, strict=True):
-        moment = moment - corner.T @ (facing * derivative)
-    return fraction.reshape(depth.shape), moment.reshape(up.shape)
-
-
-def _wet_difference(
-    first: Array, second: Array, third: Array
-) -> tuple[Array, tuple[Array, Array, Array]]:
-    """Return the divided difference of ``max(0, t)^4 / 24`` at three depths and its gradient.
-
-    A lone wet corner t_0 gives 24 times the value ``t_0^4 / ((t_0 - t_1)(t_0 - t_2))``. A lone dry
-    corner subtracts this term from the value of a wet triangle. The other corners are at least
-    ``|t_0|`` away from t_0.
-    """
-    wet = [depth > 0 for depth in (first, second, third)]
+    # The divided difference of max(0, t)^4 / 24 at the three depths, and its gradient. A lone wet
+    # corner t_0 gives 24 times the value t_0^4 / ((t_0 - t_1)(t_0 - t_2)). A lone dry corner
+    # subtracts this term from the value of a wet triangle. The other corners are at least |t_0|
+    # away from t_0.
+    wet = [depths > 0 for depths in (first, second, third)]
     lone = [(wet[i] != wet[i - 1]) & (wet[i] != wet[i - 2]) for i in range(3)]
     tip = jnp.where(lone[0], first, jnp.where(lone[1], second, third))
     others = jnp.where(lone[0], second, first), jnp.where(lone[2], second, third)
@@ -324,12 +301,16 @@ def _wet_difference(
     theirs = [both * fraction for fraction in fractions]
     total = jnp.where(most, first + second + third, 0.0)
     squares = jnp.where(most, first * first + second * second + third * third, 0.0) + total * total
-    derivatives = (
-        total + jnp.where(most, first, 0.0) + jnp.where(lone[0], own, theirs[0]),
-        total
-        + jnp.where(most, second, 0.0)
-        + jnp.where(lone[1], own, jnp.where(lone[0], theirs[0], theirs[1])),
-        total + jnp.where(most, third, 0.0) + jnp.where(lone[2] | ~counts, own, theirs[1]),
-    )
     value = (squares / 2 + both * tip) / 24
-    return value, (derivatives[0] / 24, derivatives[1] / 24, derivatives[2] / 24)
+    at_second = jnp.where(lone[1], own, jnp.where(lone[0], theirs[0], theirs[1]))
+    derivatives = (
+        (total + jnp.where(most, first, 0.0) + jnp.where(lone[0], own, theirs[0])) / 24,
+        (total + jnp.where(most, second, 0.0) + at_second) / 24,
+        (total + jnp.where(most, third, 0.0) + jnp.where(lone[2] | ~counts, own, theirs[1])) / 24,
+    )
+    facing = faces @ flat_up
+    fraction = -(facing * (derivatives[0] + derivatives[1] + derivatives[2])).sum(0)
+    moment = faces.T @ value
+    for corner, derivative in zip(corners, derivatives, strict=True):
+        moment = moment - corner.T @ (facing * derivative)
+    return fraction.reshape(depth.shape), moment.reshape(up.shape)

@@ -205,7 +205,21 @@ class Patch(NamedTuple):
     tangential_places: PointPlaces | None = None
 
 
-class Drag(ForceLaw):
+class DragOnPatches(ForceLaw):
+    """Drag whose `parts` is one part, with a D that includes the change over a step."""
+
+    of_water: ClassVar[bool] = True
+
+    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
+        """Return the drag wrench on every body (`ForceLaw.wrench`)."""
+        return self.parts(bodies)[0].wrench
+
+    def averaged(self, start: Bodies, moving: Bodies) -> None:
+        """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
+        del start, moving
+
+
+class Drag(DragOnPatches):
     """Form drag and skin friction.
 
     Attributes:
@@ -215,16 +229,10 @@ class Drag(ForceLaw):
         law: drag against the normal and tangential velocities, or against the whole velocity.
     """
 
-    of_water: ClassVar[bool] = True
-
     form_drag: Number
     skin_drag: Number
     patches: tuple[Patch, ...] = ()
     law: DragLaw = eqx.field(static=True, default="normal")
-
-    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
-        """Return the drag wrench on every body (`ForceLaw.wrench`)."""
-        return self.parts(bodies)[0].wrench
 
     def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
@@ -232,10 +240,6 @@ class Drag(ForceLaw):
         density = bodies.water.density
         wrench, derivative = drag(self, density, bodies.relative, bodies.pose)
         return (WrenchPart(wrench, bodies.h * derivative),)
-
-    def averaged(self, start: Bodies, moving: Bodies) -> None:
-        """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
-        del start, moving
 
     def scaled(self, factor: float) -> "Drag":
         """Return drag with both coefficients multiplied by a factor."""
@@ -271,12 +275,29 @@ def make_patches(
         )
         for i, name in enumerate(tree.names)
     ]
-    groups = groups_of(placed, layout)
-    return tuple(
-        _patch(bodies, *placed[bodies[0]], law == "normal" and layout == "merged", surfacing)
-        for bodies in groups
-        if len(placed[bodies[0]][0].areas)
-    )
+    patches = []
+    for bodies in groups_of(placed, layout):
+        of_form, of_skin = placed[bodies[0]]
+        if not len(of_form.areas):
+            continue
+        normal, area = velocity_rows(of_form)[0], of_form.areas
+        if law == "normal" and layout == "merged" and not surfacing:
+            normal, area = merge_alike(normal, area)
+        _, first, second = velocity_rows(of_skin)
+        patches.append(
+            Patch(
+                bodies,
+                normal,
+                area,
+                outer_products(normal),
+                xp.stack([first, second]),
+                of_skin.areas,
+                outer_products(first) + outer_products(second),
+                places_of(of_form) if surfacing else None,
+                places_of(of_skin) if surfacing else None,
+            )
+        )
+    return tuple(patches)
 
 
 def drag(
@@ -369,24 +390,3 @@ def _patch_drag(
     derivative = product(patch.normal_outer * normal_factor[None], speed)
     derivative = derivative + product(patch.tangential_outer * tangential_factor[None], along)
     return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *velocity.shape[1:])
-
-
-def _patch(
-    bodies: tuple[int, ...], form: Surface, skin: Surface, merge: bool, surfacing: bool
-) -> Patch:
-    normal, _, _ = velocity_rows(form)
-    normal_area = form.areas
-    if merge and not surfacing:
-        normal, normal_area = merge_alike(normal, normal_area)
-    _, first, second = velocity_rows(skin)
-    return Patch(
-        bodies,
-        normal,
-        normal_area,
-        outer_products(normal),
-        xp.stack([first, second]),
-        skin.areas,
-        outer_products(first) + outer_products(second),
-        places_of(form) if surfacing else None,
-        places_of(skin) if surfacing else None,
-    )

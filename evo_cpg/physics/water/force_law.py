@@ -29,7 +29,7 @@ from evo_cpg.creature.algebra.numerics import Number, xp
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.physics.water.buoyancy import Cells, DisplacedWater, buoyancy, displacement
+from evo_cpg.physics.water.buoyancy import Cells, DisplacedWater, displacement
 from evo_cpg.physics.water.water import Water
 
 
@@ -289,7 +289,8 @@ def weight(bodies: Bodies) -> Float[Array, "6 b *n"]:
         wrench = jnp.concatenate([moment, pull + lift])
     if water is None or displaced is None:
         return wrench
-    return wrench + buoyancy(displaced, up, water.density * bodies.gravity)
+    lift = jnp.concatenate([cross(displaced.moment, up), displaced.volume[None] * up])
+    return wrench + water.density * bodies.gravity * lift
 
 
 def buoyancy_alone(bodies: Bodies) -> Float[Array, "6 b *n"]:

@@ -54,9 +54,8 @@ from evo_cpg.creature.algebra.linear import (
     matvec,
     matvec_t,
 )
-from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
+from evo_cpg.creature.algebra.numerics import Numbers, smooth_step, xp
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.slender import LEAST_BODIES, slender_chains
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
@@ -107,6 +106,7 @@ class _Flow(NamedTuple):
         per_sine: C_N over the sine.
         pressure: ``1/2 rho S`` of the parts under water, kg/m.
         resistance: additional force against the normal velocity, over this velocity, N s/m.
+        row: row of the normal velocity for the velocity of the body.
     """
 
     centre: Float[Array, "3 p *#n"]
@@ -119,6 +119,7 @@ class _Flow(NamedTuple):
     per_sine: Float[Array, "p *n"]
     pressure: Float[Array, "p *n"]
     resistance: Float[Array, "p *n"]
+    row: Float[Array, "6 p *n"]
 
 
 class PlateLift(ForceLaw):
@@ -162,34 +163,26 @@ class PlateLift(ForceLaw):
             none = jnp.zeros_like(turning)
             own = jnp.stack([none, turning * flow.local[2], -turning * flow.local[1]])
             moment = moment + matvec_t(flow.frame, own)
-        return self._spread(bodies, jnp.concatenate([moment, force]))
+        return spread(jnp.concatenate([moment, force]), self.bodies, bodies.tree.body_count)
 
     def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the lift with ``c w w^T`` as D, for the row w of the normal velocity."""
-        row, c = self._resistance(bodies)
-        angular, linear = row[:3], row[3:]
+        flow = self._flow(bodies)
+        c, angular, linear = flow.resistance, flow.row[:3], flow.row[3:]
         pairs = ((angular, angular), (angular, linear), (linear, linear))
         outer = jnp.stack([c[None, None] * a[:, None] * b[None] for a, b in pairs])
-        flat = self._spread(bodies, (bodies.h * outer).reshape(27, *c.shape))
+        own = (bodies.h * outer).reshape(27, *c.shape)
+        flat = spread(own, self.bodies, bodies.tree.body_count)
         return (WrenchPart(self.wrench(bodies), flat.reshape(3, 3, 3, *flat.shape[1:])),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench of the derivatives that D leaves out (`ForceLaw.averaged`)."""
         velocities = (start.velocity,), (moving.velocity,)
         whole = jax.jvp(lambda v: self.wrench(start.moving(v)), *velocities)[1]
-        row, c = self._resistance(start)
+        flow = self._flow(start)
+        row, c = flow.row, flow.resistance
         own = 2.0 * c * dot(row, take(moving.velocity, np.array(self.bodies)))
-        return whole + self._spread(start, row * own[None])
-
-    def _spread(self, bodies: Bodies, own: Float[Array, "k p *n"]) -> Float[Array, "k b *n"]:
-        """Return a quantity of the plates as a quantity of all bodies."""
-        return spread(own, self.bodies, bodies.tree.body_count)
-
-    def _resistance(self, bodies: Bodies) -> tuple[Float[Array, "6 p *n"], Float[Array, "p *n"]]:
-        """Return the row of the normal velocity, and the force over this velocity, N s/m."""
-        flow = self._flow(bodies)
-        normal = jnp.broadcast_to(flow.frame[0], flow.local.shape)
-        return jnp.concatenate([cross(flow.centre, normal), normal]), flow.resistance
+        return whole + spread(row * own[None], self.bodies, start.tree.body_count)
 
     def _flow(self, bodies: Bodies) -> _Flow:
         own = np.array(self.bodies)
@@ -203,42 +196,36 @@ class PlateLift(ForceLaw):
         across = other * other * first * first + one * one * second * second
         square = (across + one * other * _SPEED_FLOOR) / along
         aspect, sine = square / expand_dims_like(self.area, normal), jnp.abs(normal) / speed
+        cosine = slip / speed
+        potential = 2.0 * jnp.pi * aspect / (2.0 + jnp.sqrt(aspect * aspect + 4.0))
+        attached = _SLOPE * potential * cosine + _VORTEX * sine
+        # C_N at 90 degrees by Lindenburg: 1.18 for a square, 2 for a long plate.
+        broadside = _LONG_PLATE * (1.0 - _FINITE * (1.0 - jnp.exp(-_SPAN / aspect)))
+        nose = 1.0 / (1.0 - _NOSE + _NOSE * sine)
+        stalled = broadside + _LONG_PLATE * (nose - 1.0)
+        stalled = stalled * (1.0 + _OBLIQUE * 6.75 * sine**4 * cosine * cosine)
+        stall = _STALL + _STALL_MORE / (1.0 + _STALL_DECAY * aspect)
+        separated = jax.nn.sigmoid((sine - stall) / _STALL_WIDTH)
+        per_sine = attached + separated * (stalled - attached)
         assert bodies.water is not None
         wet = take(bodies.under_water, own, 0)
         area = expand_dims_like(self.weight * self.area, normal)
-        pressure, whole = (
-            0.5 * bodies.water.density * area * wet,
-            per_sine(sine, slip / speed, aspect),
-        )
+        pressure = 0.5 * bodies.water.density * area * wet
+        centre = expand_dims_like(bodies.tree.centre[:, own], bodies.velocity)
+        outward = jnp.broadcast_to(frame[0], local.shape)
         return _Flow(
-            centre=expand_dims_like(bodies.tree.centre[:, own], bodies.velocity),
+            centre=centre,
             frame=frame,
             local=local,
             speed=speed,
             slip=slip,
             sine=sine,
             aspect=aspect,
-            per_sine=whole,
+            per_sine=per_sine,
             pressure=pressure,
-            resistance=pressure * speed * (whole - broadside(aspect) * sine),
+            resistance=pressure * speed * (per_sine - broadside * sine),
+            row=jnp.concatenate([cross(centre, outward), outward]),
         )
-
-
-def per_sine(sine: Array, cosine: Array, aspect: Array) -> Array:
-    """Return C_N over the sine of the angle of attack, a number of order 1."""
-    potential = 2.0 * jnp.pi * aspect / (2.0 + jnp.sqrt(aspect * aspect + 4.0))
-    attached = _SLOPE * potential * cosine + _VORTEX * sine
-    nose = 1.0 / (1.0 - _NOSE + _NOSE * sine)
-    stalled = broadside(aspect) + _LONG_PLATE * (nose - 1.0)
-    stalled = stalled * (1.0 + _OBLIQUE * 6.75 * sine**4 * cosine * cosine)
-    stall = _STALL + _STALL_MORE / (1.0 + _STALL_DECAY * aspect)
-    separated = jax.nn.sigmoid((sine - stall) / _STALL_WIDTH)
-    return attached + separated * (stalled - attached)
-
-
-def broadside(aspect: Array) -> Array:
-    """Return C_N at 90 degrees by Lindenburg: 1.18 for a square, 2 for a long plate."""
-    return _LONG_PLATE * (1.0 - _FINITE * (1.0 - jnp.exp(-_SPAN / aspect)))
 
 
 def make_plate_lift(
@@ -276,8 +263,23 @@ def make_plate_lift(
     plates = chosen(choose, still)
     if not plates:
         return None
-    found = [_plate(shapes[tree.names[i]]) for i in plates]
-    frames, lengths, areas = zip(*found, strict=True)
+    frames, lengths, areas = [], [], []
+    for i in plates:
+        shape = shapes[tree.names[i]]
+        half, axes = shape.stretch
+        thinnest = xp.where(half <= xp.min(half), 1.0, 0.0)
+        # The first of equal axes.
+        thinnest = thinnest * xp.where(xp.cumsum(thinnest) > 1.0, 0.0, 1.0)
+        normal, first = axes @ thinnest, axes @ xp.roll(thinnest, 1)
+        tangents = first, xp.cross(normal, first)
+        extents = [along @ (shape.support(along) - shape.support(-along)) for along in tangents]
+        _, normals, of_points = shape.surface(_RESOLUTION)
+        area = (of_points * xp.abs(normals @ normal)).sum() / 2
+        # A body of size 0 has a weight of 0, and any lengths serve.
+        sizes = [xp.where(size > 0, size, 1.0) for size in (*extents, area)]
+        frames.append(xp.stack([normal, *tangents]))
+        lengths.append(xp.array(sizes[:2]))
+        areas.append(sizes[2])
     return PlateLift(
         plates,
         xp.stack(frames, -1),
@@ -286,21 +288,3 @@ def make_plate_lift(
         xp.array([weight for i, weight in zip(free, weights, strict=True) if i in plates]),
         has_moment,
     )
-
-
-def _plate(shape: Shape) -> tuple[Numbers, Numbers, Number]:
-    """Return the frame of a thin body as rows, its lengths (m) and its area (m^2)."""
-    half, axes = shape.stretch
-    thinnest = xp.where(half <= xp.min(half), 1.0, 0.0)
-    # The first of equal axes.
-    thinnest = thinnest * xp.where(xp.cumsum(thinnest) > 1.0, 0.0, 1.0)
-    normal, first = axes @ thinnest, axes @ xp.roll(thinnest, 1)
-    second = xp.cross(normal, first)
-    lengths = [
-        tangent @ (shape.support(tangent) - shape.support(-tangent)) for tangent in (first, second)
-    ]
-    _, normals, areas = shape.surface(_RESOLUTION)
-    area = (areas * xp.abs(normals @ normal)).sum() / 2
-    # A body of size 0 has a weight of 0, and any lengths serve.
-    sizes = [xp.where(size > 0, size, 1.0) for size in (*lengths, area)]
-    return xp.stack([normal, first, second]), xp.array(sizes[:2]), sizes[2]

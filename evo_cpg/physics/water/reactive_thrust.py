@@ -66,9 +66,11 @@ from evo_cpg.physics.tree.per_body import spread, take
 from evo_cpg.physics.water.added_mass import ellipsoid
 from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart, blocks
 
-# Added mass of a rectangle over rho pi a^2, for thicknesses b/a (panel method).
-_THICKNESS = np.array([0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
-_RECTANGLE = np.array([1.0, 1.14, 1.22, 1.36, 1.51, 1.70, 1.98, 2.23])
+# Thicknesses b/a of rectangles, and their added mass over rho pi a^2 (panel method).
+_RECTANGLE = (
+    np.array([0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0]),
+    np.array([1.0, 1.14, 1.22, 1.36, 1.51, 1.70, 1.98, 2.23]),
+)
 
 # Least size of a section, m, so that bodies without size have no 0 / 0.
 _LEAST = 1e-9
@@ -102,7 +104,10 @@ def sections(creature: Creature, chain: SlenderChain, density: Number) -> Sectio
         directions.append(xp.stack([first, xp.cross(tangent, first)]))
         sharp.append(all(cell.profile == "box" for cell in shape.cells()))
         if sharp[-1]:
-            own = _rectangle(other, one), _rectangle(one, other)
+            own = [
+                np.pi * width**2 * xp.interp(thin / xp.maximum(width, _LEAST), *_RECTANGLE)
+                for width, thin in ((other, one), (one, other))
+            ]
         else:
             # The mean section; bodies that overlap at joints have no more than the largest one.
             mean = shape.volume / xp.maximum(length, _LEAST)
@@ -137,12 +142,6 @@ def chain_inertia(
             total = total + chain.lengths[k] / 2 * rows.T @ section @ rows
         inertias[i] = total
     return inertias
-
-
-def _rectangle(half_width: Number, half_thickness: Number) -> Number:
-    """Return the added mass over density of a rectangle that moves along its thickness, m^2."""
-    ratio = half_thickness / xp.maximum(half_width, _LEAST)
-    return np.pi * half_width**2 * xp.interp(ratio, _THICKNESS, _RECTANGLE)
 
 
 # Ratio u / |w| at which an edge sheds all water, 79 degrees from the tangent.
@@ -209,7 +208,7 @@ class ReactiveThrust(ForceLaw):
         flow = self._flow(bodies)
         carried = (flow.masses * flow.across**2).sum(0)
         force = 0.5 * carried[None] * flow.tangent - flow.along[None] * flow.momentum
-        return self._on_bodies(bodies, self._wrenches(force))
+        return spread(self._wrenches(force), self.bodies, bodies.tree.body_count)
 
     def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the wrench, with half of ``u M_a`` as D (`ForceLaw.parts`)."""
@@ -217,14 +216,15 @@ class ReactiveThrust(ForceLaw):
         rows = jnp.stack([self._wrenches(flow.directions[:, k]) for k in range(2)])
         weights = 0.5 * bodies.h * flow.masses * flow.along[None]
         outer = (weights[:, None, None] * rows[:, :, None] * rows[:, None]).sum(0)
-        return (WrenchPart(self.wrench(bodies), self._on_bodies(bodies, blocks(outer))),)
+        resistance = spread(blocks(outer), self.bodies, bodies.tree.body_count, 3)
+        return (WrenchPart(self.wrench(bodies), resistance),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
         """Return the wrench of ``t p^T - p t^T`` (`ForceLaw.averaged`)."""
         flow, velocity = self._flow(start), self._velocity(moving)
         momentum, tangent = flow.momentum, flow.tangent
         force = tangent * dot(momentum, velocity)[None] - momentum * dot(tangent, velocity)[None]
-        return self._on_bodies(start, self._wrenches(force))
+        return spread(self._wrenches(force), self.bodies, start.tree.body_count)
 
     def _velocity(self, bodies: Bodies) -> Float[Array, "3 e *n"]:
         """Return the velocity of every edge relative to the water, m/s."""
@@ -251,11 +251,6 @@ class ReactiveThrust(ForceLaw):
         """Return the wrenches of forces at the edges."""
         points = jnp.broadcast_to(expand_dims_like(self.edges.points, force), force.shape)
         return jnp.concatenate([cross(points, force), force])
-
-    def _on_bodies(self, bodies: Bodies, parts: Array) -> Array:
-        """Return the sum of parts ``(..., e, *n)`` of the edges for every body ``(..., b, *n)``."""
-        axis = parts.ndim - (bodies.velocity.ndim - 1)
-        return spread(parts, self.bodies, bodies.tree.body_count, axis)
 
 
 def reactive_water(
@@ -285,7 +280,21 @@ def reactive_water(
             continue
         found = sections(creature, chain, density)
         inertias |= chain_inertia(tree, creature, chain, found)
-        for k, toward_tail, masses in _shedding(chain, found, rotations, every_edge):
+        # Place in the chain, whether the edge is at the rear end, and the masses that it sheds.
+        last = len(chain.bodies) - 1
+        shedding = [(0, False, found.masses[0]), (last, True, found.masses[last])]
+        for front in range(last):
+            for own, other, toward_tail in ((front, front + 1, True), (front + 1, front, False)):
+                masses = found.masses[own]
+                turn = rotations[chain.bodies[own]].T @ rotations[chain.bodies[other]]
+                cosines = found.directions[own] @ turn @ found.directions[other].T
+                difference = masses - (cosines**2 * found.masses[other]).sum(-1)
+                kept = xp.where(chain.lengths[other] > _MISSING, 0.0, masses)
+                masses = xp.maximum(difference, 0.0) if found.sharp[own] else kept
+                least = _NO_DIFFERENCE * found.masses[own]
+                if every_edge or some_hold(lambda own=masses, least=least: own > least):
+                    shedding.append((own, toward_tail, masses))
+        for k, toward_tail, masses in shedding:
             body = tree.names.index(creature.bodies[chain.bodies[k]].name)
             point = (chain.rear if toward_tail else chain.front)[k] + tree.centre[:, body]
             tangent = chain.tangents[k] if toward_tail else -chain.tangents[k]
@@ -297,23 +306,3 @@ def reactive_water(
     inertia = xp.stack([inertias.get(i, others[..., i]) for i in each], -1)
     stacked = Edges(*(xp.stack(column, -1) for column in zip(*edges, strict=True)))
     return inertia, ReactiveThrust(tuple(places), stacked)
-
-
-def _shedding(
-    chain: SlenderChain, found: Sections, rotations: Float[Numbers, "b 3 3"], every_edge: bool
-) -> list[tuple[int, bool, Float[Numbers, " 2"]]]:
-    """Return the edges of a chain: the place in the chain, whether at the rear end, and masses."""
-    last = len(chain.bodies) - 1
-    edges = [(0, False, found.masses[0]), (last, True, found.masses[last])]
-    for front in range(last):
-        for own, other, toward_tail in ((front, front + 1, True), (front + 1, front, False)):
-            masses = found.masses[own]
-            turn = rotations[chain.bodies[own]].T @ rotations[chain.bodies[other]]
-            cosines = found.directions[own] @ turn @ found.directions[other].T
-            difference = masses - (cosines**2 * found.masses[other]).sum(-1)
-            kept = xp.where(chain.lengths[other] > _MISSING, 0.0, masses)
-            masses = xp.maximum(difference, 0.0) if found.sharp[own] else kept
-            least = _NO_DIFFERENCE * found.masses[own]
-            if every_edge or some_hold(lambda own=masses, least=least: own > least):
-                edges.append((own, toward_tail, masses))
-    return edges

@@ -84,6 +84,12 @@ _FINE, _MOST_FRONT = 8, 1.1
 # Least length, so that a body without size has finite coefficients, m.
 _TINY = 1e-9
 
+# Corrections of the points' coefficients. Boxes need one.
+_ROUNDS = 12
+
+# Least coefficient, so that a body without area has finite coefficients.
+_NO_DRAG = 1e-12
+
 
 def make_viscous_drag(
     creature: Creature,
@@ -118,8 +124,24 @@ def make_viscous_drag(
         names = [creature.bodies[body].name for body in chain.bodies]
         fine = creature.bodies[chain.bodies[0]].shape.surface(_FINE)
         points = _form_points(shape, [form[name] for name in names], fine)
-        creep = _creep(shape)
-        runs_here = _runs_along(shape)
+        # The ellipsoid of creeping flow has the volume of the bodies. A body gets its part of the
+        # force. A part of a straight chain that turns about its own centre has a torque that grows
+        # with the cube of its length.
+        half, lengths = shape.sizes / 2, shape.lengths
+        scale = (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
+        force, torque = ellipsoid_resistance(xp.maximum(half * scale, _TINY))
+        part = (lengths / xp.maximum(lengths.sum(), _TINY))[:, None]
+        about = xp.concatenate([part * torque[None, :1], part**3 * torque[None, 1:]], 1)
+        creep = xp.concatenate([about, part * force[None]], 1)
+        # Squared inverse distances from the nose and from the tail: the mean of x^-1/2 over a body
+        # from x_0 to x_1 is 2 / (sqrt(x_0) + sqrt(x_1)).
+        ends = xp.cumsum(lengths)
+        total = xp.maximum(ends[-1], _TINY)
+        starts, path, inverse = ends - lengths, _path(*shape.sizes) / total, []
+        for near, far in ((starts, ends), (total - ends, total - starts)):
+            roots = xp.sqrt(xp.maximum(near, 0.0)) + xp.sqrt(xp.maximum(far, _TINY))
+            inverse.append(1 / (path * roots**2 / 4) ** 2)
+        runs_here = xp.stack(inverse, -1)
         for i, name in enumerate(names):
             k = tree.names.index(name)
             surface, coefficients = points[i]
@@ -164,8 +186,9 @@ def _form_points(
 ) -> list[tuple[Surface, Numbers]]:
     """Return the points of form drag of each body of a chain, and their coefficients k.
 
-    The coefficients give the chain the drag of its outline. Where the points of a round body are
-    too few for that, such as at the edge of a thin disc, points at the body's centre add the rest.
+    A point has the force ``-1/2 rho k A |v_n| v_n n``. The coefficients give the chain the drag C
+    of its outline. Where the points of a round body are too few for that, such as at the edge of a
+    thin disc, points at the body's centre add the rest.
 
     ``fine`` are many points of the first body: a thin ellipsoid's few points have up to six times
     its area, and a single body meets hardly more flow than its silhouette.
@@ -180,7 +203,16 @@ def _form_points(
         coefficients = coefficients * xp.minimum(
             1.0, _MOST_FRONT * silhouette / xp.maximum(total, _TINY**2)
         )
-    k = point_coefficients(every, areas, coefficients)
+    # With 1/k = sum_i n_i^2 / k_i, a point of a streamlined nose has the low drag of its direction.
+    # The three k_i are found by k_i <- k_i C_i S_i / sum_p k A |n_i|^3.
+    squares = xp.square(every)
+    cubes = areas[:, None] * squares * xp.abs(every)
+    target = 0.5 * coefficients * (areas[:, None] * xp.abs(every)).sum(0)
+    of_axes = xp.maximum(target, _NO_DRAG**2) / xp.maximum(cubes.sum(0), _NO_DRAG**2)
+    for _ in range(_ROUNDS):
+        force = cubes.T @ (1 / (squares @ (1 / xp.maximum(of_axes, _NO_DRAG))))
+        of_axes = of_axes * (target + _NO_DRAG**2) / (force + _NO_DRAG**2)
+    k = 1 / (squares @ (1 / xp.maximum(of_axes, _NO_DRAG)))
     splits = np.cumsum([len(s.areas) for s in surfaces])[:-1].tolist()
     own = xp.split(k, splits)
     if decided(lambda: shape.sharpness > _SHARP):
@@ -195,44 +227,10 @@ def _form_points(
     return found
 
 
-def _creep(shape: ChainOutline) -> Float[Numbers, "n 6"]:
-    """Return the resistances of each body about and along the axes of the outline, at its centre.
-
-    The ellipsoid has the proportions of the outline and the volume of the bodies. A body gets its
-    part of the force. A part of a straight chain that turns about its own centre has a torque that
-    grows with the cube of its length.
-    """
-    half = shape.sizes / 2
-    scale = (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
-    force, torque = ellipsoid_resistance(xp.maximum(half * scale, _TINY))
-    lengths = shape.lengths
-    part = (lengths / xp.maximum(lengths.sum(), _TINY))[:, None]
-    about = xp.concatenate([part * torque[None, :1], part**3 * torque[None, 1:]], 1)
-    return xp.concatenate([about, part * force[None]], 1)
-
-
 def _path(depth: Number, one: Number, other: Number) -> Number:
     """Return the length of the way of the water around a body of a depth along the flow, m."""
     narrow = xp.minimum(one, other)
     return (depth**4 + narrow**4) ** 0.25
-
-
-def _runs_along(shape: ChainOutline) -> Float[Numbers, "n 2"]:
-    """Return the squared inverse distances of each body from the nose and from the tail, 1/m^2.
-
-    The mean of ``x^-1/2`` over a body from x_0 to x_1 is ``2 / (sqrt(x_0) + sqrt(x_1))``.
-    """
-    lengths = shape.lengths
-    ends = xp.cumsum(lengths)
-    total = xp.maximum(ends[-1], _TINY)
-    starts = ends - lengths
-    scale = _path(*shape.sizes) / total
-
-    def inverse(near: Numbers, far: Numbers) -> Numbers:
-        roots = xp.sqrt(xp.maximum(near, 0.0)) + xp.sqrt(xp.maximum(far, _TINY))
-        return 1 / (scale * roots**2 / 4) ** 2
-
-    return xp.stack([inverse(starts, ends), inverse(total - ends, total - starts)], -1)
 
 
 def _wetted(
@@ -314,12 +312,6 @@ _ROUND_POWER, _BOX_LOSS, _BOX_DEPTH = 1.1, 0.27, 0.55
 _FLAT_LOSS, _FLAT_DEPTH = 0.28, 0.5
 _FLAT_CYLINDER, _FLAT_END_LOSS, _FLAT_RATIO, _FLAT_SLOPE = 1.19, 0.58, 12.0, 0.1
 
-# Corrections of the points' coefficients. Boxes need one.
-_ROUNDS = 12
-
-# Least coefficient, so that a body without area has finite coefficients.
-_NO_DRAG = 1e-12
-
 
 def form_drag_coefficients(
     sizes: Float[Numbers, " 3"], sharpness: Number, bluntness: Float[Numbers, " 3"] | None = None
@@ -349,22 +341,3 @@ def form_drag_coefficients(
             rounded = (1 - total) * rounded + flat
         found.append((1 - sharpness) * rounded + sharpness * box)
     return xp.array(found)
-
-
-def point_coefficients(
-    normals: Float[Numbers, "p 3"], areas: Float[Numbers, " p"], coefficients: Float[Numbers, " 3"]
-) -> Float[Numbers, " p"]:
-    """Return the coefficient k of each point, so that the points together have the form drag C.
-
-    A point has the force ``-1/2 rho k A |v_n| v_n n``. The coefficient of a point with the normal n
-    is ``1/k = sum_i n_i^2 / k_i``, so a point of a streamlined nose has the low drag of that
-    direction. The three k_i are found by ``k_i <- k_i C_i S_i / sum_p k A |n_i|^3``.
-    """
-    squares = xp.square(normals)
-    cubes = areas[:, None] * squares * xp.abs(normals)
-    target = 0.5 * coefficients * (areas[:, None] * xp.abs(normals)).sum(0)
-    own = xp.maximum(target, _NO_DRAG**2) / xp.maximum(cubes.sum(0), _NO_DRAG**2)
-    for _ in range(_ROUNDS):
-        force = cubes.T @ (1 / (squares @ (1 / xp.maximum(own, _NO_DRAG))))
-        own = own * (target + _NO_DRAG**2) / (force + _NO_DRAG**2)
-    return 1 / (squares @ (1 / xp.maximum(own, _NO_DRAG)))

@@ -29,15 +29,15 @@ Differs from nature: the drag crisis beyond Re 2e5 is missing, and so is the his
 
 import dataclasses
 import functools
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.algebra.numerics import Number, Numbers
-from evo_cpg.physics.water.fluid import PointPlaces, over_patches, wet_fraction
-from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart, blocks
+from evo_cpg.physics.water.fluid import DragOnPatches, PointPlaces, over_patches, wet_fraction
+from evo_cpg.physics.water.force_law import Bodies, WrenchPart, blocks
 
 # Local friction coefficients 0.664 Re^-1/2 (Blasius) and 0.0592 Re^-1/5 (Prandtl), and the power of
 # the weight of the transition.
@@ -106,7 +106,7 @@ class ViscousPatch(NamedTuple):
     places: PointPlaces | None
 
 
-class ViscousDrag(ForceLaw):
+class ViscousDrag(DragOnPatches):
     """Creeping flow, boundary layer and form drag.
 
     Attributes:
@@ -115,16 +115,10 @@ class ViscousDrag(ForceLaw):
         factor: factor of the whole drag.
     """
 
-    of_water: ClassVar[bool] = True
-
     viscosity: Number
     form_drag: Number
     patches: tuple[ViscousPatch, ...] = ()
     factor: Number = 1.0
-
-    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
-        """Return the drag wrench on every body (`ForceLaw.wrench`)."""
-        return self.parts(bodies)[0].wrench
 
     def parts(self, bodies: Bodies) -> tuple[WrenchPart]:
         """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
@@ -135,10 +129,6 @@ class ViscousDrag(ForceLaw):
         evaluate = functools.partial(self._patch, bodies)
         wrench, derivative = over_patches(self.patches, inputs, evaluate)
         return (WrenchPart(wrench, bodies.h * derivative),)
-
-    def averaged(self, start: Bodies, moving: Bodies) -> None:
-        """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
-        del start, moving
 
     def scaled(self, factor: float) -> "ViscousDrag":
         """Return the law with all its forces multiplied by a factor."""
@@ -172,7 +162,14 @@ class ViscousDrag(ForceLaw):
         along = jnp.where(moving[:1] > 0, each(patch.forward), each(patch.backward))
         speed = product(own.speed, squares) + _SPEED_FLOOR
         rate = jnp.sqrt(product(own.rate, squares) + squares[:1] * along + _RATE_FLOOR)
-        friction = (self.factor * density) * _friction(own, speed, rate, viscosity)
+        # 1/2 c_f s, m/s. The speed is s^2, the rate s / x.
+        fading = rate / jnp.sqrt(rate + own.fade[0] * viscosity)
+        laminar = (0.5 * _LAMINAR) * jnp.sqrt(viscosity) * fading
+        reynolds = speed / (rate * viscosity)
+        ratio = _TURBULENT / _LAMINAR * jnp.exp(0.3 * jnp.log(reynolds))
+        power = (reynolds / own.transition[0]) ** _STEEPNESS
+        friction = laminar * (1.0 + power / (1.0 + power) * (ratio - 1.0))
+        friction = (self.factor * density) * friction
         y = jnp.sqrt(speed) * (own.diameter[0] / (_DIP_RE * viscosity))
         # Flat ends have no dip, so each point of a cylinder has its own.
         of_points = len(own.dip) > 1
@@ -198,21 +195,11 @@ class ViscousDrag(ForceLaw):
             derivative = product(patch.outer * form[None], in_step * pressure)
         else:
             derivative = in_step * product(patch.outer * form[None], pressure)
-        derivative = derivative + (_FRICTION_IN_STEP * friction) * _blocks(own.friction, flat)
+        of_friction, of_creep = (
+            blocks(jnp.asarray(matrix, flat.dtype)).reshape(27, 1)
+            for matrix in (own.friction, own.creep)
+        )
+        derivative = derivative + (_FRICTION_IN_STEP * friction) * of_friction
         z = bodies.h * self.factor * self.viscosity * own.decay[0]
-        derivative = derivative + ((1 + z) / (2 + z) * creep) * _blocks(own.creep, flat)
+        derivative = derivative + ((1 + z) / (2 + z) * creep) * of_creep
         return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *batch)
-
-
-def _blocks(matrix: Numbers, flat: Array) -> Array:
-    return blocks(jnp.asarray(matrix, flat.dtype)).reshape(27, 1)
-
-
-def _friction(own: Wetted, speed: Array, rate: Array, viscosity: Number) -> Array:
-    """Return ``1/2 c_f s`` at a squared speed ``s^2`` and a rate ``s / x``, m/s."""
-    fading = rate / jnp.sqrt(rate + own.fade[0] * viscosity)
-    laminar = (0.5 * _LAMINAR) * jnp.sqrt(viscosity) * fading
-    reynolds = speed / (rate * viscosity)
-    ratio = _TURBULENT / _LAMINAR * jnp.exp(0.3 * jnp.log(reynolds))
-    power = (reynolds / own.transition[0]) ** _STEEPNESS
-    return laminar * (1.0 + power / (1.0 + power) * (ratio - 1.0))
