@@ -62,12 +62,11 @@ def analyse(
     overwrite: Overwrite = False,
 ) -> None:
     """Write a page about a run, and print the numbers of its gait."""
-    from evo_cpg.api.analyse import numbers_path
     from evo_cpg.view.output import output_path
 
     if output is not None:
         output = output_path(output, (".html", ".htm"))
-        for path in (output, numbers_path(output)):
+        for path in (output, output.with_suffix(".json")):
             require_free(path, overwrite)
     made = evo.analyse(run, trial, number=number, out=output, crowd=crowd)
     rows, missing = [], {}
