@@ -317,10 +317,7 @@ def _water(
     """Return the numbers of swimming."""
     simulation, midline, frequency = motion.simulation, motion.midline, motion.frequency
     world, step = simulation.world, motion.step
-    # Displacement by the water's flow since the first sample, m.
-    flow = np.broadcast_to(np.asarray(water.velocity(jnp.asarray(middle.T)), float), middle.T.shape)
-    carried = np.cumsum(flow.T * step, 0)[:-1]
-    swum = middle - np.concatenate([np.zeros((1, 3)), carried])
+    swum = middle - drift(water, middle, step)
     through, moving = motion.if_it_moves(swum)
     tail = wave_speed = math.nan
     if midline is not None:
@@ -372,6 +369,13 @@ def _water(
                  missing or unknown)
     )  # fmt: skip
     return found
+
+
+def drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float[np.ndarray, "t 3"]:
+    """Return the displacement by the water's flow since the first sample, m."""
+    flow = water.velocity(jnp.asarray(middle.T))
+    carried = np.broadcast_to(np.asarray(flow, float), middle.T.shape).T * step
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(carried, 0)[:-1]])
 
 
 def _effort(motion: Measurement, distance: float, speed: float, swims: bool) -> list[Quantity]:
