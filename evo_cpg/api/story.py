@@ -128,8 +128,8 @@ def story(
     length = 2 * animal_radius(creature, sample(recording, FPS))
     course = course_of(panel, length, task.heading == "forward")
     # The speed of the film for crowds follows from the champion's time over some of its lengths.
-    way = recording.position[:, creature.root_index]
-    away = np.linalg.norm(way - way[0], axis=-1)
+    track = recording.position[:, creature.root_index]
+    away = np.linalg.norm(track - track[0], axis=-1)
     there = int((away >= min(_LENGTHS * length, 0.9 * away.max())).argmax())
     # A short trial must not end before its take.
     fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_FIRST + DISSOLVE))
