@@ -145,18 +145,39 @@ def _entries(world: World, h: float, steps: PhysicsSteps, previous: State) -> tu
     if world.pairs is not None:
         pairs = find_pair_contacts(tree, world.pairs, kin, rate, h)
         limbs = h * (steps.pair_force * pairs.parting(rate)).sum(0)
-    contact = _ground_work(world, steps.contact_force, kinematics(tree, before), kin, h)
-    lift, friction, push_out, ground = contact
+    ground = steps.contact_force
+    lift = friction = push_out = jnp.zeros_like(kin.origin[0, 0])
+    if world.contact_model is not None:
+        contacts = find_contacts(world.contact_model, kinematics(tree, before), h)
+        bodies = np.array(world.contact_model.bodies)
+        moving = take(kin.linear, bodies) + cross(take(kin.angular, bodies), contacts.offset)
+        local, moving = matvec(contacts.frame, ground), matvec(contacts.frame, moving)
+        # A resting point does not move, although its `rest_velocity` may be positive.
+        risen = jnp.clip(moving[2], 0.0, jnp.maximum(contacts.rest_velocity, 0.0))
+        push_out = h * (local[2] * risen).sum(0)
+        lift = h * (local[2] * moving[2]).sum(0)
+        friction = h * dot(local[:2], moving[:2]).sum(0)
     at = [world.bodies(each, h) for each in (first.kinematics, kin, last.kinematics)]
     water, own, driven, buoyed = _law_work(world, *at)
     mass = tree.mass.sum()
     explained = h * (ground.sum(1) + driven.sum(1) + buoyed).at[2].add(-mass * world.gravity)
     given = h * jnp.sqrt(dot(ground, ground)).sum(0) + h * jnp.sqrt(dot(driven, driven)).sum(0)
+    # Torques of the limits of joints and tendons as in the solver, N m.
+    stops = _limits(world, tree, before, after, h)
+    balls = ball_laws(tree.ball_limits, before)
+    if balls is not None:
+        turned = Coordinates(balls.angles.q, balls.rate(after.qd))
+        own_stops = _limits(world, balls.limits, balls.angles, turned, h)
+        stops = stops + balls.torque_of(own_stops, len(stops))
+    if tree.tendons is not None:
+        lengths = lengths_of(tree.tendons, before), lengths_of(tree.tendons, after)
+        pull = _limits(world, tree.tendons, *lengths, h)
+        stops = stops + torque_of(tree.tendons, pull, len(stops))
     return (
         mechanical_energy(last) - mechanical_energy(first),
         h * (steps.torque * rate).sum(0),
         h * (braking * rate).sum(0),
-        h * (_limit_torques(world, before, after, h) * rate).sum(0),
+        h * (stops * rate).sum(0),
         lift,
         friction,
         limbs,
@@ -192,21 +213,6 @@ def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
     return energy + 0.5 * (armature * rate**2 + stiffness * stretch**2).sum(0)
 
 
-def _limit_torques(world: World, before: State, after: State, h: float) -> Float[Array, "d t"]:
-    """Return the torques of the limits of joints and tendons as in the solver, N m."""
-    tendons = world.tree.tendons
-    own = _limits(world, world.tree, before, after, h)
-    balls = ball_laws(world.tree.ball_limits, before)
-    if balls is not None:
-        last = Coordinates(balls.angles.q, balls.rate(after.qd))
-        stops = _limits(world, balls.limits, balls.angles, last, h)
-        own = own + balls.torque_of(stops, len(own))
-    if tendons is None:
-        return own
-    first, last = lengths_of(tendons, before), lengths_of(tendons, after)
-    return own + torque_of(tendons, _limits(world, tendons, first, last, h), len(own))
-
-
 def _limits(
     world: World, laws: Limits, before: State | Coordinates, after: State | Coordinates, h: float
 ) -> Float[Array, "d t"]:
@@ -214,24 +220,6 @@ def _limits(
         return limit_torque(laws, before.q, after.qd, h)[0]
     torque, derivative = expected_limit_torque(laws, before, h)
     return torque - derivative * (after.qd - before.qd)
-
-
-def _ground_work(
-    world: World, force: Float[Array, "3 p t"], first: Kinematics, middle: Kinematics, h: float
-) -> tuple[Array, Array, Array, Array]:
-    """Return work of normal forces, friction and push-out, J, and force on every point, N."""
-    if world.contact_model is None:
-        none = jnp.zeros_like(first.origin[0, 0])
-        return none, none, none, force
-    contacts = find_contacts(world.contact_model, first, h)
-    bodies = np.array(world.contact_model.bodies)
-    velocity = take(middle.linear, bodies) + cross(take(middle.angular, bodies), contacts.offset)
-    local, moving = matvec(contacts.frame, force), matvec(contacts.frame, velocity)
-    lift, friction = local[2] * moving[2], dot(local[:2], moving[:2])
-    # A resting point does not move, although its `rest_velocity` may be positive.
-    risen = jnp.clip(moving[2], 0.0, jnp.maximum(contacts.rest_velocity, 0.0))
-    push_out = h * (local[2] * risen).sum(0)
-    return h * lift.sum(0), h * friction.sum(0), push_out, force
 
 
 def _law_work(

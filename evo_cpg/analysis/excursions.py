@@ -1,7 +1,6 @@
 """Extremes of a trial that an audit limits: peaks, depths, fractions of time."""
 
 import functools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -13,7 +12,6 @@ from evo_cpg.analysis.energy import along_time
 from evo_cpg.creature.algebra.linear import expand_dims_like, matvec
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.contact.contact_points import contact_points
 from evo_cpg.physics.contact.pairs import Pairs, make_pairs, separations
 from evo_cpg.physics.step.world import World
@@ -87,38 +85,15 @@ def excursions(
             clearance = contact_points(world.contact_model, kin).gap
         if every is not None:
             apart = separations(every, kin).gap
-        return clearance, apart, _swims(world, steps)
+        return clearance, apart, swims(world, steps)
 
-    clearance, apart, swims = along_time(depths, steps)
+    clearance, apart, swimming = along_time(depths, steps)
     overlap, overlapping = _deepest_overlap(every, world, creature, steps, apart)
     rate = (steps.before.qd + steps.after.qd) / 2
     turns = ~world.tree.slides
     power = steps.torque * rate
-    root = np.asarray(steps.after.position, float)
-    h = simulation.step_length
-    travelled = displacement(np.concatenate([steps.before.position[:, :1], root], 1), light)
-    return Excursions(
-        displacement=travelled,
-        airborne_way=(
-            0.0 if world.contact_model is None else _airborne_displacement(steps, swims, light, h)
-        ),
-        penetration=float(max(0.0, -clearance.min(initial=np.inf))),
-        overlap=overlap,
-        overlapping=overlapping,
-        unsolved=float((steps.solved_residual > SOLVED).mean()),
-        slipping=float((steps.coulomb_residual > SLIPPING).mean()),
-        peak_torque=float(np.abs(steps.torque[turns]).max(initial=0.0)),
-        overload=_overload(world.tree, steps),
-        peak_power=float(np.abs(power).sum(0).max()),
-        mean_power=float(np.abs(power).sum(0).mean()),
-        peak_rate=float(np.abs(steps.after.qd[turns]).max(initial=0.0)),
-        peak_speed=float(np.linalg.norm(steps.after.linear_velocity, axis=0).max()),
-        seen_through_ground=_seen_through_ground(simulation, steps, light),
-    )
-
-
-def _overload(tree: Tree, steps: PhysicsSteps) -> float:
-    """Return the largest force of a motor beyond its limit, as a fraction of the limit, or 0."""
+    # The largest force of a motor beyond its limit, as a fraction of the limit.
+    tree, overload = world.tree, 0.0
     forces = [(steps.torque, tree.torque_limit)]
     if tree.tendons is not None and steps.tension is not None:
         pull = np.asarray(torque_of(tree.tendons, jnp.asarray(steps.tension), len(steps.torque)))
@@ -126,13 +101,34 @@ def _overload(tree: Tree, steps: PhysicsSteps) -> float:
             (steps.torque - pull, tree.torque_limit),
             (steps.tension, tree.tendons.torque_limit),
         ]
-    over = 0.0
     for force, limits in forces:
         limit = np.asarray(limits, float)
         limited = np.isfinite(limit) & (limit > 0)
         peaks = np.abs(force).max(-1)[limited]
-        over = max(over, float((peaks / limit[limited] - 1.0).max(initial=0.0)))
-    return over
+        overload = max(overload, float((peaks / limit[limited] - 1.0).max(initial=0.0)))
+    root = np.asarray(steps.after.position, float)
+    h = simulation.step_length
+    travelled = displacement(np.concatenate([steps.before.position[:, :1], root], 1), light)
+    return Excursions(
+        displacement=travelled,
+        airborne_way=(
+            0.0
+            if world.contact_model is None
+            else _airborne_displacement(steps, swimming, light, h)
+        ),
+        penetration=float(max(0.0, -clearance.min(initial=np.inf))),
+        overlap=overlap,
+        overlapping=overlapping,
+        unsolved=float((steps.solved_residual > SOLVED).mean()),
+        slipping=float((steps.coulomb_residual > SLIPPING).mean()),
+        peak_torque=float(np.abs(steps.torque[turns]).max(initial=0.0)),
+        overload=overload,
+        peak_power=float(np.abs(power).sum(0).max()),
+        mean_power=float(np.abs(power).sum(0).mean()),
+        peak_rate=float(np.abs(steps.after.qd[turns]).max(initial=0.0)),
+        peak_speed=float(np.linalg.norm(steps.after.linear_velocity, axis=0).max()),
+        seen_through_ground=_seen_through_ground(simulation, steps, light),
+    )
 
 
 def displacement(
@@ -150,13 +146,8 @@ def displacement(
     return float(np.linalg.norm(light - first) - np.linalg.norm(light - last))
 
 
-def in_water(world: World, steps: PhysicsSteps) -> Bool[np.ndarray, " t"]:
+def swims(world: World, steps: PhysicsSteps) -> Bool[Array, " t"]:
     """Return whether the centre of any body is under water, after every step."""
-    return along_time(functools.partial(_swims, world), steps)
-
-
-def _swims(world: World, steps: PhysicsSteps) -> Bool[Array, " t"]:
-    """Return whether the centre of any body is under water."""
     centre, _ = _poses(world, steps)
     return (centre[2] < world.water_level).any(0)
 
@@ -190,7 +181,18 @@ def _deepest_overlap(
         if all(shapes[i].fills_rounded_box for i in own):
             found = -float(gap.min())
         else:
-            found = _true_overlap([shapes[i] for i in own], own, poses, gap, deepest)
+            # Bodies overlap no more than their rounded boxes, so the instants with the deepest
+            # boxes are first.
+            (i, j), found, order = own, deepest, np.argsort(gap)
+            for start in range(0, len(order), _INSTANTS):
+                instants = order[start : start + _INSTANTS]
+                if -gap[instants[0]] <= found:
+                    break
+                centre, rotation = poses()
+                places = centre[:, i, instants].T, centre[:, j, instants].T
+                turned = rotation[:, :, i, instants], rotation[:, :, j, instants]
+                turns = np.moveaxis(turned[0], -1, 0), np.moveaxis(turned[1], -1, 0)
+                found = max(found, -float(gaps((shapes[i], shapes[j]), places, turns).min()))
         if found > deepest:
             deepest, names = found, tuple(world.tree.names[i] for i in own)
     return deepest, names
@@ -202,39 +204,6 @@ def _poses(world: World, steps: PhysicsSteps) -> tuple[Array, Array]:
     return kin.origin + matvec(kin.rotation, expand_dims_like(world.tree.centre, kin.origin)), (
         kin.rotation
     )
-
-
-def _true_overlap(
-    shapes: list[Shape],
-    own: tuple[int, int],
-    poses: Callable[[], tuple[np.ndarray, np.ndarray]],
-    gap: Float[np.ndarray, " t"],
-    least: float,
-) -> float:
-    """Return the overlap of two bodies, m, or the deepest known overlap if that is larger.
-
-    Bodies overlap no more than their rounded boxes, so the instants with the deepest boxes are
-    first.
-
-    Args:
-        shapes: shapes of the two bodies.
-        own: indices of the two bodies in the tree.
-        poses: function that returns centres and rotations of all bodies.
-        gap: gap between the rounded boxes, m.
-        least: deepest known overlap, m.
-    """
-    order = np.argsort(gap)
-    for start in range(0, len(order), _INSTANTS):
-        instants = order[start : start + _INSTANTS]
-        if -gap[instants[0]] <= least:
-            break
-        centre, rotation = poses()
-        first, second = (
-            (centre[:, i, instants].T, np.moveaxis(rotation[:, :, i, instants], -1, 0)) for i in own
-        )
-        found = gaps((shapes[0], shapes[1]), (first[0], second[0]), (first[1], second[1]))
-        least = max(least, -float(found.min()))
-    return least
 
 
 def _airborne_displacement(

@@ -121,7 +121,14 @@ def contacts(
     touched = touching(force, owners, bodies)
     ever = np.flatnonzero(touched.any(0))
     bodies, touched = [bodies[i] for i in ever], touched[:, ever]
-    sums = [_slip(frames, owners == body) for body in bodies]
+    pushes, moves = (
+        jnp.moveaxis(jnp.asarray(frames[name])[..., 0], 0, -1)
+        for name in ("contact_force", "contact_velocity")
+    )
+    sums = []
+    for body in bodies:
+        every = slip_of_points(pushes[:, owners == body], moves[:, owners == body])
+        sums.append(Slip(every.slide.sum(), every.load.sum()))
     load = np.array([each.load for each in sums], float)
     slip = np.array([each.speed() if each.load > 0 else np.nan for each in sums], float)
     whole = mean_slip(slip, load)
@@ -166,15 +173,6 @@ def limb_contacts(
         duty_factor=duty_factors(touched),
         slip=mean_slip(feet.slip[own], feet.load[own]),
     )
-
-
-def _slip(frames: Mapping[str, Array | np.ndarray], points: Bool[np.ndarray, " p"]) -> Slip:
-    """Return the slip of some contact points of the recorded animal, summed over the trial."""
-    force, velocity = (
-        jnp.asarray(frames[name])[:, :, points, 0] for name in ("contact_force", "contact_velocity")
-    )
-    every = slip_of_points(*(jnp.moveaxis(each, 0, -1) for each in (force, velocity)))
-    return Slip(every.slide.sum(), every.load.sum())
 
 
 def mean_slip(slip: Float[np.ndarray, " f"], load: Float[np.ndarray, " f"]) -> float:

@@ -6,7 +6,7 @@ motion. A number that does not exist comes with a reason.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -122,11 +122,15 @@ def gait_numbers(
     rows = joint_rows(simulation.world.tree)
     signs = axis_signs(tree, rows)
     angle *= signs
-    chain = _chain(rows, recording)
-    wave = None
+    # The longest row of three or more turning axes along the body. Among equally long rows, it is
+    # the row that bends most. Rows of twist (about x) count only if all rows are twist.
+    swing, slides = np.asarray(recording.joint_angle).std(0), recording.slides
+    turning = [row for row in rows if len(row) > 2 and not slides[list(row)].any()]
+    across = [row for row in turning if body_and_axis(recording.dof_names[row[0]])[1] != "x"]
+    chain = max(across or turning, key=lambda r: (len(r), swing[list(r)].sum()), default=())
+    wave, length = None, float(length_of(creature))
     if chain:
         place = chain_places(simulation, creature, chain)
-        length = float(length_of(creature))
         wave = body_wave(angle[:, chain], place, length, step, frequency)
         if frequency > 0 and wave.amplitude.max() < _FAINT:
             wave = None
@@ -156,6 +160,8 @@ def gait_numbers(
         frames=frames,
         recording=recording,
         first=first,
+        step=step,
+        length=length,
         frequency=frequency,
         wave=wave,
         row=row,
@@ -165,19 +171,6 @@ def gait_numbers(
         peak_torque=numbers.peak_torque,
     )
     return numbers._replace(quantities=quantities(motion))
-
-
-def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, ...]:
-    """Return the longest row of three or more turning axes along the body.
-
-    Among equally long rows, return the row that bends most. Rows of twist (about x) count only if
-    all rows are twist.
-    """
-    swing = np.asarray(recording.joint_angle).std(0)
-    slides = recording.slides
-    found = [row for row in rows if len(row) > 2 and not slides[list(row)].any()]
-    across = [row for row in found if body_and_axis(recording.dof_names[row[0]])[1] != "x"]
-    return max(across or found, key=lambda row: (len(row), swing[list(row)].sum()), default=())
 
 
 def chain_places(

@@ -22,9 +22,9 @@ from evo_cpg.analysis.animals import (
 from evo_cpg.analysis.body_wave import STANDING, BodyWave
 from evo_cpg.analysis.cycles import whole_cycles
 from evo_cpg.analysis.energy import water_power
-from evo_cpg.analysis.feet import Feet, LimbContacts, limb_contacts
+from evo_cpg.analysis.feet import Feet, limb_contacts
 from evo_cpg.analysis.midline import MidlineMotion
-from evo_cpg.creature.creature import Creature, length_of
+from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.slender import SlenderChain
 from evo_cpg.physics.water.viscous_drag import ViscousDrag
 from evo_cpg.physics.water.water import Water
@@ -74,6 +74,8 @@ class Measurement(NamedTuple):
         frames: frames of one individual.
         recording: its motion, with the bodies in its order.
         first: first sample of the part in which strides are measured.
+        step: time between samples, s.
+        length: body length, m.
         frequency: stride frequency, Hz, or NaN if nothing repeats.
         wave: wave of bending, or None.
         row: bodies of the midline, or None.
@@ -88,6 +90,8 @@ class Measurement(NamedTuple):
     frames: Mapping[str, Array | np.ndarray]
     recording: Recording
     first: int
+    step: float
+    length: float
     frequency: float
     wave: BodyWave | None
     row: SlenderChain | None
@@ -95,16 +99,6 @@ class Measurement(NamedTuple):
     feet: Feet | None
     power: Float[np.ndarray, " t"]
     peak_torque: Float[np.ndarray, " d"]
-
-    @property
-    def step(self) -> float:
-        """Time between samples, s."""
-        return 1.0 / self.simulation.control_rate
-
-    @property
-    def length(self) -> float:
-        """Body length, m."""
-        return float(length_of(self.creature))
 
     @property
     def no_stride(self) -> str:
@@ -144,9 +138,22 @@ def quantities(motion: Measurement) -> tuple[Quantity, ...]:
         )  # fmt: skip
     if motion.row is not None:
         found += _midline(motion)
-        swims = not _is_dry(motion, motion.row)
+        # Out of the water are midlines that are above it in over half of the samples.
+        level, dry = world.water_level, world.water_level < 0
+        if not math.isinf(level):
+            places = list(motion.row.bodies)
+            # Rows of upward unit vectors, in the bodies' own axes.
+            upwards = np.asarray(recording.rotation, float)[motion.first :, places, 2]
+            centre = np.asarray(recording.position, float)[motion.first :, places, 2]
+            shapes = [motion.creature.bodies[place].shape for place in places]
+            deepest = [
+                [up @ shape.support(-up) for up, shape in zip(row, shapes, strict=True)]
+                for row in upwards
+            ]
+            dry = bool((centre + np.array(deepest) < level).mean() < 0.5)
+        swims = not dry
         if world.water is not None:
-            found += _water(motion, world.water, middle, not swims)
+            found += _water(motion, world.water, middle, dry)
     swims |= world.water_level == math.inf
     found += _effort(motion, distance, speed, swims)
     present = [each._replace(missing="") if each.exists else each for each in found]
@@ -221,10 +228,19 @@ def _ground(
     ]  # fmt: skip
     if limbs is None:
         return found
-    gravity, hips = float(world.gravity), _hip_height(motion, limbs)
+    ground, recording, heights = world.ground, motion.recording, []
+    assert ground is not None
+    for limb in limbs.limbs:
+        hip = limb.bodies[0]
+        joint = motion.creature.bodies[hip].joint
+        assert joint is not None
+        turned = recording.rotation[motion.first :, hip] @ np.array(joint.child_anchor, float)
+        place = np.asarray(recording.position[motion.first :, hip] + turned, float)
+        heights.append(float(np.asarray(ground.floor.distance(jnp.asarray(place.T))[0]).mean()))
+    gravity, hips = float(world.gravity), float(np.mean(heights))
     froude = float(stride.froude_number(speed, gravity, hips))
     found += [
-        Quantity("foot_slip", "foot slip / speed", float(stride.relative_slip(limbs.slip, speed)),
+        Quantity("foot_slip", "foot slip / speed", float(stride.ratio(limbs.slip, speed)),
                  "", "slip of the limbs / path speed", still or "no limb presses on the ground"),
         Quantity("hip_height", "hip height", hips, "m",
                  "mean height of the limbs' first joints above the floor in the second half"),
@@ -249,21 +265,6 @@ def _ground(
                      "them swings (Wosnitza et al. 2013)", "a tripod never swings")
         )  # fmt: skip
     return found
-
-
-def _hip_height(motion: Measurement, limbs: LimbContacts) -> float:
-    """Return the mean height of the limbs' first joints above the floor, m."""
-    ground, recording = motion.simulation.world.ground, motion.recording
-    assert ground is not None
-    heights = []
-    for limb in limbs.limbs:
-        hip = limb.bodies[0]
-        joint = motion.creature.bodies[hip].joint
-        assert joint is not None
-        turned = recording.rotation[motion.first :, hip] @ np.array(joint.child_anchor, float)
-        place = np.asarray(recording.position[motion.first :, hip] + turned, float)
-        heights.append(float(np.asarray(ground.floor.distance(jnp.asarray(place.T))[0]).mean()))
-    return float(np.mean(heights))
 
 
 def _recovery(
@@ -375,20 +376,6 @@ def drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float[
     flow = water.velocity(jnp.asarray(middle.T))
     carried = np.broadcast_to(np.asarray(flow, float), middle.T.shape).T * step
     return np.concatenate([np.zeros((1, 3)), np.cumsum(carried, 0)[:-1]])
-
-
-def _is_dry(motion: Measurement, chain: SlenderChain) -> bool:
-    """Return whether the midline's bodies are out of the water in over half of the samples."""
-    level, recording = motion.simulation.world.water_level, motion.recording
-    if math.isinf(level):
-        return level < 0
-    places = list(chain.bodies)
-    # Rows of upward unit vectors, in the bodies' own axes.
-    up = np.asarray(recording.rotation, float)[motion.first :, places, 2]
-    centre = np.asarray(recording.position, float)[motion.first :, places, 2]
-    shapes = [motion.creature.bodies[place].shape for place in places]
-    deepest = [[u @ shape.support(-u) for u, shape in zip(row, shapes, strict=True)] for row in up]
-    return bool((centre + np.array(deepest) < level).mean() < 0.5)
 
 
 def _effort(motion: Measurement, distance: float, speed: float, swims: bool) -> list[Quantity]:

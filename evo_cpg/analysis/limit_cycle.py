@@ -360,9 +360,26 @@ def settle(flow: Flow) -> Orbit:
         state, time, stretch = run.y[:, -1], time + stretch, _LONGER * stretch
         rest = flow.decays_to(state)
         if rest is not None:
-            raise NoRhythmError(_rest_words(flow, rest, time))
+            how = "Some neurons silence others. Try a smaller pair_weight or a larger b"
+            if rest.firing.all():
+                how = "All neurons fire evenly. Couple the oscillators, or increase pair_weight"
+            raise NoRhythmError(
+                f"the network comes to rest: after {time * flow.unit:.3g} s it is near a stable "
+                "equilibrium (a perturbation decays within "
+                f"{-flow.unit / rest.rates[0].real:.3g} s). {how}. An isolated oscillator needs a "
+                f"pair_weight between {1 + flow.ratio:.3g} and 1 + b"
+            )
         swing = float(np.ptp(run.y[:, len(run.t) // 2 :], axis=1).max())
-        guess = _returned(flow, run, _NEAR * swing)
+        # The last start of firing with a similar one before it, and the time between them.
+        guess, latest = None, -np.inf
+        for neuron, (times, states) in enumerate(zip(run.t_events, run.y_events, strict=True)):
+            starts = [i for i, s in enumerate(states) if flow.derivative(0.0, s)[neuron] > 0]
+            for i in reversed(starts[:-1]):
+                last = starts[-1]
+                if np.abs(states[last] - states[i]).max() <= _NEAR * swing:
+                    if times[last] > latest:
+                        guess, latest = (states[last], float(times[last] - times[i])), times[last]
+                    break
         found = None if guess is None else close(flow, *guess)
         stayed = 0 if found is None else stayed + 1
         if found is not None:
@@ -376,21 +393,6 @@ def settle(flow: Flow) -> Orbit:
         f"state still moves by {swing * flow.scale:.3g}. Try another --gain or a pair_weight "
         "farther from a border of oscillation"
     )
-
-
-def _returned(flow: Flow, run: Any, near: float) -> tuple[np.ndarray, float] | None:
-    """Return the state at the last start of firing, and the time since the last similar one."""
-    best = None
-    for neuron, (times, states) in enumerate(zip(run.t_events, run.y_events, strict=True)):
-        starts = [i for i, s in enumerate(states) if flow.derivative(0.0, s)[neuron] > 0]
-        for i in reversed(starts[:-1]):
-            last = starts[-1]
-            if np.abs(states[last] - states[i]).max() <= near:
-                period = float(times[last] - times[i])
-                if best is None or times[last] > best[0]:
-                    best = times[last], states[last], period
-                break
-    return None if best is None else (best[1], best[2])
 
 
 def close(flow: Flow, state: Float[np.ndarray, " k"], period: float) -> Orbit | None:
@@ -421,20 +423,6 @@ def close(flow: Flow, state: Float[np.ndarray, " k"], period: float) -> Orbit | 
         if strayed or not abs(period - about) < _MOVED * about:
             return None
     return None
-
-
-def _rest_words(flow: Flow, rest: Equilibrium, time: float) -> str:
-    """Return the message for a network at rest, with advice."""
-    if rest.firing.all():
-        how = "All neurons fire evenly. Couple the oscillators, or increase pair_weight"
-    else:
-        how = "Some neurons silence others. Try a smaller pair_weight or a larger b"
-    return (
-        f"the network comes to rest: after {time * flow.unit:.3g} s it is near a stable "
-        "equilibrium (a perturbation decays within "
-        f"{-flow.unit / rest.rates[0].real:.3g} s). {how}. An isolated oscillator needs a "
-        f"pair_weight between {1 + flow.ratio:.3g} and 1 + b"
-    )
 
 
 def resting(

@@ -181,7 +181,16 @@ def _with_lag(
         )
     lags = [found.lag for _, found in known]
     if not min(lags) <= lag <= max(lags):
-        raise UnreachableRhythmError(_refusal(lag, min(lags), max(lags), np.exp([low[0], high[0]])))
+        direction = "from head to tail" if lag >= 0 else "from tail to head (negative lags)"
+        # Round the range inwards, so that its ends are reachable.
+        least, most = np.ceil(min(lags) * 10) / 10, np.floor(max(lags) * 10) / 10
+        gains = np.unique(np.exp([low[0], high[0]]).round(9))
+        raise UnreachableRhythmError(
+            f"a lag of {lag:g} degrees is out of reach. Allowed {direction}: {least:.1f} to "
+            f"{most:.1f} (with b = {'--'.join(f'{gain:g}' for gain in gains)}, "
+            f"{names[0]} = {STRONGER[0]:g}--{STRONGER[1]:g} and {names[1]} = "
+            f"{RATIOS[0]:g}--{RATIOS[1]:g} times that)"
+        )
     # From the present settings if they oscillate, or else between any two corners.
     lines = itertools.product(known[:1], known[1:])
     if known[0][0] is not present:
@@ -219,16 +228,3 @@ def _on_line(at, a: np.ndarray, b: np.ndarray, first: Rhythm, lag: float) -> Rhy
     found = at(a + fraction * (b - a))
     reached = found is not None and found.cycle.stable and abs(found.lag - lag) < _TOLERANCE
     return found if reached else None
-
-
-def _refusal(lag: float, low: float, high: float, gains: np.ndarray) -> str:
-    strong, weak = ("parent_weight", "child_weight")[:: 1 if lag >= 0 else -1]
-    direction = "from head to tail" if lag >= 0 else "from tail to head (negative lags)"
-    # Round the range inwards, so that its ends are reachable.
-    low, high = np.ceil(low * 10) / 10, np.floor(high * 10) / 10
-    return (
-        f"a lag of {lag:g} degrees is out of reach. Allowed {direction}: {low:.1f} to {high:.1f} "
-        f"(with b = {'--'.join(f'{gain:g}' for gain in np.unique(gains.round(9)))}, "
-        f"{strong} = {STRONGER[0]:g}--{STRONGER[1]:g} and {weak} = "
-        f"{RATIOS[0]:g}--{RATIOS[1]:g} times that)"
-    )

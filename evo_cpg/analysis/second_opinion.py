@@ -24,7 +24,6 @@ import dataclasses
 import functools
 import importlib
 import operator
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -32,7 +31,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from evo_cpg.analysis.excursions import in_water
+from evo_cpg.analysis.energy import along_time
+from evo_cpg.analysis.excursions import swims
 from evo_cpg.control.controller import Command
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Numbers
@@ -53,7 +53,6 @@ from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.native.engine import using
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree import root
-from evo_cpg.physics.tree.hanging import Base
 from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.muscle import pull_of
@@ -182,7 +181,8 @@ def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
     """Return our own outcome of a trial that was simulated here."""
     each = slice(simulation.substeps - 1, None, simulation.substeps)
     start, place = steps.before.position[:, :1], steps.after.position[:, each]
-    held = (np.abs(steps.contact_force).sum((0, 1)) > 0) | in_water(simulation.world, steps)
+    swimming = along_time(functools.partial(swims, simulation.world), steps)
+    held = (np.abs(steps.contact_force).sum((0, 1)) > 0) | swimming
     path, angle = (
         np.concatenate([start, place], 1).astype(float),
         np.asarray(steps.after.q)[:, each],
@@ -213,9 +213,34 @@ def second_opinion(
     """
     program = "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None)
     before = jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before)
-    mujoco, model, finer = _compile(simulation, creature, before.base, hard)
-    world, substeps = simulation.world, simulation.substeps
-    player = _Player(mujoco, model, world, simulation.step_length, before)
+    try:
+        mujoco = importlib.import_module("mujoco")
+    except ModuleNotFoundError:
+        raise ExchangeError(
+            f"MuJoCo is not installed. Install it with `{command_for('mujoco')}`"
+        ) from None
+    world, substeps, h = simulation.world, simulation.substeps, simulation.step_length
+    longest = _HARD_STEP if hard else h
+    if world.water is not None or world.forces or world.tree.muscles is not None:
+        longest = min(longest, _LAW_STEP)
+    finer = int(np.ceil(h / longest - 1e-9))
+    place: dict[str, Any] = {}
+    if before.base is not None:
+        w, _, _, z = before.base.orientation
+        place = {"start": before.base.position, "heading": 2 * np.arctan2(z, w)}
+    element = mjcf_model(
+        creature, world.gravity, world.ground, time_step=h / finer, pairs=world.pair_names, **place
+    )
+    try:
+        model = mujoco.MjModel.from_xml_string(mjcf_text(element))
+    except ValueError as error:
+        raise ExchangeError(f"MuJoCo refuses the exported model: {error}") from None
+    if hard:
+        model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        model.opt.impratio = _IMPEDANCE_RATIO
+        model.pair_solref[:] = h, 1.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    player = _Player(mujoco, model, world, h, before)
     # Random change of the velocities before each step, as for `State.rates`.
     rates = np.asarray(steps.before.rates, float)
     came = np.concatenate([rates[:, :1], np.asarray(steps.after.rates[:, :-1], float)], 1)
@@ -260,40 +285,6 @@ def _opinion(
     return Opinion(program, path, upright, airborne, angle, world.tree.slides)
 
 
-def _compile(
-    simulation: Simulation, creature: Creature, base: Base | None, hard: bool
-) -> tuple[Any, Any, int]:
-    """Return MuJoCo, its model of the animal and world, and its number of steps in one of ours."""
-    try:
-        mujoco = importlib.import_module("mujoco")
-    except ModuleNotFoundError:
-        raise ExchangeError(
-            f"MuJoCo is not installed. Install it with `{command_for('mujoco')}`"
-        ) from None
-    world, h = simulation.world, simulation.step_length
-    longest = _HARD_STEP if hard else h
-    if world.water is not None or world.forces or world.tree.muscles is not None:
-        longest = min(longest, _LAW_STEP)
-    finer = int(np.ceil(h / longest - 1e-9))
-    place: dict[str, Any] = {}
-    if base is not None:
-        w, _, _, z = base.orientation
-        place = {"start": base.position, "heading": 2 * np.arctan2(z, w)}
-    element = mjcf_model(
-        creature, world.gravity, world.ground, time_step=h / finer, pairs=world.pair_names, **place
-    )
-    try:
-        model = mujoco.MjModel.from_xml_string(mjcf_text(element))
-    except ValueError as error:
-        raise ExchangeError(f"MuJoCo refuses the exported model: {error}") from None
-    if hard:
-        model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        model.opt.impratio = _IMPEDANCE_RATIO
-        model.pair_solref[:] = h, 1.0
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    return mujoco, model, finer
-
-
 class _Player:
     """MuJoCo's animal, which starts in the state of ours."""
 
@@ -308,8 +299,9 @@ class _Player:
         centres = world.tree.com
         if world.tree.centre_of_volume is not None:
             centres = np.asarray(model.body_ipos)[self._bodies].T
-        is_pushed = world.water is not None or bool(world.forces)
-        self._laws = _law_forces(world, h, centres) if is_pushed else None
+        self._laws = None
+        if world.water is not None or world.forces:
+            self._laws = jax.jit(functools.partial(_law_forces, world, h, centres))
         self._pull = None
         if world.tree.muscles is not None:
             self._pull = jax.jit(functools.partial(pull_of, world.tree.muscles))
@@ -362,7 +354,9 @@ class _Player:
                 share = pull.drive / np.where(muscles.driven, muscles.strength, 1.0)
                 self.data.ctrl[own] = share[self._motors[own]]
             if self._laws is not None:
-                applied, carried = self._laws(self.state())
+                state = self.state()
+                with jax.enable_x64(True):
+                    applied, carried = jax.device_get(self._laws(state))
                 self.data.xfrc_applied[self._bodies] = applied.T
             if carried is None:
                 self.mujoco.mj_step(self.model, self.data)
@@ -432,43 +426,33 @@ def _controls(laws: ForceLaws, command: MotorCommand) -> Float[np.ndarray, "d t"
 
 
 def _law_forces(
-    world: World, h: float, centres: Float[Numbers, "3 b"]
-) -> Callable[[State], tuple[np.ndarray, CarriedInertia | None]]:
-    """Return a function for the effect of laws and buoyancy on the bodies.
-
-    It returns force (N) and moment (N m) at body centres, without those by the accelerations of
-    degrees of freedom, and the inertia of the laws, or None without such inertia.
+    world: World, h: float, centres: Float[Numbers, "3 b"], state: State
+) -> tuple[Float[Array, "6 b"], CarriedInertia | None]:
+    """Return the effect of laws and buoyancy on the bodies.
 
     Args:
         world: our world of the animal.
         h: length of our physics step, s.
         centres: MuJoCo's centres of mass of the bodies, in their working frames, m.
+        state: state of the animal.
+
+    Returns:
+        Force (N) and moment (N m) at body centres, without those by the accelerations of degrees of
+        freedom, and the inertia of the laws, or None without such inertia.
     """
-
-    def forces(state: State) -> tuple[Float[Array, "6 b"], CarriedInertia | None]:
-        kin = kinematics(world.tree, state)
-        bodies = world.bodies(kin, h)
-        parts = [law.wrench(bodies) for law in world.forces]
-        if world.water is not None:
-            parts.append(buoyancy_alone(bodies))
-        wrench = functools.reduce(operator.add, parts, jnp.zeros_like(bodies.velocity))
-        inertias = [x for law in world.forces if (x := law.inertia(bodies)) is not None]
-        carried = None
-        if inertias:
-            inertia = functools.reduce(operator.add, inertias)
-            bias = in_body_axes(kin.rotation, kin.bias_angular, kin.bias_linear)
-            wrench = wrench - matvec(inertia, bias)
-            carried = CarriedInertia(inertia, kin.rotation, kin.origin)
-        arm = expand_dims_like(centres, wrench[3:])
-        moment = wrench[:3] - cross(arm, wrench[3:])
-        turned = jnp.concatenate([matvec(kin.rotation, x) for x in (wrench[3:], moment)])
-        return turned, carried
-
-    with jax.enable_x64(True):
-        program = jax.jit(forces)
-
-    def compute(state: State) -> tuple[np.ndarray, CarriedInertia | None]:
-        with jax.enable_x64(True):
-            return jax.device_get(program(state))
-
-    return compute
+    kin = kinematics(world.tree, state)
+    bodies = world.bodies(kin, h)
+    parts = [law.wrench(bodies) for law in world.forces]
+    if world.water is not None:
+        parts.append(buoyancy_alone(bodies))
+    wrench = functools.reduce(operator.add, parts, jnp.zeros_like(bodies.velocity))
+    inertias = [x for law in world.forces if (x := law.inertia(bodies)) is not None]
+    carried = None
+    if inertias:
+        inertia = functools.reduce(operator.add, inertias)
+        bias = in_body_axes(kin.rotation, kin.bias_angular, kin.bias_linear)
+        wrench = wrench - matvec(inertia, bias)
+        carried = CarriedInertia(inertia, kin.rotation, kin.origin)
+    arm = expand_dims_like(centres, wrench[3:])
+    moment = wrench[:3] - cross(arm, wrench[3:])
+    return jnp.concatenate([matvec(kin.rotation, x) for x in (wrench[3:], moment)]), carried

@@ -127,29 +127,23 @@ class _Progress(Measure):
         return along / self.duration
 
 
-def followed(simulation: Simulation) -> Simulation:
-    """Return the same trial with `_SPEED` among its terms, m/s.
-
-    With a light, it is the speed at which the distance to the light decreases. Without one, it is
-    the speed ahead if the task's heading is forward, else the speed in any direction. Height does
-    not count over ground.
-    """
-    task = simulation.task
-    ahead = simulation.lights[0] is not None or task.heading == "forward"
-    duration = (simulation.steps - 1) / simulation.control_rate
-    axes = 1 if ahead else 3 if simulation.world.contact_model is None else 2
-    progress = Measures((_SPEED,), (_Progress(duration=duration, axes=axes),))
-    return dataclasses.replace(simulation, measures=simulation.measures | progress)
-
-
 def measured(
     simulation: Simulation,
     genes: Float[Array, "g *n"],
     scales: dict[str, float],
     keys: Array | None = None,
 ) -> Float[Array, "2 *n"]:
-    """Return speed and fitness (`MEASURES`) of a trial that is not `followed`."""
-    outcome = rollout(followed(simulation), genes, keys)
+    """Return speed (m/s) and fitness (`MEASURES`) of a trial.
+
+    With a light, only the decrease of the distance to it counts. Without one, the speed is ahead if
+    the task's heading is forward, else in any direction. Height does not count over ground.
+    """
+    ahead = simulation.lights[0] is not None or simulation.task.heading == "forward"
+    duration = (simulation.steps - 1) / simulation.control_rate
+    axes = 1 if ahead else 3 if simulation.world.contact_model is None else 2
+    progress = Measures((_SPEED,), (_Progress(duration=duration, axes=axes),))
+    with_speed = dataclasses.replace(simulation, measures=simulation.measures | progress)
+    outcome = rollout(with_speed, genes, keys)
     own_scales = {name: jnp.asarray(value, genes.dtype) for name, value in scales.items()}
     return jnp.stack([outcome.terms[_SPEED], score(simulation.task, outcome, own_scales)])
 

@@ -72,8 +72,13 @@ def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
     if count < 8 or not signals.shape[1] or not np.square(level).sum() > 1e-12 * count:
         return math.nan
     most = int(count / _STRIDES)
-    lags = np.arange(_BETWEEN * most + 1) / _BETWEEN
-    alike = CubicSpline(np.arange(most + 1), _autocorrelation(level, most))(lags)
+    spectrum = np.fft.rfft(level, 2 * count, axis=0)
+    product = np.fft.irfft(np.square(np.abs(spectrum)).sum(1), 2 * count)[: most + 1]
+    power = np.concatenate([[0.0], np.cumsum(np.square(level).sum(1))])
+    lags = np.arange(most + 1)
+    scale = np.sqrt(power[count - lags] * (power[count] - power[lags]))
+    autocorrelation = product / np.where(scale > 0, scale, 1.0)
+    alike = CubicSpline(lags, autocorrelation)(np.arange(_BETWEEN * most + 1) / _BETWEEN)
     inner = alike[1:-1]
     peak = 1 + np.flatnonzero((inner >= alike[:-2]) & (inner > alike[2:]))
     # Skip the initial peak of slow signals, before the autocorrelation first falls.
@@ -119,18 +124,6 @@ def cost_of_transport(energy: float, mass: float, gravity: float, distance: floa
     """
     work = mass * gravity * distance
     return energy / work if distance > _NOWHERE and work > 0 else math.nan
-
-
-def _autocorrelation(level: Float[np.ndarray, "t j"], most: int) -> Float[np.ndarray, " lags"]:
-    """Return the autocorrelation of all signals, for lags from 0 to ``most`` samples."""
-    count = len(level)
-    spectrum = np.fft.rfft(level, 2 * count, axis=0)
-    product = np.fft.irfft(np.square(np.abs(spectrum)).sum(1), 2 * count)[: most + 1]
-    power = np.concatenate([[0.0], np.cumsum(np.square(level).sum(1))])
-    lags = np.arange(most + 1)
-    before, after = power[count - lags], power[count] - power[lags]
-    scale = np.sqrt(before * after)
-    return product / np.where(scale > 0, scale, 1.0)
 
 
 # Legs of a tripod, of which an insect has two.
@@ -198,16 +191,6 @@ def tripod_strength(touched: Bool[np.ndarray, "t 6 *n"]) -> Float[np.ndarray, " 
         any_of_them = swings[:, legs].any(1).sum(0)
         each.append(np.where(any_of_them > 0, together / np.maximum(any_of_them, 1), np.nan))
     return np.mean(each, axis=0)
-
-
-def relative_slip(slip_speed: Values, speed: Values) -> Values:
-    """Return the slip of the feet over the animal's speed, no unit.
-
-    Args:
-        slip_speed: slip speed of the feet, m/s (`evo_cpg.simulation.measures`).
-        speed: speed of the animal, m/s. The result is NaN for 0.
-    """
-    return ratio(slip_speed, speed)
 
 
 def strouhal_number(frequency: Values, amplitude: Values, speed: Values) -> Values:

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 
 import jax
 import numpy as np
-from jaxtyping import Bool
 
 from evo_cpg.analysis.limit_cycle import resting
 from evo_cpg.control.couplings import uncoupled
-from evo_cpg.control.matsuoka import MatsuokaNetwork, parts
-from evo_cpg.creature.tree import Tree
+from evo_cpg.control.matsuoka import parts
 from evo_cpg.physics.water.added_mass import AddedMass
 from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
 from evo_cpg.simulation.noise import Noise
@@ -77,14 +75,23 @@ def about_oscillators(simulation: Simulation) -> list[str]:
         if found:
             names = ", ".join(tree.dof_names[i] for i in found)
             lines.append(f"{what}: {names}. {change}")
-    apart = _groups(network, tree, driven)
+    # Groups of several driven oscillators that are coupled or turn the same bodies.
+    apart: list[list[int]] = []
+    for part in parts(network):
+        own = [i for i in part if driven[i]] if len(part) > 1 else []
+        turned = {tree.dof_bodies[i] for i in own}
+        for group in [group for group in apart if turned & {tree.dof_bodies[i] for i in group}]:
+            apart.remove(group)
+            own = sorted(group + own)
+        apart += [own] if own else []
     # Legs must step in turn. In water a trunk and its fins may have rhythms of their own, so only
     # groups of equal size count there, such as pairs of fins.
     if simulation.world.contact_model is None:
         sizes = [len(group) for group in apart]
         apart = [group for group in apart if sizes.count(len(group)) > 1]
     if len(apart) > 1:
-        bodies = "; ".join(", ".join(_bodies_of(tree, group)) for group in apart)
+        named = [dict.fromkeys(tree.names[tree.dof_bodies[i]] for i in group) for group in apart]
+        bodies = "; ".join(map(", ".join, named))
         ring = _ring([tree.dof_names[group[0]] for group in apart])
         lines.append(
             f"{len(apart)} groups of limbs are not coupled to each other, so they have no order in "
@@ -92,26 +99,6 @@ def about_oscillators(simulation: Simulation) -> list[str]:
             "(docs/walker.md)"
         )
     return lines
-
-
-def _groups(
-    network: MatsuokaNetwork, tree: Tree, driven: Bool[np.ndarray, " o"]
-) -> list[list[int]]:
-    """Return groups of several driven oscillators that are coupled or turn the same bodies."""
-    groups: list[list[int]] = []
-    for part in parts(network):
-        own = [i for i in part if driven[i]] if len(part) > 1 else []
-        bodies = set(_bodies_of(tree, own))
-        for group in [group for group in groups if bodies & set(_bodies_of(tree, group))]:
-            groups.remove(group)
-            own = sorted(group + own)
-        groups += [own] if own else []
-    return groups
-
-
-def _bodies_of(tree: Tree, oscillators: Sequence[int]) -> list[str]:
-    """Return the names of the bodies that oscillators turn, each once."""
-    return list(dict.fromkeys(tree.names[tree.dof_bodies[i]] for i in oscillators))
 
 
 def _ring(names: Sequence[str]) -> str:
@@ -148,20 +135,17 @@ def about_step(simulation: Simulation) -> str:
     steps = min(simulation.steps, math.ceil(_TEST_SECONDS * simulation.control_rate))
     tested = dataclasses.replace(simulation, steps=steps, rules=None, noise=Noise())
     genes = simulation.genome.random(jax.random.key(0), (_TESTED,))
-
-    def diverged(substeps: int) -> int:
-        finer = dataclasses.replace(tested, substeps=substeps)
-        return int((~jax.jit(functools.partial(rollout, finer))(genes).alive).sum())
-
-    lost, now = diverged(simulation.substeps), simulation.substeps
-    if not lost:
-        return ""
-    found = f"simulation.substeps: {now}: {lost} of {_TESTED} random individuals diverge within "
-    found += f"{steps / simulation.control_rate:.3g} s"
-    for more in (factor * now for factor in _FINER):
-        if not diverged(more):
-            return (
+    now, found = simulation.substeps, ""
+    for more in (factor * now for factor in (1, *_FINER)):
+        finer = dataclasses.replace(tested, substeps=more)
+        lost = int((~jax.jit(functools.partial(rollout, finer))(genes).alive).sum())
+        if not lost:
+            return found and (
                 f"{found}, because the physics step of {simulation.step_length:.2g} s is too long. "
                 f"With simulation.substeps: {more} none diverges"
             )
+        found = found or (
+            f"simulation.substeps: {now}: {lost} of {_TESTED} random individuals diverge within "
+            f"{steps / simulation.control_rate:.3g} s"
+        )
     return f"{found}, also with {_FINER[-1] * now} substeps. Is a force or a motor too strong?"

@@ -16,16 +16,13 @@ from evo_cpg.api.runs import open_champion, suffix, writing
 from evo_cpg.errors import advise
 from evo_cpg.files import read_json, write_text
 from evo_cpg.io.run import Run
-from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
-from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
-    from evo_cpg.view.run_page.subject import Crowd
     from evo_cpg.view.scene import Panel
 
 # Size of the picture for print, pixels, and quality of its JPEG.
@@ -93,7 +90,7 @@ def analyse(
             recording, numbers = measure(opened, trial)
             work.doing("drawing")
             write_text(path, page(opened, trial, recording, numbers, together))
-        table, champion = numbers_path(path), opened.champion
+        table, champion = path.with_suffix(".json"), opened.champion
         about = {"run": champion.run, "generation": champion.generation, "trial": trial}
         contents = about | {"made": now()} | numbers.as_dict()
         write_text(table, json.dumps(contents, indent=2, allow_nan=False) + "\n")
@@ -139,11 +136,6 @@ def measure(opened: Run, trial: int) -> tuple[Recording, GaitNumbers]:
     return replay.recording, numbers
 
 
-def numbers_path(page: Path) -> Path:
-    """Return the path of the JSON file with the numbers of a page."""
-    return page.with_suffix(".json")
-
-
 def page(
     opened: Run,
     trial: int,
@@ -155,7 +147,7 @@ def page(
     from evo_cpg.analysis.gait_numbers import chain_places
     from evo_cpg.view.film import Film, picture
     from evo_cpg.view.run_page.document import document
-    from evo_cpg.view.run_page.subject import PageSubject, RecordedMotion
+    from evo_cpg.view.run_page.subject import Crowd, PageSubject, RecordedMotion
     from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
     from evo_cpg.view.scene import panel_of, sample
 
@@ -164,6 +156,14 @@ def page(
     simulation = experiment.simulation
     panel, still = panel_of(experiment, recording, experiment.name), io.BytesIO()
     picture([panel], Film(_STILL)).save(still, "JPEG", quality=_QUALITY)
+    together = None
+    if crowd is not None:
+        scene, title = viewer_data(crowd), (crowd.title or "").capitalize()
+        # The page may have no room for all animals.
+        shown = scene["crowd"]["count"]
+        if crowd.crowd is not None and shown < crowd.crowd.count:
+            title = f"{title}, {shown + 1} of them shown"
+        together = Crowd(title, scene)
     motion = RecordedMotion(
         recording=recording,
         clip=sample(recording, RATE),
@@ -173,9 +173,21 @@ def page(
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
         root_index=experiment.creature.root_index,
-        crowd=None if crowd is None else _together(crowd),
+        crowd=together,
     )
     audit, stale = _audit(folder, champion)
+    # `train` may have measured another champion at half the physics step.
+    first, half = meta.get("half_step"), None
+    if isinstance(first, Mapping) and first.get("genes_sha256") == genes_digest(champion.genes):
+        kept = first.get("measured")
+        half = float(kept) if isinstance(kept, (int, float)) else None
+    places = (
+        ("in water", simulation.world.water is not None),
+        ("on the ground", simulation.world.contact_model is not None),
+    )
+    where = " and ".join(words for words, there in places if there) or "in empty space"
+    creature = experiment.creature
+    bodies = f"{len(creature.bodies)} bodies and {simulation.world.tree.dof_count} joint axes"
     expected = {}
     if champion.expected is not None:
         expected[f"mean fitness in {champion.lives} new draws of the noise"] = champion.expected
@@ -183,7 +195,11 @@ def page(
         name=experiment.name,
         changed=opened.changed,
         folder=resolved(folder.path).name,
-        sentence=_sentence(experiment, config),
+        sentence=(
+            f"An animal of {bodies} ({float(creature.mass):.3g} kg) {where}, driven by the "
+            f"controller {config.controller.type!r} with {simulation.genome.count} genes, that "
+            f"evolved for the task {config.task.type!r}."
+        ),
         champion={"fitness": champion.fitness, **expected, **champion.terms},
         generation=champion.generation,
         generations=int(motion.history["generation"].max()) + 1,
@@ -196,50 +212,12 @@ def page(
         meta=meta,
         audit=audit,
         stale=stale,
-        half_step=_kept_at_half_the_step(meta, champion),
+        half_step=half,
         differences=paper_differences(config),
         program=version().splitlines()[0],
         made=now(),
     )
     return document(subject, motion)
-
-
-def _together(panel: "Panel") -> "Crowd":
-    """Return a generation for the page, with words about animals for which there is no room."""
-    from evo_cpg.view.run_page.subject import Crowd
-    from evo_cpg.view.run_page.viewer_data import viewer_data
-
-    scene, title = viewer_data(panel), (panel.title or "").capitalize()
-    shown = scene["crowd"]["count"]
-    left_out = panel.crowd is not None and shown < panel.crowd.count
-    return Crowd(f"{title}, {shown + 1} of them shown" if left_out else title, scene)
-
-
-def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:
-    """Return the fraction of the displacement that is kept at half the physics step, or None.
-
-    `train` has measured it. None if it has not, or if it measured another champion.
-    """
-    first = meta.get("half_step")
-    if not isinstance(first, Mapping) or first.get("genes_sha256") != genes_digest(champion.genes):
-        return None
-    kept = first.get("measured")
-    return float(kept) if isinstance(kept, (int, float)) else None
-
-
-def _sentence(experiment: ExperimentParts, config: ExperimentConfig) -> str:
-    simulation, creature = experiment.simulation, experiment.creature
-    places = (
-        ("in water", simulation.world.water is not None),
-        ("on the ground", simulation.world.contact_model is not None),
-    )
-    where = " and ".join(words for words, there in places if there) or "in empty space"
-    bodies = f"{len(creature.bodies)} bodies and {simulation.world.tree.dof_count} joint axes"
-    return (
-        f"An animal of {bodies} ({float(creature.mass):.3g} kg) {where}, driven by the controller "
-        f"{config.controller.type!r} with {simulation.genome.count} genes, that evolved "
-        f"for the task {config.task.type!r}."
-    )
 
 
 def _audit(folder: RunFolder, champion: Champion) -> tuple[dict[str, Any] | None, bool]:

@@ -382,26 +382,24 @@ def _variations(
     """
     simulation = experiment.simulation
     draws = draws_of(simulation)
-
-    def drawn(name: str, *sims: Simulation) -> Variation:
-        return Variation(name, sims, draws)
-
     found = {
-        CHANCE: drawn("new draws of the noise", simulation)
+        CHANCE: Variation("new draws of the noise", (simulation,), draws)
         if draws > 1
         else Variation("other poses", (conditions.shaken(simulation, _SHAKE),), _DRAWS),
-        "half_step": drawn("half the step", conditions.finer(simulation, 2)),
-        "quarter_step": drawn("a quarter of the step", conditions.finer(simulation, 4)),
-        "limp_way": drawn("limp motors", conditions.limp(simulation)),
+        "half_step": Variation("half the step", (conditions.finer(simulation, 2),), draws),
+        "quarter_step": Variation(
+            "a quarter of the step", (conditions.finer(simulation, 4),), draws
+        ),
+        "limp_way": Variation("limp motors", (conditions.limp(simulation),), draws),
         "precision": Variation("float64", (simulation,), double=True),
     }
     more_and_less = (1 + _CHANGE, 1 - _CHANGE)
     if simulation.world.contact_model is not None:
-        sims = [conditions.with_friction(simulation, x) for x in more_and_less]
-        found["friction"] = drawn("friction 10 % up and down", *sims)
+        sims = tuple(conditions.with_friction(simulation, x) for x in more_and_less)
+        found["friction"] = Variation("friction 10 % up and down", sims, draws)
     if simulation.world.water is not None:
-        sims = [conditions.with_drag(simulation, x) for x in more_and_less]
-        found["drag"] = drawn("drag 10 % up and down", *sims)
+        sims = tuple(conditions.with_drag(simulation, x) for x in more_and_less)
+        found["drag"] = Variation("drag 10 % up and down", sims, draws)
         settings = config.world.water
         assert settings is not None
         changed = {"points_seed": settings.points_seed + 1}
@@ -413,14 +411,13 @@ def _variations(
         water = settings.model_copy(update=changed)
         world = config.world.model_copy(update={"water": water})
         other = config.model_copy(update={"world": world})
-        found["surface_points"] = drawn(
-            "other surface points", build_experiment(other, source, folders).simulation
-        )
+        moved = build_experiment(other, source, folders).simulation
+        found["surface_points"] = Variation("other surface points", (moved,), draws)
     if described(simulation.engine)["engine"] == "native":
         plain = dataclasses.replace(simulation, engine=Engine("jax"))
         found["other_engine"] = Variation("plain JAX", (plain,))
     if simulation.lights[0] is not None and simulation.sensors.eye_bodies:
-        found["blind"] = drawn("blind", blinded(simulation))
+        found["blind"] = Variation("blind", (blinded(simulation),), draws)
     return found
 
 

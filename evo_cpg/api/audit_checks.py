@@ -180,16 +180,19 @@ def books(
     def check(key: str, question: str, measured: float, unit: str = "%", detail: str = "") -> Check:
         return Check(key, question, measured, getattr(limits, key), False, unit, detail)
 
-    def given(one: Ledger, work: np.ndarray) -> float:
-        """Return the positive net work of a constraint, relative to the motors' work."""
-        return max(0.0, float(work.sum())) / _effort(one)
-
-    # Unaccounted energy of each trial, summed over the stretches in which energy is gained.
-    gains = []
+    # Work in each trial relative to the motors' work: unaccounted energy, summed over the stretches
+    # in which energy is gained, and positive net work of limits, between limbs and of the push-out.
+    gains, stops, parted, raised = [], [], [], []
     for one in ledgers:
+        # If the motors' work is zero, all work counts instead, or infinity.
+        done = sum(np.abs(each).sum() for each in one.work.values())
+        effort = one.effort or float(done) or np.inf
         starts = np.arange(0, len(one.stored), max(1, round(_STRETCH / h)))
         gain = np.maximum(np.add.reduceat(one.left_over, starts), 0.0).sum()
-        gains.append(float(gain) / _effort(one))
+        gains.append(float(gain) / effort)
+        stops.append(max(0.0, float(one.limits.sum())) / effort)
+        parted.append(max(0.0, float(one.limbs.sum())) / effort)
+        raised.append(one.push_out.sum() / effort)
     first = ledgers[0]
     parts = [f"{name} {value.sum():.3g}" for name, value in first.work.items() if np.any(value)]
     checks = [
@@ -199,11 +202,7 @@ def books(
             max(gains),
             detail=f"{', '.join(parts)}, left over {first.left_over.sum():.3g} J",
         ),
-        check(
-            "limit_energy",
-            "work of joint limits / motors' work",
-            max(given(one, one.limits) for one in ledgers),
-        ),
+        check("limit_energy", "work of joint limits / motors' work", max(stops)),
         check("speed", "highest speed of the root", worst("peak_speed") / length, "lengths/s"),
         check("power", "peak power of all motors", worst("peak_power") / mass, "W/kg"),
         Check("peak_torque", "peak torque of a motor", worst("peak_torque"), unit="N m"),
@@ -223,17 +222,12 @@ def books(
     if np.isfinite(world.tree.torque_limit).any():
         checks.append(check("overload", "torque above its limit", worst("overload")))
     if world.pairs is not None or any(np.any(one.limbs) for one in ledgers):
-        pushed = max(given(one, one.limbs) for one in ledgers)
-        checks.append(check("limb_energy", "work between limbs / motors' work", pushed))
+        checks.append(check("limb_energy", "work between limbs / motors' work", max(parted)))
     checks += _overlap(experiment, found, check)
     if world.contact_model is not None:
         checks += [
             check("penetration", "penetration of the ground", worst("penetration"), "m"),
-            check(
-                "push_out_energy",
-                "push-out work / motors' work",
-                max(one.push_out.sum() / _effort(one) for one in ledgers),
-            ),
+            check("push_out_energy", "push-out work / motors' work", max(raised)),
         ]
         # Nothing flies with water everywhere.
         if world.water_level < math.inf:
@@ -270,9 +264,3 @@ def _overlap(
     if passing:
         words.append(f"not checked, because they touch in the neutral pose: {passing}")
     return [check("overlap", "overlap of limbs", deepest.overlap, "m", "; ".join(words))]
-
-
-def _effort(one: Ledger) -> float:
-    """Return the motors' work, J. If that is zero, return all work, or infinity."""
-    done = sum(np.abs(each).sum() for each in one.work.values())
-    return one.effort or float(done) or np.inf

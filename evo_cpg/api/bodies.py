@@ -72,9 +72,14 @@ class VariedBodies:
         plan, run = self._made[frozenset(columns)]
         values, fits = plan.build(columns)
         if not fits.all():
+            some = {key: column[~fits] for key, column in columns.items()}
+            task = self._parts.simulation.task
             try:
-                self._build_one_by_one(plan, columns, values, ~fits)
+                built = build_batch(self._config, self._source, some, like=plan.batched, task=task)
+                for value, own in zip(values, built.values, strict=True):
+                    value[:, ~fits] = own
             except ConfigError:
+                # These individuals do not fit the plan's trials.
                 plan, run = self._plan(columns, np.arange(count))
                 values = list(map(np.asarray, plan.batched.values))
         return run, tuple(values)
@@ -89,21 +94,3 @@ class VariedBodies:
         run = compile_trials(plan.batched.common, population_mesh(), inputs=plan.batched.inputs)
         self._made[frozenset(columns)] = plan, run
         return plan, run
-
-    def _build_one_by_one(
-        self,
-        plan: BodyPlan,
-        columns: dict[str, np.ndarray],
-        values: list[np.ndarray],
-        individuals: np.ndarray,
-    ) -> None:
-        """Build some individuals one by one and write their values into ``values``.
-
-        Raises:
-            ConfigError: the individuals do not fit the plan's trials.
-        """
-        some = {key: column[individuals] for key, column in columns.items()}
-        task = self._parts.simulation.task
-        built = build_batch(self._config, self._source, some, like=plan.batched, task=task)
-        for value, own in zip(values, built.values, strict=True):
-            value[:, individuals] = own

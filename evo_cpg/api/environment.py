@@ -132,9 +132,8 @@ class Environment:
             tally = begin_tally(self._simulation, (), jnp.dtype("float32"))
             terms, value = self._judge(tally)
         inner = _Inner(animal, tally, value, jnp.int32(0), jnp.asarray(True), keys)
-        return EnvironmentState(
-            _vector(observation), jnp.float32(0.0), jnp.asarray(False), terms, inner
-        )
+        seen = jnp.concatenate([x for x in observation if x is not None])
+        return EnvironmentState(seen, jnp.float32(0.0), jnp.asarray(False), terms, inner)
 
     def step(self, state: EnvironmentState, action: Float[Array, " a"]) -> EnvironmentState:
         """Return the state one control step later. A finished animal is not reset.
@@ -185,7 +184,8 @@ class Environment:
         reward = jnp.where(alive, value - inner.value, 0.0)
         later = _Inner(animal, tally, value, number, alive, inner.keys)
         done = ~alive | (number >= self.episode_length)
-        return EnvironmentState(_vector(observation), reward, done, terms, later)
+        seen = jnp.concatenate([x for x in observation if x is not None])
+        return EnvironmentState(seen, reward, done, terms, later)
 
     def _start(self, keys: Array | None) -> AnimalState:
         animal = initial_animal(self._simulation, keys, None, (), jnp.dtype("float32"))
@@ -218,7 +218,3 @@ def _number(value: Array) -> str:
         return f"{value.dtype}{list(jnp.shape(value))}"
     item = np.asarray(value).item()
     return str(item) if isinstance(item, bool) else f"{item:.4g}"
-
-
-def _vector(observation: Observation) -> Float[Array, " o"]:
-    return jnp.concatenate([x for x in observation if x is not None])

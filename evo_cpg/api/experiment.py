@@ -107,6 +107,7 @@ class Experiment:
         self.world, self.task = parts.simulation.world, parts.simulation.task
         self.gene_count = parts.simulation.genome.count
         self.population = parts.strategy.population
+        self._bodies = VariedBodies(parts, config, source)
         self._compiled: set[tuple] = set()
 
     def __repr__(self) -> str:
@@ -359,10 +360,6 @@ class Experiment:
         return compile_trials(self.parts.simulation, population_mesh())
 
     @functools.cached_property
-    def _bodies(self) -> VariedBodies:
-        return VariedBodies(self.parts, self.config, self.source)
-
-    @functools.cached_property
     def _judge(self) -> Callable:
         def judged(*given: Any) -> tuple:
             return *training.judge(self.task, *given), training.judge_each(self.task, *given)
@@ -393,13 +390,8 @@ class Experiment:
         if self.parts.simulation.noise.silent:
             return None
         individual, trial = np.divmod(np.arange(count * self.trials), self.trials)
-
-        def of_trial(individual: Any, trial: Any) -> Array:
-            return jax.random.key_data(
-                jax.random.fold_in(jax.random.fold_in(key, individual), trial)
-            )
-
-        return jax.vmap(of_trial, out_axes=1)(individual, trial)
+        keys = jax.vmap(jax.random.fold_in, (None, 0))(key, individual)
+        return jax.random.key_data(jax.vmap(jax.random.fold_in)(keys, trial)).T
 
 
 def load(

@@ -82,49 +82,22 @@ def lineage_panels(
     signals: bool = False,
 ) -> list[Panel]:
     """Return panels with champions of a lineage, each with its generation and fitness."""
-    opened = open_champion(run, number, trial)
-    chosen, panels = _chosen(opened, generations), []
-    for one in chosen:
-        wrong = opened.experiment.simulation.genome.misfit(one.genes)
-        if wrong:
-            raise RunFolderError(f"{opened.folder.lineage}: generation {one.generation}: {wrong}")
-    with working("replaying the champion"):
-        replays = opened.replay(chosen, trial)
-    for one, replay in zip(chosen, replays, strict=True):
-        if not math.isclose(
-            replay.fitness, one.fitness, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
-        ):
-            advise(
-                f"{run}: the champion of generation {one.generation} replays with fitness "
-                f"{replay.fitness:.4f}, not {one.fitness:.4f} as recorded. "
-                f"{opened.folder.config} or the machine has changed since the evolution"
-            )
-        title = f"generation {one.generation}: fitness {one.fitness:.3g}"
-        if one.expected is not None:
-            title = f"champion: fitness {one.expected:.3g} with new noise"
-        shown = _signals(opened, replay) if signals else None
-        panels.append(panel_of(opened.experiment, replay.recording, title, shown))
-    return panels
-
-
-def _chosen(opened: Run, generations: list[int] | None) -> list[Champion]:
-    """Return champions of a run in the order of generations, each once."""
-    folder, champion, run = opened.folder, opened.champion, opened.champion.run
-    lineage = [each for each in folder.load_lineage() if each.run == run]
+    opened, panels = open_champion(run, number, trial), []
+    folder, champion, own = opened.folder, opened.champion, opened.champion.run
+    lineage = [each for each in folder.load_lineage() if each.run == own]
     if not lineage:
-        raise RunFolderError(f"{folder.lineage} has no champion of run {run}")
-    if generations is None:
-        if champion.expected is None:
-            return representatives(lineage, _SHOWN)
+        raise RunFolderError(f"{folder.lineage} has no champion of run {own}")
+    chosen: list[Champion] = []
+    if generations is None and champion.expected is None:
+        chosen = representatives(lineage, _SHOWN)
+    elif generations is None:
         # Under noise, the newest of the lineage may differ from the final champion, which is shown
         # last.
         places = (champion.generation, champion.index)
         others = [each for each in lineage if (each.generation, each.index) != places]
-        return [*representatives(others, _SHOWN - 1), champion]
-    done = folder.newest
-    found: list[Champion] = []
-    for generation in sorted(set(generations)):
-        one = champion_at(lineage, generation)
+        chosen = [*representatives(others, _SHOWN - 1), champion]
+    for generation in sorted(set(generations or ())):
+        one, done = champion_at(lineage, generation), folder.newest
         if generation >= max(done, lineage[-1].generation + 1):
             raise UsageError(
                 f"lineage: {folder.path} has {done} generations. The last is {done - 1}"
@@ -134,9 +107,29 @@ def _chosen(opened: Run, generations: list[int] | None) -> list[Champion]:
                 f"lineage: the first recorded champion of {folder.path} is from generation "
                 f"{lineage[0].generation}"
             )
-        if all(one is not other for other in found):
-            found.append(one)
-    return found
+        if all(one is not other for other in chosen):
+            chosen.append(one)
+    for one in chosen:
+        wrong = opened.experiment.simulation.genome.misfit(one.genes)
+        if wrong:
+            raise RunFolderError(f"{folder.lineage}: generation {one.generation}: {wrong}")
+    with working("replaying the champion"):
+        replays = opened.replay(chosen, trial)
+    for one, replay in zip(chosen, replays, strict=True):
+        if not math.isclose(
+            replay.fitness, one.fitness, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
+        ):
+            advise(
+                f"{run}: the champion of generation {one.generation} replays with fitness "
+                f"{replay.fitness:.4f}, not {one.fitness:.4f} as recorded. "
+                f"{folder.config} or the machine has changed since the evolution"
+            )
+        title = f"generation {one.generation}: fitness {one.fitness:.3g}"
+        if one.expected is not None:
+            title = f"champion: fitness {one.expected:.3g} with new noise"
+        shown = _signals(opened, replay) if signals else None
+        panels.append(panel_of(opened.experiment, replay.recording, title, shown))
+    return panels
 
 
 def _signals(opened: Run, replay: Replay) -> Signals:

@@ -193,8 +193,16 @@ def fit(
         trial = start.simulation.model_copy(update={"seconds": seconds, "trials": 1})
         parameters = parametrise(start.model_copy(update={"simulation": trial}), source, inner)
         simulation = parameters.experiment.simulation
-        given = [name for name in (*names, *fixed) if name.startswith(INITIAL)]
-        _check_names(recording, simulation, given, path)
+        given = [n[len(INITIAL) :] for n in (*names, *fixed) if n.startswith(INITIAL)]
+        for what, valid, own in (
+            (f"{path}: unknown column", column_names(simulation), recording.columns),
+            (f"{path}: unknown command", simulation.world.tree.dof_names, recording.commands),
+            ("unknown initial value", beginning_names(simulation), given),
+        ):
+            for name in own:
+                if name not in valid:
+                    hint = nearest(name, valid) if valid else "the creature has no joints"
+                    raise UserError(f"{what} {name}: {hint}")
         wrong = None if genes is None else simulation.genome.misfit(genes)
         if wrong:
             raise UserError(f"--run: the champion of {run} does not fit {source}: {wrong}")
@@ -250,26 +258,6 @@ def _values(
         start[name] = number_in(text) if "=" in text else known
     names = tuple(sorted(start, key=lambda name: name.startswith(INITIAL)))
     return names, np.array([start[name] for name in names]), fixed, whole
-
-
-def _check_names(
-    recording: MeasuredMotion, simulation: Simulation, initial: Sequence[str], path: Path
-) -> None:
-    """Check the names of columns and of initial values against the creature."""
-    dofs = simulation.world.tree.dof_names
-    for what, valid, given in (
-        (f"{path}: unknown column", column_names(simulation), recording.columns),
-        (f"{path}: unknown command", dofs, recording.commands),
-        (
-            "unknown initial value",
-            beginning_names(simulation),
-            [n[len(INITIAL) :] for n in initial],
-        ),
-    ):
-        for name in given:
-            if name not in valid:
-                hint = nearest(name, valid) if valid else "the creature has no joints"
-                raise UserError(f"{what} {name}: {hint}")
 
 
 def _search(

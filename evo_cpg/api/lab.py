@@ -72,15 +72,14 @@ def varied_knobs(answer: Answer) -> list[str]:
     return [knob for knob in settings[0] if len({str(each[knob]) for each in settings}) > 1]
 
 
-def free_folder(name: str) -> Path:
-    """Return the first of ``lab/NAME``, ``lab/NAME_2`` and so on that has no answer."""
-    folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
-    places = (Path("lab") / folder for folder in folders)
-    return next(place for place in places if not os.path.exists(place / TABLE))
-
-
-def save_answer(answer: Answer, name: str, folder: Path) -> list[Path]:
+def save_answer(answer: Answer, name: str, folder: Path | None = None) -> list[Path]:
     """Write ``lab.csv``, ``columns.csv`` and ``lab.png``, and return paths of table and picture.
+
+    Args:
+        answer: the answer.
+        name: name of the animal.
+        folder: folder of the files, or None for the first of ``lab/NAME``, ``lab/NAME_2`` and so on
+            that has no answer.
 
     Raises:
         OutputError: the files cannot be written.
@@ -89,6 +88,10 @@ def save_answer(answer: Answer, name: str, folder: Path) -> list[Path]:
     from evo_cpg.view.figure import save_figure
 
     rows, varied, columns = answer.rows, varied_knobs(answer), shown_columns(answer.rows)
+    if folder is None:
+        names = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
+        places = (Path("lab") / own for own in names)
+        folder = next(place for place in places if not os.path.exists(place / TABLE))
     table = make_folder(folder) / TABLE
     write_table(table, rows)
     meanings = [{"column": name, **each._asdict()} for name, each in answer.meanings.items()]

@@ -11,10 +11,8 @@ from evo_cpg.api.progress import working
 from evo_cpg.api.runs import open_champion, suffix
 from evo_cpg.errors import UsageError
 from evo_cpg.files import make_folder, write_table
-from evo_cpg.io.run import Run
 from evo_cpg.io.situations import out_of_reach
 from evo_cpg.io.trust import trusting
-from evo_cpg.simulation.situation import Situation
 from evo_cpg.training import conditions as trials
 from evo_cpg.training.conditions import UNSEEING, Probe, around, blinded, seen_from_start
 
@@ -171,7 +169,17 @@ def probe(
     )
     if bearings is not None:
         situations = around(situations[0], np.deg2rad(bearings), distances)
-        _require_reachable(opened, situations)
+        for situation in situations:
+            place, light = situation.start_position, situation.light
+            assert light is not None
+            creature = opened.experiment.creature
+            problem = out_of_reach(creature, simulation.world, place, light)
+            if problem:
+                distance, bearing, _ = seen_from_start(situation)
+                raise UsageError(
+                    f"bearings, distances: {_degrees(bearing):g} degrees, {distance:g} m: "
+                    f"{problem}. Choose others, or the lights of the configuration"
+                )
     with working(f"compiling, and probing {len(situations)} lights") as work:
         found = trials.probe(simulation, genes, situations)
         seeing = found if blind else None
@@ -180,29 +188,6 @@ def probe(
             found = trials.probe(blinded(simulation), genes, situations)
     eyes = bool(simulation.sensors.eye_bodies)
     return Probed(opened.experiment.name, found, seeing, reach, eyes, number)
-
-
-def _require_reachable(opened: Run, situations: tuple[Situation, ...]) -> None:
-    """Check that every light can be reached.
-
-    Raises:
-        UsageError: a light cannot be reached.
-    """
-    experiment = opened.experiment
-    for situation in situations:
-        assert situation.light is not None
-        problem = out_of_reach(
-            experiment.creature,
-            experiment.simulation.world,
-            situation.start_position,
-            situation.light,
-        )
-        if problem:
-            distance, bearing, _ = seen_from_start(situation)
-            raise UsageError(
-                f"bearings, distances: {_degrees(bearing):g} degrees, {distance:g} m: {problem}. "
-                "Choose others, or the lights of the configuration"
-            )
 
 
 def _degrees(angle: float) -> float:

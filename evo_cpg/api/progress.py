@@ -7,6 +7,7 @@ script or notebook, the interval doubles after each line, because nobody may be 
 """
 
 import contextlib
+import dataclasses
 import math
 import sys
 import threading
@@ -176,23 +177,24 @@ class Heartbeat(Work):
             thread.join()
 
 
+@dataclasses.dataclass
 class _Line(Work):
     """Progress on a terminal."""
 
-    def __init__(self, bars: "_Bars", bar: TaskID):
-        self._bars, self._bar = bars, bar
+    bars: "_Bars"
+    bar: TaskID
 
     def say(self, line: str) -> None:
-        self._bars.console.print(line, markup=False, highlight=False)
+        self.bars.console.print(line, markup=False, highlight=False)
 
     def doing(self, what: str) -> None:
-        self._bars.update(self._bar, description=what.lstrip())
+        self.bars.update(self.bar, description=what.lstrip())
 
     def reached(self, done: int, total: int) -> None:
-        self._bars.update(self._bar, completed=done, total=total)
+        self.bars.update(self.bar, completed=done, total=total)
 
     def step(self, name: str, state: str, seconds: float, done: int, total: int) -> None:
-        self._bars.state = f"{state}  {seconds:.2f} s"
+        self.bars.state = f"{state}  {seconds:.2f} s"
         self.doing(f"{done}/{total} {name}")
         self.reached(done, total)
 
@@ -243,41 +245,35 @@ def working(what: str, counted: bool = False, stays: bool = False) -> Iterator[W
         _outer.doing(what)
         yield Work()
         return
-    with _display(what, counted, stays) as work:
+    work, console = Work(), Console(stderr=True)
+    # A dumb terminal, such as a shell in an editor, cannot move a line.
+    moves = console.is_terminal and not console.is_dumb_terminal
+    with contextlib.ExitStack() as shown:
+        if _shown is not False and not moves:
+            heartbeat = Heartbeat(what, _printed_at, every=bool(_shown))
+            work = shown.enter_context(heartbeat.beating())
+        elif _shown is not False:
+            columns: list[ProgressColumn] = [
+                SpinnerColumn(finished_text=""),
+                TextColumn("{task.description}", markup=False),
+            ]
+            if counted:
+                columns += [BarColumn(bar_width=20), _TimeLeft()]
+            # Text that the work prints goes above the line, unless standard output is a pipe.
+            redirect = sys.stdout.isatty()
+            bars = _Bars(
+                *columns,
+                TimeElapsedColumn(),
+                console=console,
+                redirect_stdout=redirect,
+                transient=not stays,
+            )
+            work = _Line(shown.enter_context(bars), bars.add_task(what.lstrip(), total=None))
         _outer = work
         try:
             yield work
         finally:
             _outer = None
-
-
-@contextlib.contextmanager
-def _display(what: str, counted: bool, stays: bool) -> Iterator[Work]:
-    if _shown is False:
-        yield Work()
-        return
-    console = Console(stderr=True)
-    # A dumb terminal, such as a shell in an editor, cannot move a line.
-    if not console.is_terminal or console.is_dumb_terminal:
-        with Heartbeat(what, _printed_at, every=bool(_shown)).beating() as heartbeat:
-            yield heartbeat
-        return
-    columns: list[ProgressColumn] = [
-        SpinnerColumn(finished_text=""),
-        TextColumn("{task.description}", markup=False),
-    ]
-    if counted:
-        columns += [BarColumn(bar_width=20), _TimeLeft()]
-    # Text that the work prints goes above the progress line, unless standard output is a pipe.
-    redirect = sys.stdout.isatty()
-    with _Bars(
-        *columns,
-        TimeElapsedColumn(),
-        console=console,
-        redirect_stdout=redirect,
-        transient=not stays,
-    ) as bars:
-        yield _Line(bars, bars.add_task(what.lstrip(), total=None))
 
 
 @contextlib.contextmanager

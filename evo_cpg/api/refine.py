@@ -1,8 +1,9 @@
 """Improve a run's champion along the gradient of its fitness."""
 
+import functools
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -102,23 +103,21 @@ def refine(
         parameters = parametrise(config, folder.config, keys, beside) if keys else None
         done: list[Round] = []
 
-        def keep(latest: Round) -> None:
-            if latest.gain > 0:
-                if not any(before.gain > 0 for before in done):
-                    folder.keep_before(champion, motion)
-                found = parameters.config_at(latest.values) if parameters else config
-                folder.replace_champion(latest.champion, dump_config(found))
-            done.append(latest)
-            write_table(folder.path / "refine.csv", [_row(one, keys) for one in done])
-
         settings = Refinement(rounds, steps, seed=seed)
         free = None
         if parameters is not None:
-            free = Free(parameters.values, parameters.simulation, _rebuild(parameters))
+            rebuild = functools.partial(_rebuilt, parameters)
+            free = Free(parameters.values, parameters.simulation, rebuild)
         with progress("rounds", rounds) as show:
 
             def report(latest: Round) -> None:
-                keep(latest)
+                if latest.gain > 0:
+                    if not any(before.gain > 0 for before in done):
+                        folder.keep_before(champion, motion)
+                    found = parameters.config_at(latest.values) if parameters else config
+                    folder.replace_champion(latest.champion, dump_config(found))
+                done.append(latest)
+                write_table(folder.path / "refine.csv", [_row(one, keys) for one in done])
                 lost = latest.gradients - latest.finite
                 show(
                     f"fitness {latest.champion.fitness:8.4f}  "
@@ -160,22 +159,18 @@ def refine(
     )
 
 
-def _rebuild(parameters: Parameters) -> Callable[[np.ndarray], ExperimentParts | None]:
-    """Return a function of the free numbers that builds their experiment, or returns None.
+def _rebuilt(parameters: Parameters, values: np.ndarray) -> ExperimentParts | None:
+    """Return the experiment with other values of the free numbers, or None.
 
     None means that the values are not allowed, or that they change the layout of the simulation.
     """
-
-    def rebuild(values: np.ndarray) -> ExperimentParts | None:
-        try:
-            config = parameters.config_at(values)
-            experiment = build_experiment(config, parameters.source, parameters.folders)
-            parameters.require(values)
-            return experiment
-        except ConfigError:
-            return None
-
-    return rebuild
+    try:
+        config = parameters.config_at(values)
+        experiment = build_experiment(config, parameters.source, parameters.folders)
+        parameters.require(values)
+        return experiment
+    except ConfigError:
+        return None
 
 
 def _row(one: Round, keys: Sequence[str]) -> dict[str, float]:

@@ -151,7 +151,11 @@ def find_rhythm(
     for name, value, low, high, words in limits:
         if value is not None and not low < value < high:
             raise UserError(f"--{name} {value:g}: must lie between {low:g} and {words}")
-    chain = _chain(experiment, settings, joint)
+    if joint is not None and joint not in tree.dof_names:
+        raise UserError(f"--chain {joint}: no such oscillator: {nearest(joint, tree.dof_names)}")
+    # The longest chain, or the longest chain through the oscillator.
+    own = None if joint is None else tree.dof_names.index(joint)
+    chain = next(c for c in chains(tree, settings) if own is None or own in c.oscillators)
     middle = (settings.min_adaptation_gain + settings.max_adaptation_gain) / 2
     b = middle if gain is None else gain
     try:
@@ -194,12 +198,3 @@ def oscillators_of(experiment: Experiment) -> Oscillators:
             "brain_cpg"
         )
     return found
-
-
-def _chain(experiment: Experiment, settings: CpgSettings, joint: str | None) -> OscillatorChain:
-    """Return the longest chain, or the longest chain through an oscillator."""
-    names = experiment.world.tree.dof_names
-    if joint is not None and joint not in names:
-        raise UserError(f"--chain {joint}: no such oscillator: {nearest(joint, names)}")
-    every = chains(experiment.world.tree, settings)
-    return next(c for c in every if joint is None or names.index(joint) in c.oscillators)

@@ -206,7 +206,23 @@ def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
         ConfigError: the earlier run's configuration is wrong.
     """
     earlier = open_run(path)
-    _require_same_plan(experiment, earlier.experiment, path)
+    plans = []
+    for one in (experiment.simulation, earlier.experiment.simulation):
+        tree = one.world.tree
+        plans.append(
+            {
+                "controller": type(one.controller).__name__,
+                "bodies": ", ".join(tree.names),
+                "degrees of freedom": ", ".join(tree.dof_names),
+                "genes": one.genome.count,
+            }
+        )
+    for name, value in plans[0].items():
+        if plans[1][name] != value:
+            raise RunFolderError(
+                f"{path} holds animals of another plan. Its {name}: {plans[1][name]}. "
+                f"Requested: {value}"
+            )
     checkpoint = earlier.folder.load()
     if checkpoint is None or checkpoint.champion is None:
         raise RunFolderError(f"{path} has no champion yet. Train it first")
@@ -233,28 +249,3 @@ def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
         "genes_sha256": genes_digest(best.genes if what == "champion" else checkpoint.genes),
     }
     return Start(np.concatenate(genes, axis=1), provenance)
-
-
-def _require_same_plan(experiment: ExperimentParts, earlier: ExperimentParts, path: Path) -> None:
-    """Check that controller, names of bodies and joints, and number of genes are equal.
-
-    Raises:
-        RunFolderError: the plans differ.
-    """
-
-    def plan(of: ExperimentParts) -> dict[str, Any]:
-        controller, tree = of.simulation.controller, of.simulation.world.tree
-        return {
-            "controller": type(controller).__name__,
-            "bodies": ", ".join(tree.names),
-            "degrees of freedom": ", ".join(tree.dof_names),
-            "genes": of.simulation.genome.count,
-        }
-
-    expected, found = plan(experiment), plan(earlier)
-    for name, value in expected.items():
-        if found[name] != value:
-            raise RunFolderError(
-                f"{path} holds animals of another plan. Its {name}: {found[name]}. "
-                f"Requested: {value}"
-            )

@@ -22,8 +22,7 @@ from evo_cpg.errors import UsageError
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.parameters import Parameters, all_parameters, parametrise
-from evo_cpg.io.run import Run, class_folders
-from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.run import class_folders
 from evo_cpg.io.trust import trusting
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import champion_keys
@@ -116,7 +115,21 @@ def sensitivity(
     """
     with trusting(trust):
         opened = open_champion(run, number)
-        config = _first_trial(opened, seconds)
+        # The first trial alone, and of another duration if given.
+        config, simulation = opened.config, opened.experiment.simulation
+        rate, steps = simulation.control_rate, simulation.steps
+        if seconds is not None:
+            # A displacement needs two steps. The comparison also rejects infinity and NaN.
+            if not 1.5 < seconds * rate < steps + 0.5:
+                raise UsageError(
+                    f"seconds: {seconds:g} s is not allowed. Allowed: {2 / rate:.3g} to "
+                    f"{steps / rate:g} s, the length of a trial of {opened.folder.path}"
+                )
+            steps = round(seconds * rate)
+        trial = config.simulation.model_copy(update={"seconds": steps / rate})
+        if isinstance(trial.trials, list):
+            trial = trial.model_copy(update={"trials": trial.trials[:1]})
+        config = config.model_copy(update={"simulation": trial})
         bits = not getattr(config.controller, "graded", True)
         if bits and GENES in keys:
             raise UsageError(
@@ -138,27 +151,9 @@ def sensitivity(
         seconds=config.simulation.seconds,
         speed=speed,
         fitness=fitness,
-        trials=len(opened.experiment.simulation.situations),
+        trials=len(simulation.situations),
         number=number,
     )
-
-
-def _first_trial(opened: Run, seconds: float | None) -> ExperimentConfig:
-    """Return the configuration with the first trial alone, and of another duration if given."""
-    config, simulation = opened.config, opened.experiment.simulation
-    rate, steps = simulation.control_rate, simulation.steps
-    if seconds is not None:
-        # A displacement needs two steps. The comparison also rejects infinity and NaN.
-        if not 1.5 < seconds * rate < steps + 0.5:
-            raise UsageError(
-                f"seconds: {seconds:g} s is not allowed. Allowed: {2 / rate:.3g} to "
-                f"{steps / rate:g} s, the length of a trial of {opened.folder.path}"
-            )
-        steps = round(seconds * rate)
-    trial = config.simulation.model_copy(update={"seconds": steps / rate})
-    if isinstance(trial.trials, list):
-        trial = trial.model_copy(update={"trials": trial.trials[:1]})
-    return config.model_copy(update={"simulation": trial})
 
 
 def _measure(

@@ -121,22 +121,20 @@ def story(
     output = output_path(output, (".mp4",))
     with trusting(trust):
         opened = open_champion(run, number, trial)
-    cast = _cast_of(opened, motion_of(opened, trial), trial)
-    takes, words = story_of(cast, title, size[0] / size[1])
-    make_folder(output.parent)
-    processes = cores or available_cores()
-    with working("rendering", counted=True) as work:
-        return story_film(takes, words, output, size, processes=processes, progress=work.reached)
-
-
-def _cast_of(opened: Run, recording: Recording, trial: int) -> Cast:
-    """Return the champion of a run, and the populations that can be made anew."""
+    # The champion of the run, and the populations that can be made anew.
+    recording = motion_of(opened, trial)
     creature, task = opened.experiment.creature, opened.experiment.simulation.task
     panel = panel_of(opened.experiment, recording, creature.name)._replace(numbers=False)
     length = 2 * animal_radius(creature, sample(recording, FPS))
     course = course_of(panel, length, task.heading == "forward")
+    # The speed of the film for crowds follows from the champion's time over some of its lengths.
+    track = recording.position[:, creature.root_index]
+    away = np.linalg.norm(track - track[0], axis=-1)
+    there = int((away >= min(_LENGTHS * length, 0.9 * away.max())).argmax())
+    # A short trial must not end before its take.
+    fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_FIRST + DISSOLVE))
+    speed = float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
     chosen = generations_of(opened.folder.newest, opened.champion.generation)
-    speed = _speed(recording, creature.root_index, length)
     crowds = _crowds(opened, trial, chosen, speed * _FIRST)
     random = opened.folder.load_start() is None
     selects = not isinstance(opened.experiment.strategy, RandomSearch)
@@ -148,9 +146,13 @@ def _cast_of(opened: Run, recording: Recording, trial: int) -> Cast:
         if course.finish is not None:
             aim += f" Can it reach {course.finish:g} m?"
     told = opened.champion.generation, task.heading, aim
-    found = Cast(panel, *told, course, speed, random, selects, crowds, [])
-    racers = _racers(opened, recording, trial, found.end, _APART * length)
-    return found._replace(racers=racers)
+    cast = Cast(panel, *told, course, speed, random, selects, crowds, [])
+    cast = cast._replace(racers=_racers(opened, recording, trial, cast.end, _APART * length))
+    takes, words = story_of(cast, title, size[0] / size[1])
+    make_folder(output.parent)
+    processes = cores or available_cores()
+    with working("rendering", counted=True) as work:
+        return story_film(takes, words, output, size, processes=processes, progress=work.reached)
 
 
 def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], list[Words]]:
@@ -193,7 +195,8 @@ def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], 
         leader, others = in_lanes(animals, root, cast.heading, tank.others)
         add(leader, others, ("best",), race=False)
         words = "The first generation" + (" moves at random" if cast.random else "")
-        captions.append(f"After {_generations(generation)}" if generation else words)
+        plural = "s" if generation != 1 else ""
+        captions.append(f"After {generation} generation{plural}" if generation else words)
     if racers := cast.racers:
         names = [str(generation) for generation in (final, *(number for number, _ in racers))]
         add(recording, _together([motion for _, motion in racers]), tuple(names), race=True)
@@ -209,7 +212,8 @@ def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], 
     if panel.surface is not None and below.mean() > _SUBMERGED:
         alone = alone._replace(staging=tank.staging(0)._replace(under=True))
     takes.append(Take(alone, seconds, start, _SLOW, goal=tank.goal, stop=course.arrival))
-    captions.append(f"After {_generations(final)}, in slow motion")
+    plural = "s" if final != 1 else ""
+    captions.append(f"After {final} generation{plural}, in slow motion")
     ends = [float(end) for end in np.cumsum([take.seconds for take in takes])]
     if len(cast.crowds) > 1 and cast.selects:
         ends.insert(0, _TITLE + _PART * _FIRST)
@@ -219,7 +223,10 @@ def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], 
         ends.insert(-1, _WHOLE - seconds + max(there, DISSOLVE + 1.0))
         place = "the light" if course.finish is None else f"{course.finish:g} m"
         captions.append(f"It reaches {place}.")
-    words = [Words(title or _title(cast), "title", -1.0, _TITLE)]
+    verb = "walk" if panel.world == "land" else "move" if panel.ground is not None else "swim"
+    # A task of the user's own may be another one.
+    taught = f"Nobody taught it to {verb if cast.aim else 'move'}."
+    words = [Words(title or taught, "title", -1.0, _TITLE)]
     if cast.aim:
         words.append(Words(cast.aim, "subtitle", -1.0, _TITLE))
     # One caption has gone when the next one appears. The last one stays.
@@ -339,25 +346,3 @@ def _together(motions: Sequence[Recording]) -> CrowdMotion:
         np.stack([each.rotation[:count] for each in motions], 1),
         motions[0].goal,
     )
-
-
-def _speed(recording: Recording, root: int, length: float) -> float:
-    """Return the speed of the film for crowds, from the speed of the champion."""
-    path = recording.position[:, root]
-    away = np.linalg.norm(path - path[0], axis=-1)
-    there = int((away >= min(_LENGTHS * length, 0.9 * away.max())).argmax())
-    # A short trial must not end before its take.
-    fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_FIRST + DISSOLVE))
-    return float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
-
-
-def _generations(count: int) -> str:
-    return f"{count} generation" + ("s" if count != 1 else "")
-
-
-def _title(cast: Cast) -> str:
-    panel = cast.panel
-    verb = "walk" if panel.world == "land" else "move" if panel.ground is not None else "swim"
-    # A task of the user's own may be another one.
-    verb = verb if cast.aim else "move"
-    return f"Nobody taught it to {verb}."

@@ -133,7 +133,19 @@ def sweep(
         folder, plan = source, read_plan(source)
         if plan is None:
             folder = Path(out or Path("runs") / f"{source.stem}_sweep")
-            plan = new_plan(source, overrides, _varied(overrides, grid, settings))
+            given = [override.partition("=")[0] for override in overrides]
+            for i, key in enumerate(grid):
+                for other in [*given, *list(grid)[:i]]:
+                    if replaces(key, other):
+                        twice = "is given twice" if key == other else f"would replace {other}"
+                        raise UsageError(f"sweep: {key} {twice}. Give all its values at once")
+            if not grid and not settings:
+                raise UsageError("sweep: nothing is varied. Name keys and values, or settings")
+            try:
+                varied = combine(grid, settings)
+            except ValueError as error:
+                raise UsageError(f"sweep: {error}") from None
+            plan = new_plan(source, overrides, varied)
         elif overrides or grid or settings or out:
             raise UsageError(
                 f"sweep: {config} is a sweep, which can only be continued unchanged. Leave out "
@@ -153,30 +165,6 @@ def sweep(
         evolve(chosen, folder.name)
         with working("making tables and figure"):
             return summarise(folder, members)
-
-
-def _varied(
-    overrides: Sequence[str],
-    grid: Mapping[str, Sequence[Any]],
-    settings: Mapping[str, Mapping[str, Any]],
-) -> list[Setting]:
-    """Return the settings of a new sweep.
-
-    Raises:
-        UsageError: nothing is varied, or a key is given twice.
-    """
-    given = [override.partition("=")[0] for override in overrides]
-    for i, key in enumerate(grid):
-        for other in [*given, *list(grid)[:i]]:
-            if replaces(key, other):
-                twice = "is given twice" if key == other else f"would replace {other}"
-                raise UsageError(f"sweep: {key} {twice}. Give all its values at once")
-    if not grid and not settings:
-        raise UsageError("sweep: nothing is varied. Name keys and values, or settings")
-    try:
-        return combine(grid, settings)
-    except ValueError as error:
-        raise UsageError(f"sweep: {error}") from None
 
 
 def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]) -> dict[str, Any]:

@@ -191,7 +191,17 @@ def evolve_run(run: Run, on_generation: Callable[[Rows], object]) -> Trained:
         with progress("generations", experiment.generations, start, last=last) as show:
 
             def report(rows: Rows) -> None:
-                show(_standing(rows), rows[0]["seconds"])
+                # A run in which every individual diverged has no best.
+                best = [row["best"] for row in rows if math.isfinite(row["best"])] or [math.nan]
+                fitness = f"best {best[0]:8.4f}  mean {rows[0]['mean']:8.4f}"
+                if len(rows) > 1:
+                    middle = np.median(best)
+                    fitness = f"best of {len(rows)} runs {max(best):8.4f}  median {middle:8.4f}"
+                diverged = sum(row["diverged"] for row in rows)
+                speed = rows[0]["steps_per_second"] / 1e3
+                show(
+                    f"{fitness}  diverged {diverged:3d}  {speed:6.0f} k steps/s", rows[0]["seconds"]
+                )
                 if rows[0]["generation"] == 0 and all(row["diverged"] == size for row in rows):
                     step = about_step(experiment.simulation)
                     advise(f"{folder.path}: all of generation 0 diverged. {step}".rstrip())
@@ -226,19 +236,6 @@ def _trained(folder: RunFolder, champion: Champion) -> Trained:
         generation=champion.generation,
         run=champion.run,
     )
-
-
-def _standing(rows: Rows) -> str:
-    """Return a progress line about the runs after a generation."""
-    # A run in which every individual diverged has no best.
-    best = [row["best"] for row in rows if math.isfinite(row["best"])] or [math.nan]
-    if len(rows) > 1:
-        fitness = f"best of {len(rows)} runs {max(best):8.4f}  median {np.median(best):8.4f}"
-    else:
-        fitness = f"best {best[0]:8.4f}  mean {rows[0]['mean']:8.4f}"
-    diverged = sum(row["diverged"] for row in rows)
-    speed = rows[0]["steps_per_second"] / 1e3
-    return f"{fitness}  diverged {diverged:3d}  {speed:6.0f} k steps/s"
 
 
 class ChampionRecorder:

@@ -8,7 +8,7 @@ import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -28,9 +28,6 @@ from evo_cpg.cli.options import (
 )
 from evo_cpg.cli.terminal import show_table, show_words, tell, warn
 from evo_cpg.errors import UsageError
-
-if TYPE_CHECKING:
-    from evo_cpg.analysis.second_opinion import Opinion
 
 # Head of the column in the summary of audits, for each key of a check.
 _KEPT = {
@@ -65,12 +62,11 @@ def analyse(
     overwrite: Overwrite = False,
 ) -> None:
     """Write a page about a run, and print the numbers of its gait."""
-    from evo_cpg.api.analyse import numbers_path
     from evo_cpg.view.output import output_path
 
     if output is not None:
         output = output_path(output, (".html", ".htm"))
-        for path in (output, numbers_path(output)):
+        for path in (output, output.with_suffix(".json")):
             require_free(path, overwrite)
     made = evo.analyse(run, trial, number=number, out=output, crowd=crowd)
     rows, missing = [], {}
@@ -116,6 +112,7 @@ def audit(
     cell: Cell = None,
 ) -> None:
     """Check whether the champion exploits the simulation."""
+    from evo_cpg.analysis.verdict import shown
     from evo_cpg.api.audit import audit_runs
     from evo_cpg.api.runs import suffix, writing
 
@@ -136,7 +133,28 @@ def audit(
                 _show_checks(done)
             print(picture)
     if every:
-        _show_summary(made)
+        # A row for each champion: fractions of the displacement kept, and results of MuJoCo.
+        keys = [key for key in _KEPT if any(key in done.measured for done in made)]
+        rows = []
+        for done in made:
+            displacements = [f"{one.displacement:.2g}" for one in done.opinions]
+            theirs = (
+                f"{', '.join(displacements[1:])} of {displacements[0]}" if displacements else ""
+            )
+            unconfirmed = ", not confirmed" if done.verdict.confirmed is False else ""
+            rows.append(
+                (
+                    str(done.champion.run),
+                    shown(done.measured.get("way")),
+                    *(shown(done.measured.get(key), "%").removesuffix(" %") for key in keys),
+                    theirs,
+                    ", ".join(f"{100 * one.upright:.0f}" for one in done.opinions),
+                    _PASSED[done.passed] + unconfirmed,
+                )
+            )
+        names = [f"{_KEPT[key]} %" for key in keys]
+        heads = "run", "way m", *names, "MuJoCo: way m", "upright %", ""
+        show_table(heads, rows, width=_SUMMARY_WIDTH)
     show_verdict(run, made, "the champion" if cell is None else f"the elite of cell {cell}")
 
 
@@ -152,22 +170,10 @@ def _show_checks(done: "evo.Audit") -> None:
         measured = shown(check.measured, check.unit)
         rows.append((check.question, measured, allowed, _PASSED[check.passed]))
     show_table(("check", "measured", "allowed", ""), rows)
-    if done.opinions:
-        _show_opinions(done.opinions)
-    if done.missing:
-        none = "a second opinion is missing" if done.opinions else "no second opinion"
-        show_words(f"{none}: {done.missing}")
-
-
-def _show_opinions(opinions: Sequence["Opinion"]) -> None:
-    """Print the results of our simulation and of MuJoCo for the champion's first trial."""
-    from evo_cpg.analysis.verdict import shown
-
-    # The time in the air is not measured without ground, or with water everywhere.
-    flight = [] if opinions[0].airborne is None else ["airborne"]
+    # The results of our simulation and of MuJoCo for the champion's first trial.
     rows = []
-    for one in opinions:
-        off = one.joint_angle - opinions[0].joint_angle
+    for one in done.opinions:
+        off = one.joint_angle - done.opinions[0].joint_angle
         kinds = (~one.slides, math.degrees(1.0), "deg"), (one.slides, 1.0, "m")
         errors = [
             f"{scale * (off[axes] ** 2).mean() ** 0.5:.2g} {unit}"
@@ -181,34 +187,16 @@ def _show_opinions(opinions: Sequence["Opinion"]) -> None:
                 f"{math.degrees(one.heading):.0f} deg",
                 shown(one.upright, "%"),
                 *([] if one.airborne is None else [shown(one.airborne, "%")]),
-                ", ".join(errors) if one is not opinions[0] else "",
+                ", ".join(errors) if one is not done.opinions[0] else "",
             )
         )
-    show_table(("program", "displacement", "heading", "upright", *flight, "joint error"), rows)
-
-
-def _show_summary(made: Sequence["evo.Audit"]) -> None:
-    """Print a row for each champion: fractions of the displacement kept, and results of MuJoCo."""
-    from evo_cpg.analysis.verdict import shown
-
-    keys = [key for key in _KEPT if any(key in done.measured for done in made)]
-    rows = []
-    for done in made:
-        displacements = [f"{one.displacement:.2g}" for one in done.opinions]
-        unconfirmed = ", not confirmed" if done.verdict.confirmed is False else ""
-        rows.append(
-            (
-                str(done.champion.run),
-                shown(done.measured.get("way")),
-                *(shown(done.measured.get(key), "%").removesuffix(" %") for key in keys),
-                f"{', '.join(displacements[1:])} of {displacements[0]}" if displacements else "",
-                ", ".join(f"{100 * one.upright:.0f}" for one in done.opinions),
-                _PASSED[done.passed] + unconfirmed,
-            )
-        )
-    names = [f"{_KEPT[key]} %" for key in keys]
-    heads = "run", "way m", *names, "MuJoCo: way m", "upright %", ""
-    show_table(heads, rows, width=_SUMMARY_WIDTH)
+    if done.opinions:
+        # The time in the air is not measured without ground, or with water everywhere.
+        flight = [] if done.opinions[0].airborne is None else ["airborne"]
+        show_table(("program", "displacement", "heading", "upright", *flight, "joint error"), rows)
+    if done.missing:
+        none = "a second opinion is missing" if done.opinions else "no second opinion"
+        show_words(f"{none}: {done.missing}")
 
 
 def show_verdict(run: Path, made: Sequence["evo.Audit"], subject: str) -> None:
@@ -443,8 +431,10 @@ def lab(
     """Ask an animal a question without evolution."""
     import numpy as np
 
-    from evo_cpg.api.lab import TABLE, free_folder, save_answer
+    from evo_cpg.analysis.laboratory.ask import shown_columns
+    from evo_cpg.api.lab import TABLE, save_answer, varied_knobs
     from evo_cpg.io.load import load_config
+    from evo_cpg.view.answer_plots import cell
 
     values = values_of(knobs or [])
     if out is not None:
@@ -452,9 +442,24 @@ def lab(
         if out.exists() and not out.is_dir():
             raise UsageError(f"{out} is a file. --out is a folder")
     answer = evo.lab(animal, values, seconds, number=number)
-    _show_answer(answer)
+    # Print as many columns as fit, and the notes.
+    rows, varied = answer.rows, varied_knobs(answer)
+    columns = shown_columns(rows)
+    heads = [*short_heads(varied), *(one.head for one in columns)]
+    keys = [*varied, *(one.key for one in columns)]
+    cells = [[cell(row[key]) for key in keys] for row in rows[:_MOST_ROWS]]
+    fit, width = 0, 0
+    for column in zip(heads, *cells, strict=True):
+        width += max(map(len, column)) + 3
+        fit += width <= _WIDTH + 1
+    fit = max(fit, len(varied) + 1)
+    show_table(heads[:fit], [line[:fit] for line in cells], left=0)
+    if len(rows) > _MOST_ROWS:
+        print(f"and {len(rows) - _MOST_ROWS} more settings in the file")
+    for note in answer.notes[:_MOST_ROWS]:
+        show_words(note)
     name = load_config(animal / "config.yaml" if animal.is_dir() else animal).name
-    for file in save_answer(answer, name, out or free_folder(name)):
+    for file in save_answer(answer, name, out):
         print(file)
     lost = sum(not np.isfinite(each.position).all() for each in answer.recordings)
     if lost:
@@ -482,29 +487,6 @@ def values_of(words: Sequence[str]) -> dict[str, list[Any]]:
             with contextlib.suppress(ValueError):
                 found[name][i] = float(part)
     return found
-
-
-def _show_answer(answer: "evo.Answer") -> None:
-    """Print as many columns of an answer as fit, and its notes."""
-    from evo_cpg.analysis.laboratory.ask import shown_columns
-    from evo_cpg.api.lab import varied_knobs
-    from evo_cpg.view.answer_plots import cell
-
-    rows, varied = answer.rows, varied_knobs(answer)
-    columns = shown_columns(rows)
-    heads = [*short_heads(varied), *(one.head for one in columns)]
-    keys = [*varied, *(one.key for one in columns)]
-    cells = [[cell(row[key]) for key in keys] for row in rows[:_MOST_ROWS]]
-    fit, width = 0, 0
-    for column in zip(heads, *cells, strict=True):
-        width += max(map(len, column)) + 3
-        fit += width <= _WIDTH + 1
-    fit = max(fit, len(varied) + 1)
-    show_table(heads[:fit], [line[:fit] for line in cells], left=0)
-    if len(rows) > _MOST_ROWS:
-        print(f"and {len(rows) - _MOST_ROWS} more settings in the file")
-    for note in answer.notes[:_MOST_ROWS]:
-        show_words(note)
 
 
 def short_heads(keys: Sequence[str]) -> list[str]:

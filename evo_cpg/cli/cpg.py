@@ -9,8 +9,7 @@ from evo_cpg.cli.options import Config, Overrides
 
 if TYPE_CHECKING:
     from evo_cpg.analysis.limit_cycle import LimitCycle
-    from evo_cpg.analysis.reference_rhythm import Rhythm
-    from evo_cpg.api.rhythm import FoundRhythm, Rhythms
+    from evo_cpg.api.rhythm import Rhythms
 
 
 def cpg(
@@ -42,9 +41,9 @@ def cpg(
     from evo_cpg.analysis.limit_cycle import RhythmSearchError
     from evo_cpg.api.advice import about_oscillators
     from evo_cpg.api.experiment import load
-    from evo_cpg.api.rhythm import find_rhythm, rhythm
+    from evo_cpg.api.rhythm import CHANGED, find_rhythm, rhythm
     from evo_cpg.cli.errors import ExitCode
-    from evo_cpg.cli.terminal import tell, warn
+    from evo_cpg.cli.terminal import show_table, tell, warn
 
     experiment = load(config, overrides or [])
     if frequency is None and lag is None and chain is None:
@@ -65,7 +64,23 @@ def cpg(
     except RhythmSearchError as error:
         tell(f"evo-cpg: {error}")
         raise SystemExit(ExitCode.FAULT) from None
-    _show_found(found)
+    # Print the settings and the rhythm, before and after.
+    names = ("frequency, Hz", "amplitude", "multiplier", "recovery, s", "lag, deg")
+    names += ("  from joint to joint",)
+    now, then = found.present, found.found
+    cells = []
+    for one in (found.before, then):
+        if isinstance(one, str):
+            cells.append((one, *[""] * (len(names) - 1)))
+            continue
+        along = f"{one.lags.min():.1f} to {one.lags.max():.1f}" if len(one.lags) else ""
+        cells.append((*_numbers(one.cycle), f"{one.lag:.2f}" if len(one.lags) else "", along))
+    rows = [
+        ("b", f"{found.present_gain:g}", f"{then.adaptation_gain:g}"),
+        *((key, f"{getattr(now, key):g}", f"{getattr(then.settings, key):g}") for key in CHANGED),
+        *zip(names, *cells, strict=True),
+    ]
+    show_table(("", "present", "found"), rows, title=found.chain.name)
     if not found.changes:
         print("The present settings already have this rhythm.")
         return
@@ -73,7 +88,7 @@ def cpg(
     for key, value in found.changes.items():
         print(f"    {key}: {value:.8g}")
     words = [f"controller.cpg.{key}={value:.8g}" for key, value in found.changes.items()]
-    held = f"{found.found.adaptation_gain:.8g}"
+    held = f"{then.adaptation_gain:.8g}"
     again = ["evo-cpg", "cpg", str(config), *(overrides or []), *words, "--gain", held]
     again += [] if tonic_input is None else ["--tonic-input", f"{tonic_input:.8g}"]
     if "min_adaptation_gain" in found.changes:
@@ -138,27 +153,3 @@ def _numbers(cycle: "LimitCycle") -> tuple[str, str, str, str]:
     if size != size:
         return frequency, amplitude, "unknown", "unknown"
     return frequency, amplitude, f"{size:.3g}", recovery if cycle.stable else "unstable"
-
-
-def _show_found(result: "FoundRhythm") -> None:
-    """Print the settings and the rhythm, before and after."""
-    from evo_cpg.api.rhythm import CHANGED
-    from evo_cpg.cli.terminal import show_table
-
-    names = ("frequency, Hz", "amplitude", "multiplier", "recovery, s", "lag, deg")
-    names += ("  from joint to joint",)
-
-    def words(shown: "Rhythm | str") -> tuple[str, ...]:
-        if isinstance(shown, str):
-            return (shown, *[""] * (len(names) - 1))
-        lags = shown.lags
-        along = f"{lags.min():.1f} to {lags.max():.1f}" if len(lags) else ""
-        return (*_numbers(shown.cycle), f"{shown.lag:.2f}" if len(lags) else "", along)
-
-    now, then = result.present, result.found
-    rows = [
-        ("b", f"{result.present_gain:g}", f"{then.adaptation_gain:g}"),
-        *((key, f"{getattr(now, key):g}", f"{getattr(then.settings, key):g}") for key in CHANGED),
-        *zip(names, words(result.before), words(then), strict=True),
-    ]
-    show_table(("", "present", "found"), rows, title=result.chain.name)

@@ -33,11 +33,6 @@ from evo_cpg.errors import UsageError
 _MOST = 9
 
 
-def _run_folders(given: list[Path] | None) -> list[Path] | None:
-    """Return run folders, or explain what a name means instead."""
-    return given and [find_run(each) for each in given]
-
-
 def render(
     run: Run,
     output: Annotated[
@@ -83,11 +78,7 @@ def render(
     ] = None,
     beside: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="RUN",
-            help="Also show the champion of this run. Repeatable.",
-            callback=_run_folders,
-        ),
+        typer.Option(metavar="RUN", help="Also show the champion of this run. Repeatable."),
     ] = None,
     crowd: Crowd = None,
     story: Annotated[
@@ -120,7 +111,7 @@ def render(
     alone = {
         "--lineage": lineage, "--beside": beside, "--signals": signals, "--cell": cell,
     }  # fmt: skip
-    titles, others = title or [], beside or []
+    titles, others = title or [], [find_run(each) for each in beside or []]
     if story:
         fixed = {
             "--sheet": sheet, "--crowd": crowd is not None, "--seconds": seconds,
@@ -147,7 +138,16 @@ def render(
     pixels = _pair_of("--size", size or ("640x360" if several else "1280x720"), 9)
     generations = None
     if lineage not in (None, "auto"):
-        generations = _generations(lineage)
+        if not re.fullmatch(r"\d{1,9}(,\d{1,9})*", lineage):
+            raise UsageError(
+                f"--lineage: {lineage!r} is neither auto nor a list of generations, such as "
+                "0,5,20,49"
+            )
+        generations = [int(part) for part in lineage.split(",")]
+        if len(generations) > _MOST:
+            raise UsageError(
+                f"--lineage: {len(generations)} generations are too many. Allowed: up to {_MOST}"
+            )
     film_of = {"lineage": lineage is not None, f"crowd{crowd}": crowd is not None}
     name = next((word for word, chosen in film_of.items() if chosen), "champion")
     name += suffix(number, trial, cell) + "_beside_others" * bool(others)
@@ -185,24 +185,6 @@ def _pair_of(option: str, text: str, digits: int) -> tuple[int, int]:
     if not match:
         raise UsageError(f"{option}: {text!r} is not two numbers such as 1280x720")
     return int(match[1]), int(match[2])
-
-
-def _generations(lineage: str) -> list[int]:
-    """Return the requested generations.
-
-    Raises:
-        UsageError: the text has another form, or names too many generations.
-    """
-    if not re.fullmatch(r"\d{1,9}(,\d{1,9})*", lineage):
-        raise UsageError(
-            f"--lineage: {lineage!r} is neither auto nor a list of generations, such as 0,5,20,49"
-        )
-    found = [int(part) for part in lineage.split(",")]
-    if len(found) > _MOST:
-        raise UsageError(
-            f"--lineage: {len(found)} generations are too many. Allowed: up to {_MOST}"
-        )
-    return found
 
 
 def plot(
@@ -308,10 +290,23 @@ def model(
 ) -> None:
     """Draw a creature on a page in the browser."""
     from evo_cpg.api.advice import about_oscillators
+    from evo_cpg.files import require_place
+    from evo_cpg.io.shipped import find_config
+    from evo_cpg.view.drawing_page.document import Document
     from evo_cpg.view.drawing_page.server import drawing_server
     from evo_cpg.view.drawing_page.session import Session
 
-    document = _document(config)
+    if config is not None and config.exists():
+        document = Document.open(config)
+    elif config is not None and config.suffix in (".yaml", ".yml"):
+        document = Document.new(require_place(config))
+    else:
+        # A new file, or the copy of a shipped one, has a name that is free.
+        source = None if config is None else find_config(config)
+        stem = "animal" if source is None else source.stem
+        names = itertools.chain([stem], (f"{stem}{i}" for i in itertools.count(2)))
+        place = next(path for name in names if not (path := Path(f"{name}.yaml")).exists())
+        document = Document.new(place) if source is None else Document.copy_of(source, place)
     session = Session(document, about_oscillators)
     with drawing_server(session, port) as server:
         show_address(document.path, server, browser)
@@ -323,23 +318,3 @@ def model(
             session.close()
     if document.is_changed and document.can_undo:
         print(f"Edits of {document.path} are not saved. `evo-cpg model` offers them again.")
-
-
-def _document(config: Path | None):
-    """Open, copy or begin a document. A new file has a name that is free."""
-    from evo_cpg.files import require_place
-    from evo_cpg.io.shipped import find_config
-    from evo_cpg.view.drawing_page.document import Document
-
-    def free(stem: str) -> Path:
-        names = itertools.chain([stem], (f"{stem}{i}" for i in itertools.count(2)))
-        return next(path for name in names if not (path := Path(f"{name}.yaml")).exists())
-
-    if config is None:
-        return Document.new(free("animal"))
-    if config.exists():
-        return Document.open(config)
-    if config.suffix in (".yaml", ".yml"):
-        return Document.new(require_place(config))
-    shipped = find_config(config)
-    return Document.copy_of(shipped, free(shipped.stem))

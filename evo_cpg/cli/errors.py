@@ -1,11 +1,9 @@
-"""Exit codes, messages for errors, and hints for wrong usage of a command."""
+"""Exit codes, messages for errors, and checks of a command's options."""
 
 import os
 import sys
 from enum import IntEnum
 from pathlib import Path
-
-import typer
 
 from evo_cpg.errors import UsageError, UserError
 
@@ -24,15 +22,6 @@ class ExitCode(IntEnum):
 
     INTERRUPTED = 130
     """Interrupt by the user. Shells use this number, too."""
-
-
-# Missing argument, and the hint.
-_MISSING = {
-    "CONFIG": "Name a configuration, such as iwadate2010_swimmer. `evo-cpg configs` lists them",
-    "RUN": "Name a run folder. `evo-cpg train` makes them, below runs/",
-    "ANIMAL": "Name a configuration, such as eel, or a run folder. `evo-cpg configs` lists them",
-    "NAME": "`evo-cpg configs` lists the names",
-}
 
 
 def require_free(output: Path, overwrite: bool) -> None:
@@ -69,34 +58,16 @@ def message_for(error: Exception) -> str | None:
         reason = error.strerror or str(error) or type(error).__name__
         words = reason if error.filename is None else f"{error.filename}: {reason}"
     else:
-        words = _of_platform()
+        words, jax = None, sys.modules.get("jax")
+        try:
+            if jax is not None:
+                jax.devices()
+        except Exception:
+            # JAX found no device. JAX 0.10 raises RuntimeError or AssertionError.
+            names = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME")
+            given = [f"{name} is {os.environ[name]!r}" for name in names if os.environ.get(name)]
+            words = (
+                f"JAX finds no device to compute on ({', '.join(given) or 'of any kind'}). Set "
+                "JAX_PLATFORMS to 'cpu', or unset it"
+            )
     return words and " ".join(words.split())
-
-
-def _of_platform() -> str | None:
-    """Return the message if JAX finds no device to compute on."""
-    jax = sys.modules.get("jax")
-    if jax is None:
-        return None
-    try:
-        jax.devices()
-    except Exception:
-        # JAX 0.10 raises RuntimeError or AssertionError.
-        names = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME")
-        given = [f"{name} is {os.environ[name]!r}" for name in names if os.environ.get(name)]
-        return (
-            f"JAX finds no device to compute on ({', '.join(given) or 'of any kind'}). Set "
-            "JAX_PLATFORMS to 'cpu', or unset it"
-        )
-    return None
-
-
-def add_hint(error: Exception) -> None:
-    """Add a hint to an error of Typer about the arguments of a command. Leave others alone."""
-    if isinstance(error, typer.BadParameter):
-        # Pydantic's prefix.
-        error.message = error.message.removeprefix("Value error, ")
-        missing = getattr(error.param, "metavar", None)
-        # Only an error about a missing argument has no message of its own.
-        if not error.message and missing in _MISSING:
-            error.message = _MISSING[missing]

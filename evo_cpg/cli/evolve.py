@@ -296,40 +296,24 @@ def watch(
     browser: Browser = True,
 ) -> None:
     """Follow a run while it evolves."""
-    if not page:
-        _watch_in_lines(run, once)
+    from evo_cpg.training.run_folder import RunFolder
+
+    if page:
+        require_none("--page", {"--once": once})
+        from evo_cpg.system import resolved
+        from evo_cpg.view.live_page.following import Following
+        from evo_cpg.view.live_page.server import live_server
+
+        followed = Following(RunFolder(run), lambda words: print(words, flush=True))
+        # A thread may compile for long, or wait in JAX.
+        wait_for_no_thread()
+        with live_server(followed, resolved(run).name, port) as server:
+            show_address(run, server, browser)
+            followed.start()
+            with contextlib.suppress(KeyboardInterrupt):
+                server.serve_forever()
+            followed.close()
         return
-    require_none("--page", {"--once": once})
-    from evo_cpg.system import resolved
-    from evo_cpg.training.run_folder import RunFolder
-    from evo_cpg.view.live_page.following import Following
-    from evo_cpg.view.live_page.server import live_server
-
-    followed = Following(RunFolder(run), lambda words: print(words, flush=True))
-    # A thread may compile for long, or wait in JAX.
-    wait_for_no_thread()
-    with live_server(followed, resolved(run).name, port) as server:
-        show_address(run, server, browser)
-        followed.start()
-        with contextlib.suppress(KeyboardInterrupt):
-            server.serve_forever()
-        followed.close()
-
-
-def show_address(subject: Path, server: Any, browser: bool) -> None:
-    """Print the address of a page, and open it in the browser if requested."""
-    from evo_cpg.view.run_page.server import opened
-
-    print(f"{subject}: open this address in a browser of this machine")
-    print(server.address)
-    print("Control-C ends the program.", flush=True)
-    if browser and not opened(server.address):
-        tell(f"No browser was found. Open the address yourself. {server.reach}.")
-
-
-def _watch_in_lines(run: Path, once: bool) -> None:
-    """Print a line for each generation until the run is finished, or only the present lines."""
-    from evo_cpg.training.run_folder import RunFolder
     from evo_cpg.view.live_page.standing import require_run, standing
 
     folder = RunFolder(find_run(run))
@@ -356,3 +340,14 @@ def _watch_in_lines(run: Path, once: bool) -> None:
         if once or now.finished or not is_read():
             return
         time.sleep(LOOK)
+
+
+def show_address(subject: Path, server: Any, browser: bool) -> None:
+    """Print the address of a page, and open it in the browser if requested."""
+    from evo_cpg.view.run_page.server import opened
+
+    print(f"{subject}: open this address in a browser of this machine")
+    print(server.address)
+    print("Control-C ends the program.", flush=True)
+    if browser and not opened(server.address):
+        tell(f"No browser was found. Open the address yourself. {server.reach}.")

@@ -92,7 +92,8 @@ def validate(
     from evo_cpg.io.errors import ConfigError
     from evo_cpg.io.shipped import find_config
 
-    overrides = [word for word in configs if "=" in word and not _exists(word)]
+    # Unlike `Path.exists`, this function accepts words that no file can have as its name.
+    overrides = [word for word in configs if "=" in word and not os.path.exists(word)]
     paths = [Path(word) for word in configs if word not in overrides]
     if not paths:
         raise UsageError(f"validate: {overrides[0]} is a setting. Name a configuration file, too")
@@ -123,14 +124,6 @@ def validate(
                     warn(f"{given}: {problem}")
     if wrong:
         raise SystemExit(ExitCode.WRONG_INPUT)
-
-
-def _exists(word: str) -> bool:
-    """Return whether a word is the path of an existing file or folder."""
-    try:
-        return Path(word).exists()
-    except (OSError, ValueError):
-        return False
 
 
 def export(

@@ -55,18 +55,14 @@ def interrupts_delivered() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-_waits = True
+# Whether the process must wait for its threads when it ends.
+waits = True
 
 
 def wait_for_no_thread() -> None:
     """Let the process end without waiting for its threads, one of which may compile for long."""
-    global _waits
-    _waits = False
-
-
-def waits_for_threads() -> bool:
-    """Return whether the process must wait for its threads when it ends."""
-    return _waits
+    global waits
+    waits = False
 
 
 def leave_at_once(code: int) -> NoReturn:

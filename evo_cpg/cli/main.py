@@ -10,15 +10,15 @@ import functools
 import importlib
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections import UserDict
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from evo_cpg.cli import terminal
-from evo_cpg.cli.errors import ExitCode, add_hint, message_for
-from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
+from evo_cpg.cli import interrupts, terminal
+from evo_cpg.cli.errors import ExitCode, message_for
+from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once
 from evo_cpg.cli.terminal import advice_printed, tell
 
 # Commands of each file, in the order of the help text. `import` is a keyword, so its function is
@@ -40,40 +40,36 @@ _EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
 _PLAIN: dict[str, Any] = {"pretty_exceptions_enable": False, "rich_markup_mode": None}
 
 
-def _with_all_lines(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that prints all lines of its progress."""
-
-    @functools.wraps(function)
-    def command(*values: Any, **options: Any) -> None:
-        # Rich, which draws the progress, takes a moment to import.
-        from evo_cpg.api.progress import all_lines
-
-        with all_lines():
-            function(*values, **options)
-
-    return command
+# Missing argument, and the hint.
+_MISSING = {
+    "CONFIG": "Name a configuration, such as iwadate2010_swimmer. `evo-cpg configs` lists them",
+    "RUN": "Name a run folder. `evo-cpg train` makes them, below runs/",
+    "ANIMAL": "Name a configuration, such as eel, or a run folder. `evo-cpg configs` lists them",
+    "NAME": "`evo-cpg configs` lists the names",
+}
 
 
-class _Imported(Mapping[str, Any]):
-    """Mapping from names to commands, which imports a command at its look-up."""
+class _Imported(UserDict[str, Any]):
+    """Commands by name. The data are the names of their files, imported at a look-up."""
 
     def __getitem__(self, name: str) -> Any:
-        if name not in COMMANDS:
-            raise KeyError(name)
-        module = importlib.import_module(f"evo_cpg.cli.{COMMANDS[name]}")
+        module = importlib.import_module(f"evo_cpg.cli.{self.data[name]}")
         found = getattr(module, f"{name}_" if name == "import" else name)
         if not isinstance(found, typer.Typer):
             function, found = found, typer.Typer(add_completion=False, **_PLAIN)
-            found.command(name)(_with_all_lines(function))
+
+            @functools.wraps(function)
+            def with_all_lines(*values: Any, **options: Any) -> None:
+                # Rich, which draws the progress, takes a moment to import.
+                from evo_cpg.api.progress import all_lines
+
+                with all_lines():
+                    function(*values, **options)
+
+            found.command(name)(with_all_lines)
         command = typer.main.get_command(found)
         command.name = name
         return command
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(COMMANDS)
-
-    def __len__(self) -> int:
-        return len(COMMANDS)
 
 
 class _Commands(TyperGroup):
@@ -81,14 +77,19 @@ class _Commands(TyperGroup):
 
     def __init__(self, **settings: Any):
         super().__init__(**settings)
-        self.commands: Any = _Imported()
+        self.commands: Any = _Imported(COMMANDS)
 
     def invoke(self, ctx: typer.Context) -> Any:
         """Run a command, and add hints to messages about wrong arguments."""
         try:
             return super().invoke(ctx)
-        except Exception as error:
-            add_hint(error)
+        except typer.BadParameter as error:
+            # Pydantic's prefix.
+            error.message = error.message.removeprefix("Value error, ")
+            missing = getattr(error.param, "metavar", None)
+            # Only an error about a missing argument has no message of its own.
+            if not error.message and missing in _MISSING:
+                error.message = _MISSING[missing]
             raise
 
 
@@ -110,21 +111,12 @@ def _show_version(value: bool) -> bool:
     return value
 
 
-def _trust(value: bool) -> bool:
-    if value:
-        from evo_cpg.io.trust import trust
-
-        trust()
-    return value
-
-
 @app.callback()
 def options(
     trust: Annotated[
         bool,
         typer.Option(
             "--trust",
-            callback=_trust,
             help="Trust the configuration: it may run code in its folder and name any file.",
         ),
     ] = False,
@@ -136,6 +128,11 @@ def options(
     ] = False,
 ) -> None:
     """Evolve the motion of virtual creatures."""
+    if trust:
+        # This runs before the command reads its own arguments, which may name a configuration.
+        from evo_cpg.io.trust import trust as trust_configurations
+
+        trust_configurations()
 
 
 def main() -> None:
@@ -174,6 +171,6 @@ def program() -> None:
             command = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
             if not stop.code and command not in _EVOLVING:
                 raise SystemExit(ExitCode.WRONG_INPUT) from None
-        if not waits_for_threads() and isinstance(stop.code, int | None):
+        if not interrupts.waits and isinstance(stop.code, int | None):
             leave_at_once(stop.code or 0)
         raise

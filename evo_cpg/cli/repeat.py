@@ -52,13 +52,20 @@ def reproduce(
 ) -> None:
     """Recompute the tables and pictures of a study."""
     from evo_cpg.io.errors import nearest
-    from evo_cpg.studies import NAMES, find_study
+    from evo_cpg.studies import NAMES, find_study, provenance
     from evo_cpg.training.devices import use_cores
 
     if study is not None and study not in NAMES:
         raise UsageError(f"reproduce: there is no study {study!r}: {nearest(study, NAMES)}")
     if listed:
-        _list([study] if study else NAMES, out)
+        rows = []
+        for name in [study] if study else NAMES:
+            known = provenance.read(out or default_folder(name, quick=False))
+            for part, declared in find_study(name).parts.items():
+                record = known.get(part, {})
+                made = f"{record['date'][:10]}, {record['commit']}" if "date" in record else "never"
+                rows.append((name, part, declared.title, made))
+        show_table(("study", "part", "contents", "made"), rows, left=4)
         return
     if study is None:
         raise UsageError(f"reproduce: name a study: {', '.join(NAMES)}. --list shows their parts")
@@ -110,19 +117,6 @@ def default_folder(name: str, quick: bool) -> Path:
     return here / "docs" / "reproduction" / name
 
 
-def _list(names: Sequence[str], out: Path | None) -> None:
-    from evo_cpg.studies import find_study, provenance
-
-    rows = []
-    for name in names:
-        known = provenance.read(out or default_folder(name, quick=False))
-        for part, declared in find_study(name).parts.items():
-            record = known.get(part, {})
-            made = f"{record['date'][:10]}, {record['commit']}" if "date" in record else "never"
-            rows.append((name, part, declared.title, made))
-    show_table(("study", "part", "contents", "made"), rows, left=4)
-
-
 def bench(
     cases: Annotated[
         list[str] | None,
@@ -166,7 +160,14 @@ def bench(
     from evo_cpg.studies.benchmarks import bench_suite
     from evo_cpg.view.output import output_path
 
-    numbers = _sizes(sizes) if sizes is not None else None
+    words = [] if sizes is None else [word.strip() for word in sizes.split(",")]
+    for word in words:
+        if not word.isascii() or not word.isdigit() or not 1 <= int(word) <= _LARGEST:
+            raise UsageError(
+                f"--sizes: {word!r} is not a number of individuals. "
+                f"Allowed: whole numbers from 1 to {_LARGEST} with commas between, such as 1,15,200"
+            )
+    numbers = None if sizes is None else tuple(dict.fromkeys(map(int, words)))
     suite = bench_suite()
     for case in cases or []:
         if case not in suite.CASES:
@@ -194,15 +195,3 @@ def bench(
         raise UsageError(f"--compare: {error}") from None
     if not fine:
         raise typer.Exit(ExitCode.NOT_PASSED)
-
-
-def _sizes(text: str) -> tuple[int, ...]:
-    """Read population sizes from a list such as 1,15,200."""
-    words = [word.strip() for word in text.split(",")]
-    for word in words:
-        if not word.isascii() or not word.isdigit() or not 1 <= int(word) <= _LARGEST:
-            raise UsageError(
-                f"--sizes: {word!r} is not a number of individuals. "
-                f"Allowed: whole numbers from 1 to {_LARGEST} with commas between, such as 1,15,200"
-            )
-    return tuple(dict.fromkeys(map(int, words)))

@@ -124,7 +124,7 @@ def test_a_process_can_end_without_waiting_for_threads(monkeypatch, waits, code)
         raise SystemExit(0)
 
     left = []
-    monkeypatch.setattr(interrupts, "_waits", True)
+    monkeypatch.setattr(interrupts, "waits", True)
     monkeypatch.setattr(main, "main", end)
     monkeypatch.setattr(main, "leave_at_once", left.append)
     if not waits:

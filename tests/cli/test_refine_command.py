@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 import evo_cpg as evo
-from evo_cpg.api.refine import _rebuild
+from evo_cpg.api.refine import _rebuilt
 from evo_cpg.io.load import load_config
 from evo_cpg.io.parameters import parametrise
 from evo_cpg.physics.water.fluid import Drag
@@ -93,9 +93,9 @@ def test_numbers_of_the_configuration_are_refined_with_the_genes(finished_run, c
 def test_a_forbidden_number_gives_no_experiment():
     key = "world.water.form_drag"
     config = load_config(CONFIG, TINY)
-    rebuild = _rebuild(parametrise(config, CONFIG, [key]))
-    assert rebuild(np.array([-0.1])) is None
-    rebuilt = rebuild(np.array([0.7]))
+    parameters = parametrise(config, CONFIG, [key])
+    assert _rebuilt(parameters, np.array([-0.1])) is None
+    rebuilt = _rebuilt(parameters, np.array([0.7]))
     assert rebuilt is not None
     assert rebuilt.simulation.world.law(Drag).form_drag == 0.7
 

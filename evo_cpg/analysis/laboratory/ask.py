@@ -135,12 +135,6 @@ def ask(
         return _ask_cord(subject, {"ratio": _RATIOS, **values})
     if set(values) & set(CORD):
         raise LabError(f"{', '.join(sorted(set(values) & set(CORD)))}: needs bend=BODY")
-    return _ask_animal(subject, values, seconds)
-
-
-def _ask_animal(
-    subject: Subject, values: Mapping[str, Sequence[Any]], seconds: float | None
-) -> Answer:
     settings = combinations(values)
     bodies = _prepared(subject, settings, seconds, "tow" in values)
     require_effects(bodies.common.controller, values)

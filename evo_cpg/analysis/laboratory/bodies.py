@@ -198,8 +198,20 @@ def _scaled_creature(config: ExperimentConfig, size: float) -> dict[str, Any]:
     given = config.creature.model_dump(mode="json")
     scaled = _scaled(given, size)
     for body, made in zip(given["bodies"], scaled["bodies"], strict=True):
-        if joint := body["joint"]:
-            made["joint"] |= _scaled_axes(joint, size)
+        joint = body["joint"]
+        axes = joint["axes"] if joint else ()
+        slides = [isinstance(axis, dict) and "slide" in axis for axis in axes]
+        if not any(slides):
+            continue
+        # A joint with slides has a value for each axis.
+        powers = [_POWERS | _SLIDING_POWERS if slide else _POWERS for slide in slides]
+        for name in ("stiffness", "damping", "armature", "friction_loss", "actuator"):
+            if name in joint:
+                every = joint[name] if isinstance(joint[name], list) else [joint[name]] * len(axes)
+                made["joint"][name] = [
+                    _scaled(value, size, own.get(name, 0), own)
+                    for value, own in zip(every, powers, strict=True)
+                ]
     for tendon, made in zip(given.get("tendons", ()), scaled.get("tendons", ()), strict=True):
         sliding = {name for name in tendon["joints"] if kind_named(name).unit == "m"}
         if sliding:
@@ -210,27 +222,6 @@ def _scaled_creature(config: ExperimentConfig, size: float) -> dict[str, Any]:
                 for name, value in tendon["joints"].items()
             }
     return scaled
-
-
-def _scaled_axes(joint: dict[str, Any], size: float) -> dict[str, Any]:
-    """Return the values of the axes of a joint with slides, one for each axis."""
-    axes = joint["axes"]
-    slides = [isinstance(axis, dict) and "slide" in axis for axis in axes]
-    if not any(slides):
-        return {}
-    powers = [_POWERS | _SLIDING_POWERS if slide else _POWERS for slide in slides]
-    values = {
-        name: joint[name] if isinstance(joint[name], list) else [joint[name]] * len(axes)
-        for name in ("stiffness", "damping", "armature", "friction_loss", "actuator")
-        if name in joint
-    }
-    return {
-        name: [
-            _scaled(value, size, own.get(name, 0), own)
-            for value, own in zip(each, powers, strict=True)
-        ]
-        for name, each in values.items()
-    }
 
 
 def _scaled(place: Any, size: float, power: int = 0, powers: Mapping[str, int] = _POWERS) -> Any:

@@ -14,6 +14,7 @@ A cord is entrained 1:1 if the mean frequency of every oscillator is within 1 % 
 phases scatter by less than 0.05 cycle (circular standard deviation).
 """
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -29,7 +30,6 @@ from evo_cpg.control import matsuoka
 from evo_cpg.control.controller import Observation
 from evo_cpg.native.fuse import fuse
 from evo_cpg.simulation.batched import BatchedSimulation
-from evo_cpg.simulation.simulation import Simulation
 
 # Cycles of bending, and how many of the last are measured.
 CYCLES, MEASURED = 20, 10
@@ -79,7 +79,10 @@ def bend(
     h = 1 / bodies.common.control_rate
     rest = round(REST / h)
 
-    def run(simulation: Simulation, genes: Array, bent: Array, frequency: Array) -> Array:
+    def run(values: Sequence[Array], genes: Array, bent: Array, frequency: Array) -> Array:
+        simulation = bodies.simulation
+        if isinstance(simulation, BatchedSimulation):
+            simulation = simulation.inputs.put(simulation.common, values)
         controller, body_count = simulation.controller, simulation.world.tree.body_count
         decoded = controller.decode(genes)
         start = controller.initial_state(genes.shape[1:], genes.dtype)
@@ -105,15 +108,9 @@ def bend(
 
     given = [jnp.asarray(x, jnp.float32) for x in (genes, bent, frequency)]
     if not isinstance(bodies.simulation, BatchedSimulation):
-        simulation = bodies.simulation
-        return np.asarray(jax.jit(lambda *given: run(simulation, *given))(*given), float)
-    common, inputs, values = bodies.simulation
-
-    def alone(values: list[Array], genes: Array, bent: Array, frequency: Array) -> Array:
-        return run(inputs.put(common, values), genes, bent, frequency)
-
-    own = [jnp.asarray(value, jnp.float32) for value in values]
-    each = jax.jit(jax.vmap(alone, in_axes=-1, out_axes=-1))
+        return np.asarray(jax.jit(functools.partial(run, ()))(*given), float)
+    own = [jnp.asarray(value, jnp.float32) for value in bodies.simulation.values]
+    each = jax.jit(jax.vmap(run, in_axes=-1, out_axes=-1))
     return np.asarray(each(own, *given), float)
 
 

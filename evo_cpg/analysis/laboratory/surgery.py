@@ -10,7 +10,7 @@ from evo_cpg.analysis.laboratory.bodies import joints_of
 from evo_cpg.analysis.laboratory.settings import BODY, NERVES, NOTHING, OPEN_LOOP, LabError, Setting
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.controller import Controller
-from evo_cpg.control.preparation import SENSES, Preparation, Surgery
+from evo_cpg.control.preparation import SENSES, Preparation
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
 
@@ -54,26 +54,26 @@ def genes_of(
     if not isinstance(controller, Preparation):
         assert brain is not None
         return brain
-    own = surgery_of(controller, tree, setting).flat()
-    return own if brain is None else np.concatenate([brain, own])
-
-
-def surgery_of(controller: Preparation, tree: Tree, setting: Setting) -> Surgery:
-    """Return the changes of one setting.
-
-    Raises:
-        LabError: the setting does not fit the animal.
-    """
     animal, surgery = controller.animal, controller.intact()
     middle = 0.5 * (animal.min_adaptation_gain + animal.max_adaptation_gain)
     b = float(setting.get("b", middle))
     if not controller.awake:
-        tonic = _tonic(animal, setting.get("u", 1.0), setting.get("turn", 0.0))
+        # The tonic inputs of extensors and flexors.
+        turn = setting.get("turn", 0.0)
+        tonic = animal.max_tonic_input * setting.get("u", 1.0) * np.array([[1 + turn], [1 - turn]])
         surgery = surgery._replace(
             kept=0 * surgery.kept, tonic=surgery.tonic + tonic, gain=surgery.gain + b
         )
     if setting.get("cut", NOTHING) != NOTHING:
-        surgery = _transected(controller, tree, surgery, setting, b)
+        # The cord is cut in front of the joints of some bodies.
+        sides = sides_of(tree, setting)
+        behind = sides > 0
+        tonic = animal.max_tonic_input * setting.get("behind", 0.0) * np.ones((2, 1))
+        surgery = controller.within(surgery, sides)._replace(
+            kept=np.where(behind, 0.0, surgery.kept),
+            tonic=np.where(behind, tonic, surgery.tonic),
+            gain=np.where(behind, b, surgery.gain),
+        )
     if setting.get("undriven", NOTHING) != NOTHING:
         bodies = joints_of(tree, "undriven", setting["undriven"])
         driven = ~np.isin(tree.dof_bodies, list(bodies))
@@ -81,26 +81,8 @@ def surgery_of(controller: Preparation, tree: Tree, setting: Setting) -> Surgery
     silenced = silenced_by(setting.get("silence", NOTHING))
     heard = np.array([0.0 if name in silenced else 1.0 for name in SENSES])
     heard[SENSES.index("feedback")] *= setting.get("feedback", 1.0)
-    return surgery._replace(heard=heard)
-
-
-def _tonic(animal: BrainCpg, u: float, turn: float) -> Float[np.ndarray, "2 1"]:
-    """Return the tonic inputs of extensors and flexors."""
-    return animal.max_tonic_input * u * np.array([[1 + turn], [1 - turn]])
-
-
-def _transected(
-    controller: Preparation, tree: Tree, surgery: Surgery, setting: Setting, b: float
-) -> Surgery:
-    """Return the surgery with the cord cut in front of the joints of some bodies."""
-    sides = sides_of(tree, setting)
-    behind = sides > 0
-    tonic = _tonic(controller.animal, setting.get("behind", 0.0), 0.0)
-    return controller.within(surgery, sides)._replace(
-        kept=np.where(behind, 0.0, surgery.kept),
-        tonic=np.where(behind, tonic, surgery.tonic),
-        gain=np.where(behind, b, surgery.gain),
-    )
+    own = surgery._replace(heard=heard).flat()
+    return own if brain is None else np.concatenate([brain, own])
 
 
 def sides_of(tree: Tree, setting: Setting) -> Int[np.ndarray, " d"]:
