@@ -25,7 +25,7 @@ from evo_cpg.view.scenery import (
 )
 from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.skin import add_skins
-from evo_cpg.view.stage import Stage, Update
+from evo_cpg.view.stage import Stage
 from evo_cpg.view.terrain import Terrain, add_obstacles, obstacle_mesh
 from evo_cpg.view.water import add_ceiling, add_mirror, add_tint, add_waterlines
 
@@ -43,41 +43,9 @@ def set_scene(
     Returns:
         A function that draws a frame by its number: bytes ``(height, width, 3)``, bottom row first.
     """
-    plotter = stage.plotter
-    updates = _add_environment(stage)
-    if skins:
-        updates.append(add_skins(stage))
-    plotter.camera.view_angle = stage.camera.view_angle
-    plotter.camera.up = (0.0, 0.0, 1.0)
-    # This makes the window without drawing. Without a window VTK resets the camera later.
-    plotter.renderer.SetDraw(False)
-    plotter.show(auto_close=False, interactive=False)
-    plotter.renderer.SetDraw(True)
-
-    def show(number: int) -> np.ndarray:
-        shot = stage.shot(number)
-        plotter.camera.position = shot.eye
-        plotter.camera.focal_point = shot.focus
-        away = float(np.linalg.norm(shot.focus - shot.eye))
-        plotter.camera.clipping_range = (0.05 * away, 20 * stage.away)
-        for update in updates:
-            update(shot)
-        for actors, place, turn in zip(bodies, shot.position, shot.rotation, strict=True):
-            for actor in actors:
-                actor.user_matrix = placed(turn, place)
-        plotter.render()
-        return pixels(plotter)
-
-    return show
-
-
-def _add_environment(stage: Stage) -> list[Update]:
-    """Draw everything but the animal.
-
-    Translucent actors are drawn in the order in which they are added. So the floor comes first,
-    then things in its plane. The light and the trail come after the shadows, the water last.
-    """
-    scene, look = stage.scene, stage.look
+    plotter, scene, look = stage.plotter, stage.scene, stage.look
+    # Translucent actors are drawn in the order in which they are added. So the floor comes first,
+    # then things in its plane. The light and the trail come after the shadows, the water last.
     updates = [add_sky(stage), add_ground(stage)]
     if stage.measured and scene.numbers:
         updates.append(add_numbers(stage))
@@ -85,7 +53,7 @@ def _add_environment(stage: Stage) -> list[Update]:
     if staging is not None and staging.track is not None:
         add_track(stage, staging.track)
     if stones := scene.ground.obstacles:
-        add_obstacles(stage.plotter, stones, look.ambient, stage.ground.height)
+        add_obstacles(plotter, stones, look.ambient, stage.ground.height)
         shades = [obstacle_mesh(stone, shade=True) for stone in stones]
         meshes, places, turns = zip(*shades, strict=True)
         half_extents = np.array([np.ptp(np.asarray(mesh.points), axis=0) / 2 for mesh in meshes])
@@ -120,4 +88,27 @@ def _add_environment(stage: Stage) -> list[Update]:
         updates.append(add_tint(stage, stage.ground, scene.surface))
         updates.append(add_mirror(stage, scene.surface))
         updates.append(add_waterlines(stage, scene.surface))
-    return updates
+    if skins:
+        updates.append(add_skins(stage))
+    plotter.camera.view_angle = stage.camera.view_angle
+    plotter.camera.up = (0.0, 0.0, 1.0)
+    # This makes the window without drawing. Without a window VTK resets the camera later.
+    plotter.renderer.SetDraw(False)
+    plotter.show(auto_close=False, interactive=False)
+    plotter.renderer.SetDraw(True)
+
+    def show(number: int) -> np.ndarray:
+        shot = stage.shot(number)
+        plotter.camera.position = shot.eye
+        plotter.camera.focal_point = shot.focus
+        away = float(np.linalg.norm(shot.focus - shot.eye))
+        plotter.camera.clipping_range = (0.05 * away, 20 * stage.away)
+        for update in updates:
+            update(shot)
+        for actors, place, turn in zip(bodies, shot.position, shot.rotation, strict=True):
+            for actor in actors:
+                actor.user_matrix = placed(turn, place)
+        plotter.render()
+        return pixels(plotter)
+
+    return show

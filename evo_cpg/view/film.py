@@ -9,7 +9,6 @@ horizon follows the focus in steps there, so an opacity may differ by one of 255
 import atexit
 import contextlib
 import dataclasses
-import functools
 import itertools
 import math
 import multiprocessing
@@ -140,7 +139,14 @@ class Frames:
 
             def draw(number: int) -> np.ndarray:
                 if self._grouped:
-                    words = self._moment(number)
+                    clips = zip(self._clips, self._instants, strict=True)
+                    times = {
+                        f"{clip.time[own[number]] - clip.time[0]:.1f} s" for clip, own in clips
+                    }
+                    last = self.count - 1
+                    # Recordings of different lengths have no common time.
+                    words = "end" if number == last else f"{number / last:.0%} of each film"
+                    words = times.pop() if len(times) == 1 else words
                     picture[-self._head :] = heading(words, self.rendered[0], self._head)
                 for i, (show, own) in enumerate(zip(shows, self._instants, strict=True)):
                     seen = show(own[min(number, len(own) - 1)])
@@ -163,17 +169,6 @@ class Frames:
         for number, picture in enumerate(pictures):
             sheet.paste(picture, (number % columns * across, number // columns * down))
         return sheet
-
-    def _moment(self, number: int) -> str:
-        instants = {
-            f"{clip.time[own[number]] - clip.time[0]:.1f} s"
-            for clip, own in zip(self._clips, self._instants, strict=True)
-        }
-        if len(instants) == 1:
-            return instants.pop()
-        # Recordings of different lengths have no common time.
-        last = self.count - 1
-        return "end" if number == last else f"{number / last:.0%} of each film"
 
     @contextlib.contextmanager
     def _panel(self, panel: Panel, clip: Clip) -> Iterator[Callable[[int], np.ndarray]]:
@@ -290,7 +285,6 @@ def side_by_side(
         save_picture(picture(panels, film, progress), path)
         return path
     frames = Frames(panels, film)
-    processes = drawing_processes(frames.count, processes)
     with drawn_frames(frames, processes) as drawn:
         counted = _counted(drawn, frames.count, progress)
         if numbered:
@@ -358,17 +352,13 @@ class Reel(Protocol):
         ...
 
 
-# Frames to draw, in a process that draws.
+# Frames to draw, in a process that draws, and the function that draws them.
 _laid_out: list[Reel] = []
+_drawing: list[Callable[[int], np.ndarray]] = []
 
 
 class RenderError(RuntimeError):
     """A process that draws frames failed."""
-
-
-def drawing_processes(frames: int, cores: int) -> int:
-    """Return the number of processes that draw a number of frames fastest on usable cores."""
-    return max(1, min(cores, frames // _WORTH, _MOST))
 
 
 @contextlib.contextmanager
@@ -377,7 +367,7 @@ def drawn_frames(frames: Reel, processes: int) -> Iterator[Iterator[np.ndarray]]
 
     Args:
         frames: the frames. Each drawing process receives a copy.
-        processes: number of drawing processes. With 1, this process draws.
+        processes: usable cores. For few frames, this process draws, because that is faster.
 
     Yields:
         The frames in order: ``(height, width, 3)`` bytes, bottom row first. Each is valid until the
@@ -386,6 +376,7 @@ def drawn_frames(frames: Reel, processes: int) -> Iterator[Iterator[np.ndarray]]
     Raises:
         RenderError: one of the processes failed.
     """
+    processes = max(1, min(processes, frames.count // _WORTH, _MOST))
     if processes == 1:
         with frames.drawn() as draw:
             yield map(draw, range(frames.count))
@@ -420,11 +411,8 @@ def _prepare(frames: Reel) -> None:
 
 
 def _draw(number: int) -> np.ndarray:
-    return _scene()(number)
-
-
-@functools.cache
-def _scene() -> Callable[[int], np.ndarray]:
-    stack = contextlib.ExitStack()
-    atexit.register(stack.close)
-    return stack.enter_context(_laid_out[0].drawn())
+    if not _drawing:
+        stack = contextlib.ExitStack()
+        atexit.register(stack.close)
+        _drawing.append(stack.enter_context(_laid_out[0].drawn()))
+    return _drawing[0](number)

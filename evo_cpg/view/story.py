@@ -16,7 +16,7 @@ from jaxtyping import Float
 from evo_cpg.view.camera import SMOOTHING, CameraPath, between, overview, smooth
 from evo_cpg.view.captions import Words, pointer, tags_of, written
 from evo_cpg.view.drawing import set_scene
-from evo_cpg.view.film import drawing_processes, drawn_frames
+from evo_cpg.view.film import drawn_frames
 from evo_cpg.view.legible import lettering
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
@@ -250,7 +250,7 @@ def story_film(
         for take in takes
     ]
     with (
-        drawn_frames(frames, drawing_processes(frames.count, processes)) as drawn,
+        drawn_frames(frames, processes) as drawn,
         film_writer(path, frames.size, frames.rendered, FPS) as write,
     ):
         for number, bare in enumerate(drawn):

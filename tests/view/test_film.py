@@ -1,5 +1,6 @@
 """Films: the files decode to the given size and frames, and show the animal."""
 
+import contextlib
 import dataclasses
 import itertools
 import os
@@ -7,6 +8,7 @@ import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import imageio_ffmpeg
 import numpy as np
@@ -250,8 +252,17 @@ def test_a_process_that_cannot_draw_is_reported(creature, recording, monkeypatch
 @pytest.mark.parametrize(
     ("frames", "cores", "processes"), [(239, 8, 1), (240, 64, 2), (990, 2, 2), (990, 64, 8)]
 )
-def test_short_films_use_fewer_processes(frames, cores, processes):
-    assert view_film.drawing_processes(frames, cores) == processes
+def test_short_films_use_fewer_processes(frames, cores, processes, monkeypatch):
+    used = [1]
+
+    def pool(count, *_):
+        used.append(count)
+        return ThreadPoolExecutor(1)
+
+    monkeypatch.setattr(view_film, "ProcessPoolExecutor", pool)
+    reel = SimpleNamespace(count=frames, drawn=lambda: contextlib.nullcontext(len))
+    with view_film.drawn_frames(reel, cores):
+        assert used[-1] == processes
 
 
 @pytest.mark.slow

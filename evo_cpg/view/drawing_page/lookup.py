@@ -148,11 +148,6 @@ def joint_of(data: Data, name: str) -> Data:
     return joint
 
 
-def copies_of(data: Data, index: int) -> list[Copy]:
-    """Return the bodies that an entry stands for."""
-    return [each for each in all_copies(data) if each.entry == index]
-
-
 def limb_of(data: Data, index: int) -> list[int]:
     """Return the indices of an entry and of all entries that it carries."""
     found, everything = [index], all_copies(data)

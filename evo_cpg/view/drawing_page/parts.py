@@ -16,7 +16,6 @@ from evo_cpg.view.drawing_page.joints import facing
 from evo_cpg.view.drawing_page.lookup import (
     all_copies,
     bodies,
-    copies_of,
     entry_index,
     entry_of,
     free_name,
@@ -62,7 +61,7 @@ def add_part(
     carrying = solid(here, body.name)
     at, out = surface(place, normal, carrying.half_extents)
     carrier = body.name
-    copied = len(copies_of(data, body.entry)) > 1
+    copied = sum(x.entry == body.entry for x in here.copies) > 1
     if copied and each:
         carrier = str(on["name"])
         at, out = reflected_if(at, body.mirror), reflected_if(out, body.mirror)
@@ -129,7 +128,8 @@ def rename_part(data: Data, name: str, new: str) -> None:
         raise EditError(f"{new!r}: the name must contain {marks}, as {old!r} does")
     if new != free_name(data, new):
         raise EditError(f"{new!r}: another part has this name")
-    copied = copies_of(data, entry_index(data, old))
+    index = entry_index(data, old)
+    copied = [each for each in all_copies(data) if each.entry == index]
     rename_references(data, {old: new} | {each.name: fill(new, each.marks) for each in copied})
     entry["name"] = new
 
@@ -224,7 +224,7 @@ def set_pressure(data: Data, part: str, on: bool) -> None:
         index = next((i for i, x in enumerate(bodies(data)) if x.get("name") == part), None)
     if index is None:
         raise EditError(f"there is no part {part!r}")
-    own = [each.name for each in copies_of(data, index)]
+    own = [each.name for each in everything if each.entry == index]
     entry = str(bodies(data)[index]["name"])
     kept: list[Any] = [name for name in names if name not in (*own, entry)]
     kept += [entry] if on else []
@@ -244,7 +244,7 @@ def _place(
         raise EditError("the axis of an eye must not be zero")
     shape = here.creature.bodies[here.creature.body_index(body.name)].shape
     at, out = on_planes(at, out, shape.half_extents)
-    if each and len(copies_of(data, body.entry)) > 1:
+    if each and sum(x.entry == body.entry for x in here.copies) > 1:
         name = str(bodies(data)[body.entry]["name"])
         return name, reflected_if(at, body.mirror), reflected_if(out, body.mirror)
     return body.name, at, out

@@ -80,7 +80,13 @@ def _edited(text: str, old: Any, data: Any) -> Iterator[str]:
     except (YAMLError, AttributeError, LookupError, TypeError, ValueError):
         pass
     else:
-        sources = _sources(code, touched, before)
+        # Numbers of the lines that each line by ruamel.yaml stands for, which joins lists.
+        one, other = ([" ".join(line.split()) for line in rows] for rows in (code, before))
+        sources: list[list[int]] = [[] for _ in before]
+        for _, i, i_end, j, j_end in _differences(one, other):
+            for k in range(i_end - i):
+                # Lines that have no counterpart belong to the one before.
+                sources[max(min(j + k, j_end - 1), 0)].append(touched[i + k])
         for keeps in (True, False):
             yield _carried(lines, sources, before, after, starts, keeps)
     yield "\n".join(_written(form, _styled(data))) + "\n"
@@ -233,23 +239,6 @@ def _is_nested(value: Any) -> bool:
         or (isinstance(inner, list) and any(isinstance(x, (list, dict)) for x in inner))
         for inner in value.values()
     )
-
-
-def _sources(code: list[str], numbers: list[int], written: list[str]) -> list[list[int]]:
-    """Return for each line that ruamel.yaml writes the numbers of the lines that it stands for.
-
-    Args:
-        code: lines of the text without comments.
-        numbers: their numbers in the text.
-        written: the lines of the same data by ruamel.yaml, which joins lists over several lines.
-    """
-    one, other = ([" ".join(line.split()) for line in lines] for lines in (code, written))
-    sources: list[list[int]] = [[] for _ in written]
-    for _, i, i_end, j, j_end in _differences(one, other):
-        for k in range(i_end - i):
-            # Lines that have no counterpart belong to the one before.
-            sources[max(min(j + k, j_end - 1), 0)].append(numbers[i + k])
-    return sources
 
 
 def _carried(
