@@ -162,10 +162,6 @@ def follow(
             path = _moved(path, max(across / wide, upright / high, *beyond), off, aspect)
         return path
 
-    def width(path: CameraPath) -> float:
-        """Return the median part of the frame's width that the animal fills."""
-        return np.median(np.ptp(_thinly(path, points, aspect), axis=1) / 2, axis=0)[0]
-
     best = None
     if turn is not None or not lit:
         best = seen(_SIDE if turn is None else turn)
@@ -174,17 +170,20 @@ def follow(
         # The first picture shows the light, too, unless the animal would be small in it. Then a
         # close animal goes across the picture, towards the arrow at its edge.
         for tried, more in ((turns, (goal,)), ([_SIDEWAYS] if close else turns, ())):
-            clear = []
+            clear, widths = [], []
             for turned in tried:
                 path = seen(turned, *more)
                 away = np.linalg.norm(path.focus[0] - path.position[0])
                 # The eye keeps away from the goal.
                 if np.linalg.norm(path.position - goal, axis=-1).min() > away / 2:
                     clear.append(path)
-            best = max(clear, key=width, default=best)
-            smallest = _SMALLEST_CLOSE if close else _SMALLEST
-            if best is not None and not width(best) < smallest:
-                break
+                    place = _thinly(path, points, aspect)
+                    widths.append(np.median(np.ptp(place, axis=1) / 2, axis=0)[0])
+            if clear:
+                largest = max(range(len(clear)), key=widths.__getitem__)
+                best = clear[largest]
+                if not widths[largest] < (_SMALLEST_CLOSE if close else _SMALLEST):
+                    break
     path = best or seen(_BEARINGS[-1])
     # Step back until every point is inside the frame at every instant.
     while not np.abs(np.nan_to_num(project(path, points, aspect), nan=np.inf)).max() < 1:

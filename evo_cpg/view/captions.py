@@ -1,4 +1,4 @@
-"""Words in films: captions, an arrow to a goal out of sight, headings, and the words of a story.
+"""Words in films: captions, an arrow to a goal out of sight, and the words of a story.
 
 The words of a story fade in and out. A word beside an animal or a line also fades out where it
 would cross another one.
@@ -27,8 +27,6 @@ _LARGE, _NOTE, _NAME = 23, 16, 15
 _COLUMNS, _VALUE = (0, 140, 290), 105
 # Smallest fraction of its size to which a title shrinks, and the ending of a cut title.
 _LEAST, _CUT = 0.55, "..."
-# Height of a heading's letters, as a fraction of its line.
-_HEADING = 0.6
 
 
 def captions(
@@ -77,14 +75,6 @@ def captions(
                 write(draw, value, (left, bottom), _LARGE * unit, look.text)
 
     return write_into
-
-
-def heading(text: str, width: int, height: int) -> np.ndarray:
-    """Return a moment's heading, dark on white: ``(height, width, 3)`` bytes, bottom row first."""
-    picture = np.full((height, width, 3), 255, np.uint8)
-    with lettering(picture) as draw:
-        write(draw, text, (width / 2, height / 2), _HEADING * height, "black", anchor="mm")
-    return picture
 
 
 def fitted(title: str, size: float, room: float) -> tuple[str, float]:

@@ -5,14 +5,18 @@ a function that moves them or overwrites arrays in place. Nothing is meshed agai
 """
 
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import numpy as np
 import pyvista as pv
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.vtkRenderingCore import vtkRenderWindow
 
 from evo_cpg.view.ghosts import add_ghosts
 from evo_cpg.view.ground import add_ground, add_numbers
 from evo_cpg.view.meshes import surfaces
-from evo_cpg.view.offscreen import pixels, placed
+from evo_cpg.view.offscreen import placed
 from evo_cpg.view.scene import moved_aside
 from evo_cpg.view.scenery import (
     add_goal_light,
@@ -109,6 +113,10 @@ def set_scene(
             for actor in actors:
                 actor.user_matrix = placed(turn, place)
         plotter.render()
-        return pixels(plotter)
+        width, height = plotter.window_size
+        buffer = vtkUnsignedCharArray()
+        window = cast(vtkRenderWindow, plotter.render_window)
+        window.GetPixelData(0, 0, width - 1, height - 1, 0, buffer, 0)
+        return vtk_to_numpy(buffer).reshape(height, width, 3)
 
     return show

@@ -24,11 +24,13 @@ import jax
 import numpy as np
 from PIL import Image
 
+from evo_cpg.files import OutputError, in_one_piece
 from evo_cpg.view.camera import aspect_of
-from evo_cpg.view.captions import captions, heading, pointer
+from evo_cpg.view.captions import captions, pointer
 from evo_cpg.view.drawing import set_scene
+from evo_cpg.view.legible import lettering, write
 from evo_cpg.view.meshes import add_bodies
-from evo_cpg.view.offscreen import canvas
+from evo_cpg.view.offscreen import CELLS, canvas
 from evo_cpg.view.output import (
     FILM_SUFFIXES,
     PICTURE_SUFFIXES,
@@ -36,12 +38,10 @@ from evo_cpg.view.output import (
     check_size,
     film_writer,
     is_numbered,
-    numbered_path,
     output_path,
     oversampling,
     picture_of,
     save_numbered,
-    save_picture,
 )
 from evo_cpg.view.scene import Clip, Panel, check_panel, sample, scene_of
 from evo_cpg.view.signals import FRACTION, LOWEST, SMALLEST, Strip
@@ -55,6 +55,8 @@ _STILL_OVERSAMPLING = 3.0
 # Gaps in pixels: between pictures of a sheet and animals side by side, height of a heading, and
 # between moments. A sheet of several animals has a heading above each moment.
 _GUTTER, _HEAD, _GAP = 4, 40, 24
+# Height of a heading's letters, as a fraction of its line.
+_HEADING = 0.6
 # Columns by number of animals. For more animals it is the square root, rounded up.
 _COLUMNS = (1, 1, 2, 3, 2)
 
@@ -147,7 +149,11 @@ class Frames:
                     # Recordings of different lengths have no common time.
                     words = "end" if number == last else f"{number / last:.0%} of each film"
                     words = times.pop() if len(times) == 1 else words
-                    picture[-self._head :] = heading(words, self.rendered[0], self._head)
+                    head = picture[-self._head :]
+                    head[:] = 255
+                    with lettering(head) as pen:
+                        middle = self.rendered[0] / 2, self._head / 2
+                        write(pen, words, middle, _HEADING * self._head, "black", anchor="mm")
                 for i, (show, own) in enumerate(zip(shows, self._instants, strict=True)):
                     seen = show(own[min(number, len(own) - 1)])
                     if len(shows) == 1:
@@ -182,7 +188,9 @@ class Frames:
             strip_height = strip.height
         title = panel.creature.name if panel.title is None else panel.title
         pace = f", {film.speed:g} x speed" if film.speed != 1 else ""
-        note = "; ".join(filter(None, [panel.note, f"grid {scene.grid:g} m{pace}"]))
+        note = "; ".join(
+            filter(None, [panel.note, f"grid {scene.marks.spacing / CELLS:g} m{pace}"])
+        )
         caption = captions(scene.look, title, scene.measured, note, (width, above), scale)
         with canvas((round(width * scale), round(height * scale) - strip_height)) as plotter:
             camera = camera_path(scene, film.camera, width / above)
@@ -232,7 +240,17 @@ def film_path(path: str | os.PathLike[str], film: Film, signals: bool = False) -
     """
     path = Path(path)
     if film.sheet is None and is_numbered(path):
-        path = numbered_path(path)
+        folder = path.parent
+        if folder.is_dir() and any(folder.iterdir()):
+            raise OutputError(
+                f"cannot write {path}: the folder {folder} is not empty. Name a new folder"
+            )
+        if not folder.is_dir() and not folder.parent.is_dir():
+            raise OutputError(
+                f"cannot write {path}: there is no folder {folder.parent}. Create it first"
+            )
+        if not os.access(folder.parent, os.W_OK):
+            raise OutputError(f"cannot write {path}: no permission to write in {folder.parent}")
     else:
         path = output_path(path, FILM_SUFFIXES if film.sheet is None else PICTURE_SUFFIXES)
     check_size(film.size)
@@ -282,7 +300,9 @@ def side_by_side(
         check_panel(panel)
     numbered = film.sheet is None and is_numbered(path)
     if path.suffix.lower() in PICTURE_SUFFIXES and not numbered:
-        save_picture(picture(panels, film, progress), path)
+        image = picture(panels, film, progress)
+        with in_one_piece(path) as partial:
+            image.save(partial)
         return path
     frames = Frames(panels, film)
     with drawn_frames(frames, processes) as drawn:

@@ -14,7 +14,7 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import BodyBoxes, course, overview, project
 from evo_cpg.view.look import STYLES
-from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing, sample
+from evo_cpg.view.scene import Panel, Staging, Track, mark_spacing, sample
 from evo_cpg.view.scenery import LAMP
 from evo_cpg.view.story import FPS, GLIDE, Overview
 from evo_cpg.view.terrain import heights
@@ -230,7 +230,8 @@ def tank_of(
         depths += [target[2]] if target is not None else []
         depths += [np.quantile(crowd.position[..., 2], _BELOW) for crowd in crowds]
         lowest = max(min(depths), start[2] - _DEEPEST * length)
-        floor = float(lowest - animal_reach(panel.creature) - _FLOOR * length)
+        reach = max(body.shape.reach for body in panel.creature.bodies)
+        floor = float(lowest - reach - _FLOOR * length)
     goal = None if target is None or finish is None else (target, f"{finish:g} m")
     others = _LANES - 1 if lane else _PILED
     return Tank(course, lane, others, track, floor, title, wide, near, goal)

@@ -12,6 +12,7 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, lowest_height, neutral_pose
+from evo_cpg.files import in_one_piece
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording
@@ -21,7 +22,7 @@ from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import STYLES
 from evo_cpg.view.meshes import add_bodies, shape_mesh
 from evo_cpg.view.offscreen import canvas
-from evo_cpg.view.output import check_size, output_path, oversampling, picture_of, save_picture
+from evo_cpg.view.output import check_size, output_path, oversampling, picture_of
 from evo_cpg.view.scene import Panel, Scene, grid_spacing, sample, scene_of
 from evo_cpg.view.skin import drape
 from evo_cpg.view.stage import Stage
@@ -164,7 +165,8 @@ def preview(
         offset = (rest[0] - camera.focus[0]) @ np.column_stack([_RIGHT, -_UP])
         places = np.array(rendered) / 2 + pixels_per_metre * offset
         _write(picture, creature, places, pixels_per_metre, legend, notes, unit)
-    save_picture(picture_of(picture, size), path)
+    with in_one_piece(path) as partial:
+        picture_of(picture, size).save(partial)
     return path
 
 

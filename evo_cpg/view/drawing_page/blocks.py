@@ -59,7 +59,19 @@ def mirror(data: Data, name: str, axis: MirrorAxis = "y") -> str:
     if joint["at"][side] < 0:
         # The written limb is on the positive side.
         for i in limb:
-            _reflect(data, i, axis)
+            each = bodies(data)[i]
+            _reflect_shapes(each, axis)
+            own = each["joint"]
+            checked = JointConfig.model_validate(own).mirrored(axis)
+            own["at"], own["child_at"] = tidy(checked.at), tidy(checked.child_at)
+            own["axes"] = _mirrored_axes(own["axes"], axis)
+            if "rotation_deg" in own:
+                own["rotation_deg"] = tidy(opposed(own["rotation_deg"], axis))
+            for kind in ("light_sensors", "depth_sensors"):
+                for eye in data["creature"].get(kind) or []:
+                    mirrored = ("position", "axis") if eye.get("body") == each["name"] else ()
+                    for key in (key for key in mirrored if key in eye):
+                        eye[key] = tidy(reflected_if(eye[key], axis))
     _mark_limb(data, limb, "{side}", front=True)
     bodies(data)[index]["mirror"] = axis
     return str(bodies(data)[index]["name"])
@@ -74,10 +86,16 @@ def repeat(data: Data, name: str, count: int) -> str:
     Returns:
         New name of the entry.
     """
-    if count <= 1 or _fits(data, name):
+    if count <= 1:
         return _number(data, name, "repeat", count)
     index, further = entry_index(data, name), count - 1
-    entry = bodies(data)[index]
+    entry, joint = bodies(data)[index], joint_of(data, name)
+    fits = "repeat" in entry or "{i}" in str(entry["name"])
+    if not fits:
+        at, end = np.array(joint["at"], float), -np.array(joint["child_at"], float)
+        fits = bool(np.linalg.norm(at - end) <= _GAP * np.linalg.norm(end))
+    if fits:
+        return _number(data, name, "repeat", count)
     if re.search(r"\{\w+\}", str(entry["name"])):
         raise EditError(f"{entry['name']} is copied already. Separate the copies first")
     row = copying.deepcopy(entry)
@@ -254,15 +272,6 @@ def _number(data: Data, name: str, key: str, count: int) -> str:
     return new
 
 
-def _fits(data: Data, name: str) -> bool:
-    """Return whether a segment can hang on its copy where it hangs on its parent."""
-    entry, joint = bodies(data)[entry_index(data, name)], joint_of(data, name)
-    if "repeat" in entry or "{i}" in str(entry["name"]):
-        return True
-    at, end = np.array(joint["at"], float), -np.array(joint["child_at"], float)
-    return bool(np.linalg.norm(at - end) <= _GAP * np.linalg.norm(end))
-
-
 def _mark_limb(data: Data, limb: list[int], mark: str, front: bool, remove: bool = False) -> None:
     """Add a placeholder to the names of a limb's entries, or remove it."""
     names: dict[str, str] = {}
@@ -277,24 +286,6 @@ def _mark_limb(data: Data, limb: list[int], mark: str, front: bool, remove: bool
         names[old] = new
         bodies(data)[i]["name"] = new
     rename_references(data, names)
-
-
-def _reflect(data: Data, index: int, axis: MirrorAxis) -> None:
-    """Replace a part by its mirror image."""
-    entry = bodies(data)[index]
-    _reflect_shapes(entry, axis)
-    joint = entry["joint"]
-    checked = JointConfig.model_validate(joint).mirrored(axis)
-    joint["at"], joint["child_at"] = tidy(checked.at), tidy(checked.child_at)
-    joint["axes"] = _mirrored_axes(joint["axes"], axis)
-    if "rotation_deg" in joint:
-        joint["rotation_deg"] = tidy(opposed(joint["rotation_deg"], axis))
-    for kind in ("light_sensors", "depth_sensors"):
-        for eye in data["creature"].get(kind) or []:
-            if eye.get("body") == entry["name"]:
-                for key in ("position", "axis"):
-                    if key in eye:
-                        eye[key] = tidy(reflected_if(eye[key], axis))
 
 
 def _reflect_shapes(entry: Data, axis: MirrorAxis) -> None:

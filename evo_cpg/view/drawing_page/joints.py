@@ -1,6 +1,5 @@
 """Edits of joints: keys, axes with the values of each axis, and places."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -70,24 +69,20 @@ def set_axes(
     if was_ball and joint.get("limits_deg"):
         joint["limits_deg"] = [-joint["limits_deg"][1], joint["limits_deg"][1]]
     sources = list(range(len(axes))) if kept is None else list(kept)
-    for key in (*_NUMBERS, "actuator"):
-        if isinstance(joint.get(key), list):
-            joint[key] = _followed(joint[key], sources)
-    limits = joint.get("limits_deg")
-    if limits and isinstance(limits[0], (list, type(None))):
-        joint["limits_deg"] = _followed(limits, sources)
+    for key in (*_NUMBERS, "actuator", "limits_deg"):
+        values = joint.get(key)
+        # One pair of limits is for all axes.
+        single = key == "limits_deg" and values and not isinstance(values[0], (list, type(None)))
+        if isinstance(values, list) and not single:
+            first = next((each for each in values if each is not None), None)
+            joint[key] = [
+                values[source] if source is not None and source < len(values) else first
+                for source in sources
+            ]
     _suit_slides(joint, [isinstance(axis, dict) and "slide" in axis for axis in axes])
     for key in (*_NUMBERS, "actuator", "limits_deg"):
         if joint.get(key) == []:
             del joint[key]
-
-
-def _followed(values: list[Any], sources: Sequence[int | None]) -> list[Any]:
-    first = next((each for each in values if each is not None), None)
-    return [
-        values[source] if source is not None and source < len(values) else first
-        for source in sources
-    ]
 
 
 def _suit_slides(joint: Data, slides: list[bool]) -> None:

@@ -18,12 +18,13 @@ from evo_cpg.view.drawing_page.lookup import (
     bodies,
     entry_index,
     entry_of,
-    on_planes,
     posed,
     reflected_if,
     tidy,
 )
 
+# Distance from a plane of symmetry within which a place is in the plane, in half extents.
+_NEAR = 0.15
 # Sizes of the sections of a new loft, relative to the middle one.
 _TAPER = (0.5, 1.0, 0.5)
 # Least factor of a size when a section is scaled.
@@ -255,13 +256,16 @@ def solid(here: Posed, name: str) -> Any:
 
 
 def surface(
-    place: Vector, normal: Vector, half_extents: np.ndarray
+    place: Vector, normal: Vector, half_extents: np.ndarray, what: str = "normal of a surface"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a checked place and normal, in the body's planes of symmetry if they are close."""
     at, out = np.asarray(place, float), np.asarray(normal, float)
     if not np.linalg.norm(out) > 0:
-        raise EditError("the normal of a surface must not be zero")
-    return on_planes(at, out, half_extents)
+        raise EditError(f"the {what} must not be zero")
+    near = np.abs(at) < _NEAR * np.asarray(half_extents, float)
+    # At a corner the normal may point along the plane's normal alone.
+    flat = np.where(near, 0.0, out)
+    return np.where(near, 0.0, at), flat if flat.any() else out
 
 
 def fitting(parent: Any) -> Data:

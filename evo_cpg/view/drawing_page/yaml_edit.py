@@ -262,7 +262,17 @@ def _carried(
     """
     placed: dict[int, list[str]] = defaultdict(list)
     gone, last = set(), -1
-    for what, i, i_end, j, j_end in _hunks(before, after):
+    hunks: list[tuple[str, int, int, int, int]] = []
+    for what, i, i_end, j, j_end in _differences(before, after):
+        if what == "equal":
+            hunks.append((what, i, i_end, j, j_end))
+            continue
+        # Replaced lines with the same key stand in one hunk.
+        changed = before[i:i_end], after[j:j_end]
+        keys, later = ([line.partition(":")[0] for line in rows] for rows in changed)
+        for _, k, k_end, m, m_end in _differences(keys, later):
+            hunks.append(("replace", i + k, i + k_end, j + m, j + m_end))
+    for what, i, i_end, j, j_end in hunks:
         for k in range(max(i_end - i, j_end - j)):
             own = sources[i + k] if i + k < i_end else []
             last = own[-1] if own else last
@@ -278,17 +288,6 @@ def _carried(
     for number, line in enumerate(lines):
         made += [*([] if number in gone else [line]), *placed[number]]
     return "\n".join(made)
-
-
-def _hunks(before: list[str], after: list[str]) -> Iterator[tuple[str, int, int, int, int]]:
-    """Yield how lines become others. Replaced lines with the same key stand in one hunk."""
-    keys, later = ([line.partition(":")[0] for line in lines] for lines in (before, after))
-    for what, i, i_end, j, j_end in _differences(before, after):
-        if what == "equal":
-            yield what, i, i_end, j, j_end
-            continue
-        for _, k, k_end, m, m_end in _differences(keys[i:i_end], later[j:j_end]):
-            yield "replace", i + k, i + k_end, j + m, j + m_end
 
 
 def _differences(one: list[str], other: list[str]) -> Sequence[tuple[str, int, int, int, int]]:

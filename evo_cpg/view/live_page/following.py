@@ -154,7 +154,8 @@ class Following:
             with self._drawing.working():
                 figure = fitness_figure(history_columns(now.checkpoint.history))
                 figure.set_size_inches(_SIZE)
-                self._chart = self._chart.replaced({"html": chart(figure, _CAPTION)})
+                drawn = {"html": chart(figure, _CAPTION)}
+                self._chart = Numbered(self._chart.number + 1, drawn)
         if now.finished:
             return "finished", "All generations are done. Control-C ends the program of this page"
         if not now.left:

@@ -48,10 +48,6 @@ class Numbered(NamedTuple):
     number: int = 0
     content: Mapping[str, Any] = MappingProxyType({})
 
-    def replaced(self, content: Answer) -> "Numbered":
-        """Return other content."""
-        return Numbered(self.number + 1, content)
-
     def since(self, known: int) -> Answer | None:
         """Return the content with its number, or None if it has the known number."""
         return None if self.number in (0, known) else {**self.content, "number": self.number}
@@ -173,7 +169,8 @@ class Replaying:
                     )
                     made = replays.experiment
                     scene = viewer_data(panel_of(made, recording, made.name))
-                    self.motion = self.motion.replaced({"words": words, "scene": scene})
+                    shown = {"words": words, "scene": scene}
+                    self.motion = Numbered(self.motion.number + 1, shown)
                 return
             if replays.prepare("population"):
                 return
@@ -184,7 +181,7 @@ class Replaying:
                 some = "all" if len(places) == size else f"{len(places)} of {size}"
                 words = f"Generation {checkpoint.generation}: {some} individuals, and their fitness"
                 empty = {"words": words, "count": len(places), "tiles": []}
-                self.wall = self.wall.replaced(empty)
+                self.wall = Numbered(self.wall.number + 1, empty)
                 self._rest = _Rest(checkpoint, champion.run, places.tolist())
             with self._walls.working():
                 self._rest = self._fill(replays, self._rest)
@@ -194,7 +191,7 @@ class Replaying:
             self._failed = which
             if self._folder.config.is_file():
                 words = f"The animals cannot be replayed: {error}"
-                self.motion = self.motion.replaced({"words": words, "scene": None})
+                self.motion = Numbered(self.motion.number + 1, {"words": words, "scene": None})
 
     def _forget(self) -> None:
         self._settings: Answer | None = None
