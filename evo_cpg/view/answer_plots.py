@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -81,17 +80,7 @@ def audit_figure(
     figure = new_figure(_WIDTH, _UPPER + lower, title)
     places = figure.add_gridspec(2, 2, height_ratios=(_UPPER, lower), width_ratios=(4, 3))
     # Without MuJoCo there are no paths to compare, and the energy takes the whole row.
-    _draw_energy(figure.add_subplot(places[0, 0] if paths else places[0, :]), ledger, step)
-    if paths:
-        _draw_paths(figure.add_subplot(places[0, 1]), paths)
-    _draw_fractions(figure.add_subplot(places[1, :]), kept)
-    for axes in figure.axes:
-        axes.grid()
-    return figure
-
-
-def _draw_energy(axes: Axes, ledger: Ledger, step: float) -> None:
-    """Draw the cumulative work of each contribution."""
+    axes = figure.add_subplot(places[0, 0] if paths else places[0, :])
     time = step * (1 + np.arange(len(ledger.stored)))
     each = slice(None, None, max(1, len(time) // _POINTS))
     for name, (label, color) in _WORKERS.items():
@@ -103,26 +92,21 @@ def _draw_energy(axes: Axes, ledger: Ledger, step: float) -> None:
     axes.axhline(0, color=GREY, lw=0.8)
     axes.set(xlabel="time (s)", ylabel="cumulative work (J)", title="Sources and sinks of energy")
     axes.legend(fontsize=8)
-
-
-def _draw_paths(axes: Axes, paths: Mapping[str, Float[np.ndarray, "3 t"]]) -> None:
-    """Draw the root's path in each program, from above."""
-    for (name, path), color in zip(paths.items(), _OPINIONS[: len(paths)], strict=True):
-        axes.plot(path[0], path[1], color=color, lw=1.6, label=name)
-        axes.plot(*path[:2, -1], "o", color=color, ms=5)
-    first = next(iter(paths.values()))
-    axes.plot(*first[:2, 0], "s", color=INK, ms=5, mfc="white", label="start")
-    axes.set_aspect("equal", adjustable="box")
-    every = np.concatenate([path[:2] for path in paths.values()], 1)
-    middle, half = (every.max(1) + every.min(1)) / 2, 0.55 * np.ptp(every, 1).max() + 0.05
-    (left, low), (right, high) = middle - half, middle + half
-    axes.set(xlabel="x (m)", ylabel="y (m)", title="Paths of the root, from above")
-    axes.set(xlim=(left, right), ylim=(low, high))
-    axes.legend(fontsize=8)
-
-
-def _draw_fractions(axes: Axes, kept: Sequence[Check]) -> None:
-    """Draw fractions of the displacement as bars, with their limits."""
+    if paths:
+        axes = figure.add_subplot(places[0, 1])
+        for (name, path), color in zip(paths.items(), _OPINIONS[: len(paths)], strict=True):
+            axes.plot(path[0], path[1], color=color, lw=1.6, label=name)
+            axes.plot(*path[:2, -1], "o", color=color, ms=5)
+        first = next(iter(paths.values()))
+        axes.plot(*first[:2, 0], "s", color=INK, ms=5, mfc="white", label="start")
+        axes.set_aspect("equal", adjustable="box")
+        every = np.concatenate([path[:2] for path in paths.values()], 1)
+        middle, half = (every.max(1) + every.min(1)) / 2, 0.55 * np.ptp(every, 1).max() + 0.05
+        (left, low), (right, high) = middle - half, middle + half
+        axes.set(xlabel="x (m)", ylabel="y (m)", title="Paths of the root, from above")
+        axes.set(xlim=(left, right), ylim=(low, high))
+        axes.legend(fontsize=8)
+    axes = figure.add_subplot(places[1, :])
     colors = {True: GREEN, False: RED, None: LIGHT_GREY}
     fractions = np.nan_to_num([100 * check.measured for check in kept])
     own = [colors[check.passed] for check in kept]
@@ -134,6 +118,9 @@ def _draw_fractions(axes: Axes, kept: Sequence[Check]) -> None:
             axes.text(limit, row, f" {side} {limit:.0f}", va="center", fontsize=8, zorder=4)
     name_rows(axes, [check.question for check in kept])
     axes.set(xlim=(0, 105), xlabel="displacement kept, relative to the original (%)")
+    for axes in figure.axes:
+        axes.grid()
+    return figure
 
 
 # Colours from lights on the right to lights on the left. All of them stand out on white.
@@ -253,9 +240,38 @@ def lab_figure(
     lines: dict[tuple, list[int]] = {}
     for number, values in enumerate(settings):
         lines.setdefault(tuple(values[1:]), []).append(number)
-    first = [values[0] if values else "" for values in settings]
+    first: list[Any] = [values[0] if values else "" for values in settings]
+    named = any(isinstance(value, str) for value in first)
+    names = list(dict.fromkeys(map(str, first)))
     for axes, panel in zip(grid, panels, strict=False):
-        _draw_measure(axes, first, lines, panel)
+        for number, (values, places) in enumerate(lines.items()):
+            color = PALETTE[number % len(PALETTE)]
+            y = np.array([panel.values[place] for place in places], float)
+            if named:
+                x = np.array([names.index(str(first[place])) for place in places], float)
+                x = x + 0.5 * (number - 0.5 * (len(lines) - 1)) / max(len(lines), 2)
+            else:
+                x = np.array([first[place] for place in places], float)
+            if panel.cycle:
+                wraps = np.flatnonzero(np.abs(np.diff(y)) > 0.5 * panel.cycle) + 1
+                x, y = np.insert(x, wraps, np.nan), np.insert(y, wraps, np.nan)
+            label = legible(", ".join(map(cell, values)))
+            style = "o" if named else "o-"
+            axes.plot(x, y, style, color=color, label=label, lw=1.6, ms=4.5)
+        if named:
+            axes.set_xticks(range(len(names)), [legible(name) for name in names], fontsize=8)
+            axes.set_xlim(-0.6, len(names) - 0.4)
+            if max(map(len, names)) * len(names) > 30:
+                axes.tick_params(axis="x", rotation=40)
+        known = [value for value in panel.values if math.isfinite(value)]
+        across, upwards = [] if named else first, known if panel.decades else []
+        for axis, values in ((axes.xaxis, across), (axes.yaxis, upwards)):
+            # Positive values that span more than a factor of 30 have a logarithmic axis. Its
+            # numbers are plain, because our pictures never have formulas.
+            if len(values) and min(values) > 0 and max(values) > 30 * min(values):
+                axes.set(**{f"{axis.axis_name}scale": "log"})
+                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+                axis.set_minor_formatter(NullFormatter())
         axes.set(xlabel=legible(knobs[0]) if knobs else "", title=legible(panel.label))
         axes.grid()
     for axes in grid[len(panels) :]:
@@ -266,42 +282,6 @@ def lab_figure(
         across = -(-len(lines) // -(-len(lines) // 5))
         figure.legend(*handles, title=others, loc="outside lower center", ncols=across)
     return figure
-
-
-def _draw_measure(
-    axes: Axes, first: Sequence[Any], lines: dict[tuple, list[int]], panel: MeasurePanel
-) -> None:
-    """Draw a measure over the first knob, a line for each value of the others."""
-    named = any(isinstance(value, str) for value in first)
-    names = list(dict.fromkeys(map(str, first)))
-    for number, (values, places) in enumerate(lines.items()):
-        color = PALETTE[number % len(PALETTE)]
-        y = np.array([panel.values[place] for place in places], float)
-        if named:
-            x = np.array([names.index(str(first[place])) for place in places], float)
-            x = x + 0.5 * (number - 0.5 * (len(lines) - 1)) / max(len(lines), 2)
-        else:
-            x = np.array([first[place] for place in places], float)
-        if panel.cycle:
-            wraps = np.flatnonzero(np.abs(np.diff(y)) > 0.5 * panel.cycle) + 1
-            x, y = np.insert(x, wraps, np.nan), np.insert(y, wraps, np.nan)
-        label = legible(", ".join(map(cell, values)))
-        style = "o" if named else "o-"
-        axes.plot(x, y, style, color=color, label=label, lw=1.6, ms=4.5)
-    if named:
-        axes.set_xticks(range(len(names)), [legible(name) for name in names], fontsize=8)
-        axes.set_xlim(-0.6, len(names) - 0.4)
-        if max(map(len, names)) * len(names) > 30:
-            axes.tick_params(axis="x", rotation=40)
-    known = [value for value in panel.values if math.isfinite(value)]
-    across, upwards = [] if named else first, known if panel.decades else []
-    for axis, values in ((axes.xaxis, across), (axes.yaxis, upwards)):
-        # Positive values that span more than a factor of 30 have a logarithmic axis. Its numbers
-        # are plain, because our pictures never have formulas.
-        if len(values) and min(values) > 0 and max(values) > 30 * min(values):
-            axes.set(**{f"{axis.axis_name}scale": "log"})
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axis.set_minor_formatter(NullFormatter())
 
 
 def cell(value: Any) -> str:
@@ -388,27 +368,22 @@ def card_figure(bars: Sequence[Bar]) -> Figure:
     """Draw a card, each row with its own axis. The median is green if reproduced, else red."""
     figure = new_figure(_CARD, _RULE * len(bars) + 0.3)
     for axes, bar in zip(figure.subplots(len(bars), 1, squeeze=False)[:, 0], bars, strict=True):
-        _draw_rule(axes, bar)
+        known = np.array([value for value in bar.values if math.isfinite(value)])
+        ends = [end for end in (bar.low, bar.high) if math.isfinite(end)]
+        shown = [*ends, *known.tolist()]
+        span = max(shown) - min(shown) or abs(max(shown)) or 1.0
+        left, right = min(shown) - 0.15 * span, max(shown) + 0.15 * span
+        low, high = max(bar.low, left), min(bar.high, right)
+        axes.barh(0, high - low, left=low, height=0.9, color=BLUE, alpha=0.25, lw=0)
+        if known.size:
+            axes.plot(known, 0 * known, "o", color=LIGHT_GREY, ms=4, mec=INK, mew=0.4)
+            color = GREEN if bar.reproduced else RED
+            axes.plot(float(np.median(known)), 0, "D", color=color, ms=7)
+        axes.set(xlim=(left, right), ylim=(-0.8, 0.8))
+        name = textwrap.fill(bar.name, _LINE, break_long_words=False, break_on_hyphens=False)
+        axes.set_yticks([0], [legible(name)], fontsize=8)
+        axes.tick_params(axis="y", length=0)
+        axes.tick_params(axis="x", labelsize=7, pad=1)
+        axes.locator_params(axis="x", nbins=6)
+        axes.spines["left"].set_visible(False)
     return figure
-
-
-def _draw_rule(axes: Axes, bar: Bar) -> None:
-    """Draw a rule's range as a bar and our values as dots."""
-    known = np.array([value for value in bar.values if math.isfinite(value)])
-    ends = [end for end in (bar.low, bar.high) if math.isfinite(end)]
-    shown = [*ends, *known.tolist()]
-    span = max(shown) - min(shown) or abs(max(shown)) or 1.0
-    left, right = min(shown) - 0.15 * span, max(shown) + 0.15 * span
-    axes.barh(0, min(bar.high, right) - max(bar.low, left), left=max(bar.low, left), height=0.9,
-              color=BLUE, alpha=0.25, lw=0)  # fmt: skip
-    if known.size:
-        axes.plot(known, 0 * known, "o", color=LIGHT_GREY, ms=4, mec=INK, mew=0.4)
-        color = GREEN if bar.reproduced else RED
-        axes.plot(float(np.median(known)), 0, "D", color=color, ms=7)
-    axes.set(xlim=(left, right), ylim=(-0.8, 0.8))
-    name = textwrap.fill(bar.name, _LINE, break_long_words=False, break_on_hyphens=False)
-    axes.set_yticks([0], [legible(name)], fontsize=8)
-    axes.tick_params(axis="y", length=0)
-    axes.tick_params(axis="x", labelsize=7, pad=1)
-    axes.locator_params(axis="x", nbins=6)
-    axes.spines["left"].set_visible(False)

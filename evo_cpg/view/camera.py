@@ -11,7 +11,7 @@ The distance lets the animal fill two fifths of the frame's width in half of the
 grows until every body is inside the frame, above the captions.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -139,22 +139,56 @@ def follow(
     first, points = radius / np.sin(np.radians(VIEW_ANGLE / 2)), bodies.corners()
 
     def seen(turned: float | np.ndarray, *more: np.ndarray) -> CameraPath:
+        """Return a path at the distance at which the animal fills its part of the frame."""
         sight = _direction(bearing + turned, elevation)
-        start = CameraPath(focus - first * sight, focus, VIEW_ANGLE)
+        path = CameraPath(focus - first * sight, focus, VIEW_ANGLE)
+        wide, high = _FILL if aspect >= 1 else _FILL_TALL, _FILL_HEIGHT
+        # A circling camera does not move across the line of sight.
         moves = not isinstance(turned, np.ndarray)
-        return _filled(start, points, aspect, np.array(more).reshape(-1, 3), moves)
+        for _ in range(_ROUNDS):
+            place = _thinly(path, points, aspect)
+            at_first = project(path, np.array(more).reshape(1, -1, 3), aspect)[0] * _APART
+            every = np.concatenate([place.reshape(-1, 2), at_first])
+            if not np.isfinite(every).all():
+                # Points behind the camera: step back.
+                path = _moved(path, 2.0, np.zeros(2), aspect)
+                continue
+            low, most = every.min(0), every.max(0)
+            off = (low + most) / 2 - [0.0, (_ABOVE - _BELOW) / 2] if moves else np.zeros(2)
+            across, upright = np.median(np.ptp(place, axis=1) / 2, axis=0)
+            beyond = (most - low) / [2 * _ROOM, _ABOVE + _BELOW]
+            if not moves:
+                beyond = np.maximum(-low / [_ROOM, _BELOW], most / [_ROOM, _ABOVE])
+            path = _moved(path, max(across / wide, upright / high, *beyond), off, aspect)
+        return path
 
+    best = None
     if turn is not None or not lit:
-        return _uncropped(seen(_SIDE if turn is None else turn), points, aspect)
-    # The first picture shows the light, too, unless the animal would be small in it.
-    turns = [sign * angle for angle in _BEARINGS for sign in ((1,) if close else (1, -1))]
-    smallest = _SMALLEST_CLOSE if close else _SMALLEST
-    best = _clearest([seen(turned, goal) for turned in turns], goal, points, aspect)
-    if best is None or _extent(best, points, aspect)[0] < smallest:
-        # A large animal goes across the picture, towards the arrow at its edge.
-        turns = [_SIDEWAYS] if close else turns
-        best = _clearest([seen(turned) for turned in turns], goal, points, aspect) or best
-    return _uncropped(best or seen(_BEARINGS[-1]), points, aspect)
+        best = seen(_SIDE if turn is None else turn)
+    else:
+        turns = [sign * angle for angle in _BEARINGS for sign in ((1,) if close else (1, -1))]
+        # The first picture shows the light, too, unless the animal would be small in it. Then a
+        # close animal goes across the picture, towards the arrow at its edge.
+        for tried, more in ((turns, (goal,)), ([_SIDEWAYS] if close else turns, ())):
+            clear, widths = [], []
+            for turned in tried:
+                path = seen(turned, *more)
+                away = np.linalg.norm(path.focus[0] - path.position[0])
+                # The eye keeps away from the goal.
+                if np.linalg.norm(path.position - goal, axis=-1).min() > away / 2:
+                    clear.append(path)
+                    place = _thinly(path, points, aspect)
+                    widths.append(np.median(np.ptp(place, axis=1) / 2, axis=0)[0])
+            if clear:
+                largest = max(range(len(clear)), key=widths.__getitem__)
+                best = clear[largest]
+                if not widths[largest] < (_SMALLEST_CLOSE if close else _SMALLEST):
+                    break
+    path = best or seen(_BEARINGS[-1])
+    # Step back until every point is inside the frame at every instant.
+    while not np.abs(np.nan_to_num(project(path, points, aspect), nan=np.inf)).max() < 1:
+        path = _moved(path, _STEP_BACK, np.zeros(2), aspect)
+    return path
 
 
 def overview(
@@ -178,13 +212,25 @@ def overview(
     sight = _direction(bearing + _ACROSS, elevation)
     middle = (points.min(0) + points.max(0)) / 2
     far = _FARTHEST * float(np.linalg.norm(np.ptp(points, axis=0)))
-    near, best = 0.0, _centred(middle, far * sight, points, aspect, above)
+    near, best = 0.0, None
+    for _ in range(_HALVINGS + 1):
+        # From the largest distance, all points are in the frame.
+        half = far if best is None else (near + far) / 2
+        path = CameraPath((middle - half * sight)[None], middle[None], VIEW_ANGLE)
+        for _ in range(_SHIFTS):
+            place = project(path, points[None], aspect)[0]
+            if not np.isfinite(place).all():
+                break
+            low, most = place.min(0), place.max(0)
+            off = (low + most) / 2 - [0.0, (above - _BELOW) / 2]
+            # A full shift would overshoot for points farther away than the focus.
+            path = _moved(path, 1.0, off / 2, aspect)
+        place = np.nan_to_num(project(path, points[None], aspect)[0], nan=np.inf)
+        if ((place > [-_ROOM, -_BELOW]) & (place < [_ROOM, above])).all():
+            far, best = half, path
+        else:
+            near = half
     assert best is not None
-    for _ in range(_HALVINGS):
-        half = (near + far) / 2
-        found = _centred(middle, half * sight, points, aspect, above)
-        near, far = (half, far) if found is None else (near, half)
-        best = found or best
     return best
 
 
@@ -214,80 +260,6 @@ def between(
     return CameraPath(focus + far * sight, focus, before.view_angle)
 
 
-def _centred(
-    focus: Float[np.ndarray, "3"],
-    ahead: Float[np.ndarray, "3"],
-    points: Float[np.ndarray, "n 3"],
-    aspect: float,
-    above: float,
-) -> CameraPath | None:
-    """Return a camera of one frame with the points in the middle, or None if they do not fit.
-
-    Args:
-        focus: point at which the camera may look first, m.
-        ahead: way from the eye to the focus, m.
-        points: the points, m.
-        aspect: width of the picture over its height.
-        above: upper end of the part of the frame for the points.
-    """
-    path = CameraPath((focus - ahead)[None], focus[None], VIEW_ANGLE)
-    for _ in range(_SHIFTS):
-        place = project(path, points[None], aspect)[0]
-        if not np.isfinite(place).all():
-            return None
-        low, most = place.min(0), place.max(0)
-        off = (low + most) / 2 - [0.0, (above - _BELOW) / 2]
-        # A full shift would overshoot for points farther away than the focus.
-        path = _moved(path, 1.0, off / 2, aspect)
-    place = np.nan_to_num(project(path, points[None], aspect)[0], nan=np.inf)
-    fits = (place > [-_ROOM, -_BELOW]) & (place < [_ROOM, above])
-    return path if fits.all() else None
-
-
-def _filled(
-    path: CameraPath,
-    points: Float[np.ndarray, "frames n 3"],
-    aspect: float,
-    at_first: Float[np.ndarray, "m 3"],
-    moves: bool,
-) -> CameraPath:
-    """Return the path at the distance at which the animal fills its part of the frame.
-
-    Args:
-        path: the camera in every frame, at some distance.
-        points: corners of the bodies, m.
-        aspect: width of the picture over its height.
-        at_first: points that the first frame shows, too, m.
-        moves: whether the camera may move across the line of sight, too.
-    """
-    wide, high = _FILL if aspect >= 1 else _FILL_TALL, _FILL_HEIGHT
-    for _ in range(_ROUNDS):
-        place = _thinly(path, points, aspect)
-        first = project(path, at_first[None], aspect)[0] * _APART
-        every = np.concatenate([place.reshape(-1, 2), first])
-        if not np.isfinite(every).all():
-            # Points behind the camera: step back.
-            path = _moved(path, 2.0, np.zeros(2), aspect)
-            continue
-        low, most = every.min(0), every.max(0)
-        off = (low + most) / 2 - [0.0, (_ABOVE - _BELOW) / 2] if moves else np.zeros(2)
-        across, upright = np.median(np.ptp(place, axis=1) / 2, axis=0)
-        beyond = (most - low) / [2 * _ROOM, _ABOVE + _BELOW]
-        if not moves:
-            beyond = np.maximum(-low / [_ROOM, _BELOW], most / [_ROOM, _ABOVE])
-        path = _moved(path, max(across / wide, upright / high, *beyond), off, aspect)
-    return path
-
-
-def _uncropped(
-    path: CameraPath, points: Float[np.ndarray, "frames n 3"], aspect: float
-) -> CameraPath:
-    """Return the path, stepped back until every point is inside the frame at every instant."""
-    while not np.abs(np.nan_to_num(project(path, points, aspect), nan=np.inf)).max() < 1:
-        path = _moved(path, _STEP_BACK, np.zeros(2), aspect)
-    return path
-
-
 def _moved(
     path: CameraPath, factor: float, off: Float[np.ndarray, "2"], aspect: float
 ) -> CameraPath:
@@ -311,23 +283,6 @@ def _thinly(path: CameraPath, points: np.ndarray, aspect: float) -> np.ndarray:
     every = max(len(points) // _MEASURED, 1)
     few = CameraPath(path.position[::every], path.focus[::every], path.view_angle)
     return project(few, points[::every], aspect)
-
-
-def _extent(path: CameraPath, points: np.ndarray, aspect: float) -> Float[np.ndarray, "2"]:
-    """Return the median parts of the frame's width and height that the animal fills."""
-    return np.median(np.ptp(_thinly(path, points, aspect), axis=1) / 2, axis=0)
-
-
-def _clearest(
-    paths: Sequence[CameraPath], goal: np.ndarray, points: np.ndarray, aspect: float
-) -> CameraPath | None:
-    """Return the path that shows the largest animal, and keeps the eye away from the goal."""
-    clear = []
-    for path in paths:
-        away = np.linalg.norm(path.focus[0] - path.position[0])
-        if np.linalg.norm(path.position - goal, axis=-1).min() > away / 2:
-            clear.append(path)
-    return max(clear, key=lambda path: _extent(path, points, aspect)[0], default=None)
 
 
 def aspect_of(

@@ -1,4 +1,4 @@
-"""Words in films: captions, an arrow to a goal out of sight, headings, and the words of a story.
+"""Words in films: captions, an arrow to a goal out of sight, and the words of a story.
 
 The words of a story fade in and out. A word beside an animal or a line also fades out where it
 would cross another one.
@@ -27,8 +27,6 @@ _LARGE, _NOTE, _NAME = 23, 16, 15
 _COLUMNS, _VALUE = (0, 140, 290), 105
 # Smallest fraction of its size to which a title shrinks, and the ending of a cut title.
 _LEAST, _CUT = 0.55, "..."
-# Height of a heading's letters, as a fraction of its line.
-_HEADING = 0.6
 
 
 def captions(
@@ -77,14 +75,6 @@ def captions(
                 write(draw, value, (left, bottom), _LARGE * unit, look.text)
 
     return write_into
-
-
-def heading(text: str, width: int, height: int) -> np.ndarray:
-    """Return a moment's heading, dark on white: ``(height, width, 3)`` bytes, bottom row first."""
-    picture = np.full((height, width, 3), 255, np.uint8)
-    with lettering(picture) as draw:
-        write(draw, text, (width / 2, height / 2), _HEADING * height, "black", anchor="mm")
-    return picture
 
 
 def fitted(title: str, size: float, room: float) -> tuple[str, float]:
@@ -269,23 +259,22 @@ def wrapped(text: str, size: float, room: float) -> list[str]:
         size: size of the letters, pixels.
         room: available width, pixels.
     """
-    lines = _filled(text, size, room)
-    # Lines of about equal length look better than a last line of one word.
-    while len(lines) > 1 and len(shorter := _filled(text, size, 0.95 * room)) == len(lines):
-        lines, room = shorter, 0.95 * room
-    return lines
-
-
-def _filled(text: str, size: float, room: float) -> list[str]:
-    """Return the lines of a text, each filled as far as its words go."""
     lines: list[str] = []
-    for word in legible(text).split():
-        longer = f"{lines[-1]} {word}" if lines else word
-        if lines and font(size).getlength(longer) <= room:
-            lines[-1] = longer
-        else:
-            lines.append(word)
-    return lines
+    while True:
+        # Each line is filled as far as its words go.
+        shorter: list[str] = []
+        for word in legible(text).split():
+            longer = f"{shorter[-1]} {word}" if shorter else word
+            if shorter and font(size).getlength(longer) <= room:
+                shorter[-1] = longer
+            else:
+                shorter.append(word)
+        if lines and len(shorter) != len(lines):
+            return lines
+        lines, room = shorter, 0.95 * room
+        # Lines of about equal length look better than a last line of one word.
+        if len(lines) <= 1:
+            return lines
 
 
 class Tag(NamedTuple):
@@ -347,7 +336,7 @@ def placed_tags(camera: CameraPath, scene: Scene, size: tuple[int, int]) -> list
     staging = scene.staging
     if staging is None:
         return []
-    count, letters = len(scene.clip.time), _LETTERS * min(size)
+    count, letters, aspect = len(scene.clip.time), _LETTERS * min(size), size[0] / size[1]
     low, high = (np.array([[-_TAG_ASIDE, -_TAG_DOWN], [_TAG_ASIDE, _TAG_UP]]) + 1) / 2 * size
     tags: list[Tag] = []
 
@@ -375,7 +364,7 @@ def placed_tags(camera: CameraPath, scene: Scene, size: tuple[int, int]) -> list
     seen = size[1] / 2 / (np.tan(np.radians(camera.view_angle / 2)) * away)
     out = scene.half_extents.min(1).max() * seen + _HIGH * letters + _GAP * min(size)
     for animal, name in enumerate(staging.names):
-        spots = _pixels(camera, bodies[:, animal], size)
+        spots = (project(camera, bodies[:, animal], aspect) + 1) / 2 * size
         # Nothing stands between the viewer and the first animal, so its name is below it.
         up = spots[..., 1].max(1) + out if animal else spots[..., 1].min(1) - out
         # A word does not shake with the strokes of its animal.
@@ -384,13 +373,7 @@ def placed_tags(camera: CameraPath, scene: Scene, size: tuple[int, int]) -> list
         along = track.spacing * np.arange(1, track.lines + 1)
         lines = np.array([track.at(each, -track.right - _BESIDE * scene.radius) for each in along])
         lines[:, 2] = scene.level or 0.0
-        places = _pixels(camera, lines[None].repeat(count, 0), size)
+        places = (project(camera, lines[None].repeat(count, 0), aspect) + 1) / 2 * size
         for number, each in enumerate(along):
             add(f"{each:g} m", places[:, number], np.ones(count))
     return tags
-
-
-def _pixels(
-    camera: CameraPath, points: Float[np.ndarray, "frames n 3"], size: tuple[int, int]
-) -> Float[np.ndarray, "frames n 2"]:
-    return (project(camera, points, size[0] / size[1]) + 1) / 2 * size

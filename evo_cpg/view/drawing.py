@@ -5,14 +5,18 @@ a function that moves them or overwrites arrays in place. Nothing is meshed agai
 """
 
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import numpy as np
 import pyvista as pv
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.vtkRenderingCore import vtkRenderWindow
 
 from evo_cpg.view.ghosts import add_ghosts
 from evo_cpg.view.ground import add_ground, add_numbers
 from evo_cpg.view.meshes import surfaces
-from evo_cpg.view.offscreen import pixels, placed
+from evo_cpg.view.offscreen import placed
 from evo_cpg.view.scene import moved_aside
 from evo_cpg.view.scenery import (
     add_goal_light,
@@ -25,7 +29,7 @@ from evo_cpg.view.scenery import (
 )
 from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.skin import add_skins
-from evo_cpg.view.stage import Stage, Update
+from evo_cpg.view.stage import Stage
 from evo_cpg.view.terrain import Terrain, add_obstacles, obstacle_mesh
 from evo_cpg.view.water import add_ceiling, add_mirror, add_tint, add_waterlines
 
@@ -43,41 +47,9 @@ def set_scene(
     Returns:
         A function that draws a frame by its number: bytes ``(height, width, 3)``, bottom row first.
     """
-    plotter = stage.plotter
-    updates = _add_environment(stage)
-    if skins:
-        updates.append(add_skins(stage))
-    plotter.camera.view_angle = stage.camera.view_angle
-    plotter.camera.up = (0.0, 0.0, 1.0)
-    # This makes the window without drawing. Without a window VTK resets the camera later.
-    plotter.renderer.SetDraw(False)
-    plotter.show(auto_close=False, interactive=False)
-    plotter.renderer.SetDraw(True)
-
-    def show(number: int) -> np.ndarray:
-        shot = stage.shot(number)
-        plotter.camera.position = shot.eye
-        plotter.camera.focal_point = shot.focus
-        away = float(np.linalg.norm(shot.focus - shot.eye))
-        plotter.camera.clipping_range = (0.05 * away, 20 * stage.away)
-        for update in updates:
-            update(shot)
-        for actors, place, turn in zip(bodies, shot.position, shot.rotation, strict=True):
-            for actor in actors:
-                actor.user_matrix = placed(turn, place)
-        plotter.render()
-        return pixels(plotter)
-
-    return show
-
-
-def _add_environment(stage: Stage) -> list[Update]:
-    """Draw everything but the animal.
-
-    Translucent actors are drawn in the order in which they are added. So the floor comes first,
-    then things in its plane. The light and the trail come after the shadows, the water last.
-    """
-    scene, look = stage.scene, stage.look
+    plotter, scene, look = stage.plotter, stage.scene, stage.look
+    # Translucent actors are drawn in the order in which they are added. So the floor comes first,
+    # then things in its plane. The light and the trail come after the shadows, the water last.
     updates = [add_sky(stage), add_ground(stage)]
     if stage.measured and scene.numbers:
         updates.append(add_numbers(stage))
@@ -85,7 +57,7 @@ def _add_environment(stage: Stage) -> list[Update]:
     if staging is not None and staging.track is not None:
         add_track(stage, staging.track)
     if stones := scene.ground.obstacles:
-        add_obstacles(stage.plotter, stones, look.ambient, stage.ground.height)
+        add_obstacles(plotter, stones, look.ambient, stage.ground.height)
         shades = [obstacle_mesh(stone, shade=True) for stone in stones]
         meshes, places, turns = zip(*shades, strict=True)
         half_extents = np.array([np.ptp(np.asarray(mesh.points), axis=0) / 2 for mesh in meshes])
@@ -120,4 +92,31 @@ def _add_environment(stage: Stage) -> list[Update]:
         updates.append(add_tint(stage, stage.ground, scene.surface))
         updates.append(add_mirror(stage, scene.surface))
         updates.append(add_waterlines(stage, scene.surface))
-    return updates
+    if skins:
+        updates.append(add_skins(stage))
+    plotter.camera.view_angle = stage.camera.view_angle
+    plotter.camera.up = (0.0, 0.0, 1.0)
+    # This makes the window without drawing. Without a window VTK resets the camera later.
+    plotter.renderer.SetDraw(False)
+    plotter.show(auto_close=False, interactive=False)
+    plotter.renderer.SetDraw(True)
+
+    def show(number: int) -> np.ndarray:
+        shot = stage.shot(number)
+        plotter.camera.position = shot.eye
+        plotter.camera.focal_point = shot.focus
+        away = float(np.linalg.norm(shot.focus - shot.eye))
+        plotter.camera.clipping_range = (0.05 * away, 20 * stage.away)
+        for update in updates:
+            update(shot)
+        for actors, place, turn in zip(bodies, shot.position, shot.rotation, strict=True):
+            for actor in actors:
+                actor.user_matrix = placed(turn, place)
+        plotter.render()
+        width, height = plotter.window_size
+        buffer = vtkUnsignedCharArray()
+        window = cast(vtkRenderWindow, plotter.render_window)
+        window.GetPixelData(0, 0, width - 1, height - 1, 0, buffer, 0)
+        return vtk_to_numpy(buffer).reshape(height, width, 3)
+
+    return show

@@ -13,7 +13,6 @@ from jaxtyping import Float, Real
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.files import in_one_piece
 from evo_cpg.view.legible import legible
@@ -74,11 +73,6 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> Path:
     with in_one_piece(path) as partial:
         figure.savefig(partial, dpi=_DPI)
     return path
-
-
-def count_in_whole_numbers(axes: Axes) -> None:
-    """Put the ticks of the x axis at round whole numbers, such as every 20 generations."""
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
 
 
 def right_axis(axes: Axes) -> Axes:

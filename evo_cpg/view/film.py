@@ -9,7 +9,6 @@ horizon follows the focus in steps there, so an opacity may differ by one of 255
 import atexit
 import contextlib
 import dataclasses
-import functools
 import itertools
 import math
 import multiprocessing
@@ -25,11 +24,13 @@ import jax
 import numpy as np
 from PIL import Image
 
+from evo_cpg.files import OutputError, in_one_piece
 from evo_cpg.view.camera import aspect_of
-from evo_cpg.view.captions import captions, heading, pointer
+from evo_cpg.view.captions import captions, pointer
 from evo_cpg.view.drawing import set_scene
+from evo_cpg.view.legible import lettering, write
 from evo_cpg.view.meshes import add_bodies
-from evo_cpg.view.offscreen import canvas
+from evo_cpg.view.offscreen import CELLS, canvas
 from evo_cpg.view.output import (
     FILM_SUFFIXES,
     PICTURE_SUFFIXES,
@@ -37,12 +38,10 @@ from evo_cpg.view.output import (
     check_size,
     film_writer,
     is_numbered,
-    numbered_path,
     output_path,
     oversampling,
     picture_of,
     save_numbered,
-    save_picture,
 )
 from evo_cpg.view.scene import Clip, Panel, check_panel, sample, scene_of
 from evo_cpg.view.signals import FRACTION, LOWEST, SMALLEST, Strip
@@ -56,6 +55,8 @@ _STILL_OVERSAMPLING = 3.0
 # Gaps in pixels: between pictures of a sheet and animals side by side, height of a heading, and
 # between moments. A sheet of several animals has a heading above each moment.
 _GUTTER, _HEAD, _GAP = 4, 40, 24
+# Height of a heading's letters, as a fraction of its line.
+_HEADING = 0.6
 # Columns by number of animals. For more animals it is the square root, rounded up.
 _COLUMNS = (1, 1, 2, 3, 2)
 
@@ -140,8 +141,19 @@ class Frames:
 
             def draw(number: int) -> np.ndarray:
                 if self._grouped:
-                    words = self._moment(number)
-                    picture[-self._head :] = heading(words, self.rendered[0], self._head)
+                    clips = zip(self._clips, self._instants, strict=True)
+                    times = {
+                        f"{clip.time[own[number]] - clip.time[0]:.1f} s" for clip, own in clips
+                    }
+                    last = self.count - 1
+                    # Recordings of different lengths have no common time.
+                    words = "end" if number == last else f"{number / last:.0%} of each film"
+                    words = times.pop() if len(times) == 1 else words
+                    head = picture[-self._head :]
+                    head[:] = 255
+                    with lettering(head) as pen:
+                        middle = self.rendered[0] / 2, self._head / 2
+                        write(pen, words, middle, _HEADING * self._head, "black", anchor="mm")
                 for i, (show, own) in enumerate(zip(shows, self._instants, strict=True)):
                     seen = show(own[min(number, len(own) - 1)])
                     if len(shows) == 1:
@@ -164,17 +176,6 @@ class Frames:
             sheet.paste(picture, (number % columns * across, number // columns * down))
         return sheet
 
-    def _moment(self, number: int) -> str:
-        instants = {
-            f"{clip.time[own[number]] - clip.time[0]:.1f} s"
-            for clip, own in zip(self._clips, self._instants, strict=True)
-        }
-        if len(instants) == 1:
-            return instants.pop()
-        # Recordings of different lengths have no common time.
-        last = self.count - 1
-        return "end" if number == last else f"{number / last:.0%} of each film"
-
     @contextlib.contextmanager
     def _panel(self, panel: Panel, clip: Clip) -> Iterator[Callable[[int], np.ndarray]]:
         """Draw an animal's picture, frame by frame: ``(height, width, 3)``, bottom row first."""
@@ -187,7 +188,9 @@ class Frames:
             strip_height = strip.height
         title = panel.creature.name if panel.title is None else panel.title
         pace = f", {film.speed:g} x speed" if film.speed != 1 else ""
-        note = "; ".join(filter(None, [panel.note, f"grid {scene.grid:g} m{pace}"]))
+        note = "; ".join(
+            filter(None, [panel.note, f"grid {scene.marks.spacing / CELLS:g} m{pace}"])
+        )
         caption = captions(scene.look, title, scene.measured, note, (width, above), scale)
         with canvas((round(width * scale), round(height * scale) - strip_height)) as plotter:
             camera = camera_path(scene, film.camera, width / above)
@@ -237,7 +240,17 @@ def film_path(path: str | os.PathLike[str], film: Film, signals: bool = False) -
     """
     path = Path(path)
     if film.sheet is None and is_numbered(path):
-        path = numbered_path(path)
+        folder = path.parent
+        if folder.is_dir() and any(folder.iterdir()):
+            raise OutputError(
+                f"cannot write {path}: the folder {folder} is not empty. Name a new folder"
+            )
+        if not folder.is_dir() and not folder.parent.is_dir():
+            raise OutputError(
+                f"cannot write {path}: there is no folder {folder.parent}. Create it first"
+            )
+        if not os.access(folder.parent, os.W_OK):
+            raise OutputError(f"cannot write {path}: no permission to write in {folder.parent}")
     else:
         path = output_path(path, FILM_SUFFIXES if film.sheet is None else PICTURE_SUFFIXES)
     check_size(film.size)
@@ -287,10 +300,11 @@ def side_by_side(
         check_panel(panel)
     numbered = film.sheet is None and is_numbered(path)
     if path.suffix.lower() in PICTURE_SUFFIXES and not numbered:
-        save_picture(picture(panels, film, progress), path)
+        image = picture(panels, film, progress)
+        with in_one_piece(path) as partial:
+            image.save(partial)
         return path
     frames = Frames(panels, film)
-    processes = drawing_processes(frames.count, processes)
     with drawn_frames(frames, processes) as drawn:
         counted = _counted(drawn, frames.count, progress)
         if numbered:
@@ -358,17 +372,13 @@ class Reel(Protocol):
         ...
 
 
-# Frames to draw, in a process that draws.
+# Frames to draw, in a process that draws, and the function that draws them.
 _laid_out: list[Reel] = []
+_drawing: list[Callable[[int], np.ndarray]] = []
 
 
 class RenderError(RuntimeError):
     """A process that draws frames failed."""
-
-
-def drawing_processes(frames: int, cores: int) -> int:
-    """Return the number of processes that draw a number of frames fastest on usable cores."""
-    return max(1, min(cores, frames // _WORTH, _MOST))
 
 
 @contextlib.contextmanager
@@ -377,7 +387,7 @@ def drawn_frames(frames: Reel, processes: int) -> Iterator[Iterator[np.ndarray]]
 
     Args:
         frames: the frames. Each drawing process receives a copy.
-        processes: number of drawing processes. With 1, this process draws.
+        processes: usable cores. For few frames, this process draws, because that is faster.
 
     Yields:
         The frames in order: ``(height, width, 3)`` bytes, bottom row first. Each is valid until the
@@ -386,6 +396,7 @@ def drawn_frames(frames: Reel, processes: int) -> Iterator[Iterator[np.ndarray]]
     Raises:
         RenderError: one of the processes failed.
     """
+    processes = max(1, min(processes, frames.count // _WORTH, _MOST))
     if processes == 1:
         with frames.drawn() as draw:
             yield map(draw, range(frames.count))
@@ -420,11 +431,8 @@ def _prepare(frames: Reel) -> None:
 
 
 def _draw(number: int) -> np.ndarray:
-    return _scene()(number)
-
-
-@functools.cache
-def _scene() -> Callable[[int], np.ndarray]:
-    stack = contextlib.ExitStack()
-    atexit.register(stack.close)
-    return stack.enter_context(_laid_out[0].drawn())
+    if not _drawing:
+        stack = contextlib.ExitStack()
+        atexit.register(stack.close)
+        _drawing.append(stack.enter_context(_laid_out[0].drawn()))
+    return _drawing[0](number)

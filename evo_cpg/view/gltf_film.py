@@ -5,7 +5,6 @@ metres and seconds, but y points upwards. One node, ``world``, rotates all nodes
 therefore holds the unchanged numbers of the trajectory, in our axes (z upwards).
 """
 
-from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -17,11 +16,11 @@ from evo_cpg.io.models.glb import Glb, Node
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.system import version_of
-from evo_cpg.view.look import Look, sun_direction
+from evo_cpg.view.look import sun_direction
 from evo_cpg.view.meshes import pieces
 from evo_cpg.view.offscreen import floor_texture
 from evo_cpg.view.scene import Panel, Scene, check_panel, quaternions, sample, scene_of
-from evo_cpg.view.skin import ChainSkin, skins
+from evo_cpg.view.skin import skins
 from evo_cpg.view.stage import camera_path
 from evo_cpg.view.terrain import Terrain, obstacle_mesh
 
@@ -58,13 +57,38 @@ def gltf_film(panel: Panel) -> bytes:
     _add_ground(glb, root, scene)
     if scene.goal is not None:
         name = _apart(creature, "light")
-        _add_light(glb, root, name, scene.goal, scene.look, scene.radius)
+        color, halo = (
+            np.array(pv.Color(each).float_rgb) for each in (scene.look.light, scene.look.halo)
+        )
+        material = glb.material(name, color, glow=True)
+        mesh = _add_mesh(glb, name, pv.Sphere(radius=0.075 * scene.radius), material)
+        shone = glb.light(name, "point", halo, _LAMP * scene.radius**2)
+        glb.node(name, root, mesh=mesh, translation=scene.goal.tolist(), extensions=shone)
     sun = sun_direction(scene.look, np.array([0.0, 1.0, -0.3]))
     turn = Rotation.align_vectors([sun], [[0.0, 0.0, 1.0]])[0]
     name = _apart(creature, "sun")
     shone = glb.light(name, "directional", np.array(pv.Color(scene.look.sun).float_rgb), _SUN)
     glb.node(name, root, rotation=turn.as_quat().tolist(), extensions=shone)
-    _add_camera(glb, root, _apart(creature, "camera"), scene)
+    # The camera of our films, which follows the animal.
+    path = camera_path(scene, "follow", _ASPECT)
+    sight = path.focus - path.position
+    # A camera of glTF looks along its -z, and its y axis points up in the picture.
+    back = -sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right, axis=-1, keepdims=True)
+    turn = quaternions(np.stack([right, np.cross(back, right), back], -1))
+    angle = float(np.radians(path.view_angle))
+    name = _apart(creature, "camera")
+    node = glb.node(
+        name,
+        root,
+        camera=glb.camera(name, angle, _ASPECT, _NEAR * scene.radius),
+        translation=path.position[0].tolist(),
+        rotation=turn[0].tolist(),
+    )
+    times = glb.times(scene.clip.time - scene.clip.time[0])
+    glb.animate(node, "translation", times, path.position)
+    glb.animate(node, "rotation", times, turn)
     return glb.to_bytes()
 
 
@@ -102,71 +126,38 @@ def _add_animal(glb: Glb, root: Node, creature: Creature, recording: Recording) 
             glb.node(name, node, mesh=mesh)
     covered = skins(creature)
     if covered:
-        _add_skins(glb, creature, recording, covered, times, add)
-
-
-def _add_skins(
-    glb: Glb,
-    creature: Creature,
-    recording: Recording,
-    covered: Sequence[ChainSkin],
-    times: int,
-    add: Callable[[int, str], Node],
-) -> None:
-    """Add skins with bones of their own, so that the bodies stay ordinary nodes."""
-    centres, rotations = map(np.asarray, neutral_pose(creature))
-    # The neutral pose, moved to where the animal starts. Axes are glTF's.
-    start = creature.root_index
-    turn = recording.rotation[0, start] @ rotations[start].T
-    upright = Rotation.from_quat(Z_UP).as_matrix()
-    place = upright @ (recording.position[0, start] - turn @ centres[start])
-    turn = upright @ turn
-    used = np.unique(np.concatenate([skin.bodies.ravel() for skin in covered]))
-    bones = [add(i, _apart(creature, f"{creature.bodies[i].name}.bone")) for i in used]
-    rest = np.tile(np.eye(4), (len(used), 1, 1))
-    rest[:, :3, :3] = turn @ rotations[used]
-    rest[:, :3, 3] = centres[used] @ turn.T + place
-    name = _apart(creature, "skin")
-    material = glb.material(name, np.ones(3), roughness=0.7)
-    bound = glb.skin(name, bones, rest)
-    for number, skin in enumerate(covered, 1):
-        own = _apart(creature, f"skin{number}")
-        mesh = glb.mesh(
-            own,
-            skin.points @ turn.T + place,
-            skin.normals @ turn.T,
-            skin.faces,
-            material,
-            colors=skin.colors,
-            joints=np.searchsorted(used, skin.bodies),
-            weights=skin.weights,
-        )
-        # Only bones move a skin. three.js draws it as long as the place of its node is in view.
-        node = glb.node(own, mesh=mesh, skin=bound)
-        moved = (recording.position[:, start] - recording.position[0, start]) @ upright.T
-        glb.animate(node, "translation", times, moved)
-
-
-def _add_camera(glb: Glb, root: Node, name: str, scene: Scene) -> None:
-    """Add the camera of our films, which follows the animal."""
-    path = camera_path(scene, "follow", _ASPECT)
-    sight = path.focus - path.position
-    # A camera of glTF looks along its -z, and its y axis points up in the picture.
-    back = -sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right /= np.linalg.norm(right, axis=-1, keepdims=True)
-    turn = quaternions(np.stack([right, np.cross(back, right), back], -1))
-    angle = float(np.radians(path.view_angle))
-    node = glb.node(
-        name,
-        root,
-        camera=glb.camera(name, angle, _ASPECT, _NEAR * scene.radius),
-        translation=path.position[0].tolist(),
-        rotation=turn[0].tolist(),
-    )
-    times = glb.times(scene.clip.time - scene.clip.time[0])
-    glb.animate(node, "translation", times, path.position)
-    glb.animate(node, "rotation", times, turn)
+        # Skins have bones of their own, so that the bodies stay ordinary nodes.
+        centres, rotations = map(np.asarray, neutral_pose(creature))
+        # The neutral pose, moved to where the animal starts. Axes are glTF's.
+        start = creature.root_index
+        turn = recording.rotation[0, start] @ rotations[start].T
+        upright = Rotation.from_quat(Z_UP).as_matrix()
+        place = upright @ (recording.position[0, start] - turn @ centres[start])
+        turn = upright @ turn
+        used = np.unique(np.concatenate([skin.bodies.ravel() for skin in covered]))
+        bones = [add(i, _apart(creature, f"{creature.bodies[i].name}.bone")) for i in used]
+        rest = np.tile(np.eye(4), (len(used), 1, 1))
+        rest[:, :3, :3] = turn @ rotations[used]
+        rest[:, :3, 3] = centres[used] @ turn.T + place
+        name = _apart(creature, "skin")
+        material = glb.material(name, np.ones(3), roughness=0.7)
+        bound = glb.skin(name, bones, rest)
+        for number, skin in enumerate(covered, 1):
+            own = _apart(creature, f"skin{number}")
+            mesh = glb.mesh(
+                own,
+                skin.points @ turn.T + place,
+                skin.normals @ turn.T,
+                skin.faces,
+                material,
+                colors=skin.colors,
+                joints=np.searchsorted(used, skin.bodies),
+                weights=skin.weights,
+            )
+            # Only bones move a skin. three.js draws it as long as the place of its node is in view.
+            node = glb.node(own, mesh=mesh, skin=bound)
+            moved = (recording.position[:, start] - recording.position[0, start]) @ upright.T
+            glb.animate(node, "translation", times, moved)
 
 
 def _add_ground(glb: Glb, root: Node, scene: Scene) -> None:
@@ -208,17 +199,6 @@ def _add_ground(glb: Glb, root: Node, scene: Scene) -> None:
         name = _apart(creature, "water")
         mesh = glb.mesh(name, sheet.points(), sheet.normals(), sheet.triangles(), material)
         glb.node(name, root, mesh=mesh)
-
-
-def _add_light(
-    glb: Glb, root: Node, name: str, goal: np.ndarray, look: Look, radius: float
-) -> None:
-    color = np.array(pv.Color(look.light).float_rgb)
-    material = glb.material(name, color, glow=True)
-    mesh = _add_mesh(glb, name, pv.Sphere(radius=0.075 * radius), material)
-    halo = np.array(pv.Color(look.halo).float_rgb)
-    shone = glb.light(name, "point", halo, _LAMP * radius**2)
-    glb.node(name, root, mesh=mesh, translation=goal.tolist(), extensions=shone)
 
 
 def _add_mesh(glb: Glb, name: str, surface: pv.PolyData, material: int) -> int:

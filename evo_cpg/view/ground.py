@@ -82,12 +82,9 @@ def _add_relief(stage: Stage, terrain: Terrain, texture: pv.Texture) -> Update:
     hills hide things behind them. For this its triangles are sorted from front to back.
     """
     points, triangles, surface = terrain.points(), terrain.triangles(), stage.scene.surface
-    middle = points[triangles].mean(1)
-
-    def sorted_for(turned: float) -> np.ndarray:
-        return triangles[np.argsort(middle @ turned_about_vertical(stage.sight, turned))]
-
-    mesh, sorted_at = pv.PolyData.from_regular_faces(points, sorted_for(0.0)), 0.0
+    middle, sorted_at = points[triangles].mean(1), 0.0
+    order = np.argsort(middle @ turned_about_vertical(stage.sight, sorted_at))
+    mesh = pv.PolyData.from_regular_faces(points, triangles[order])
     shade = np.clip(_LEVEL + _SLOPE * (terrain.normals() @ stage.sun - stage.sun[2]), _DARKEST, 1.0)
     tint = np.repeat(shade[:, None], 3, 1)
     if surface is not None:
@@ -104,7 +101,9 @@ def _add_relief(stage: Stage, terrain: Terrain, texture: pv.Texture) -> Update:
         nonlocal sorted_at, faded_at
         focus = shot.focus[:2]
         if abs(shot.turned - sorted_at) > _RESORT:
-            mesh.regular_faces, sorted_at = sorted_for(shot.turned), shot.turned
+            sorted_at = shot.turned
+            order = np.argsort(middle @ turned_about_vertical(stage.sight, sorted_at))
+            mesh.regular_faces = triangles[order]
         if np.linalg.norm(focus - faded_at) < _FOLLOW * stage.visible:
             return
         faded_at = focus.copy()
@@ -144,29 +143,14 @@ def add_numbers(stage: Stage) -> Update:
     if not glyphs:
         return lambda shot: None
     mesh = glyphs[0].append_polydata(*glyphs[1:])
-    return _painted(stage, mesh, np.concatenate(flat), np.concatenate(middle))
-
-
-def _painted(
-    stage: Stage,
-    mesh: pv.PolyData,
-    flat: Float[np.ndarray, "n 2"],
-    middle: Float[np.ndarray, "n 2"],
-) -> Update:
-    """Draw numbers that lie on the ground.
-
-    Args:
-        stage: scene and camera.
-        mesh: mesh of all numbers, whose points are placed anew.
-        flat: their points in the plane of their number: to the right and ahead, m.
-        middle: place of the number that each point belongs to, m.
-    """
+    # Points in the plane of their number, and the place of the number that each belongs to.
+    lying, middles = np.concatenate(flat), np.concatenate(middle)
     rgba = np.tile(pv.Color(stage.look.text).int_rgba, (mesh.n_points, 1)).astype(np.uint8)
     ground, turned = stage.ground, 0.0
 
     def points(turned: float) -> Float[np.ndarray, "n 3"]:
-        right, ahead = level_axes(turned_about_vertical(stage.sight, turned))
-        place = middle + flat @ np.stack([right[:2], ahead[:2]])
+        right, ahead = level_axes(turned_about_vertical(sight, turned))
+        place = middles + lying @ np.stack([right[:2], ahead[:2]])
         return np.column_stack([place, ground.height(place) + stage.lift])
 
     mesh.points = points(0.0)

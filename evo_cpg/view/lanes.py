@@ -10,12 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import BodyBoxes, course, overview, project
 from evo_cpg.view.look import STYLES
-from evo_cpg.view.scene import Panel, Staging, Track, animal_reach, mark_spacing, sample
+from evo_cpg.view.scene import Panel, Staging, Track, mark_spacing, sample
 from evo_cpg.view.scenery import LAMP
 from evo_cpg.view.story import FPS, GLIDE, Overview
 from evo_cpg.view.terrain import heights
@@ -150,11 +149,20 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
     if (ground := panel.ground) is not None:
         if ground.obstacles:
             lane = spacing = 0.0
-        elif not _flat(ground, start, ahead, aside, progress.max(), lane):
-            spacing = 0.0
+        elif ground.level is None:
+            # Lines need the same height in all lanes, as far as the champion comes.
+            along, across = np.linspace(0.0, progress.max(), 12), lane * np.arange(_LANES)
+            place = start + along[:, None, None] * ahead + across[:, None] * aside
+            rise = np.ptp(heights(ground.floor, place[..., :2]), axis=1).max()
+            spacing = spacing if rise <= _LEVEL * lane else 0.0
     target, finish, arrival = None, None, None
     if lit:
-        target, arrival = goal, _touch(recording, box, length)
+        target = goal
+        own = np.einsum("tbij,tbi->tbj", recording.rotation, goal - recording.position)
+        away = np.linalg.norm(np.maximum(np.abs(own) - box, 0.0), axis=-1).min(1)
+        if away.min() <= _REACHED * length:
+            touching = away <= away.min() + LAMP * length / 2
+            arrival = float(recording.time[touching.argmax()])
     elif spacing:
         passed = progress[recording.time <= recording.time[-1] - _BEFORE_END].max(initial=0.0)
         if passed >= spacing:
@@ -163,27 +171,6 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
             target = start + finish * ahead
     path_ahead, goal_ahead = (start, bearing, ahead, aside), (target, finish, arrival)
     return Course(*path_ahead, corners, length, float(lane), spacing, *goal_ahead)
-
-
-def _touch(
-    recording: Recording, half_extents: Float[np.ndarray, "b 3"], length: float
-) -> float | None:
-    """Return the instant at which a body touches the light or is nearest to it, s.
-
-    Args:
-        recording: motion of the animal.
-        half_extents: half edges of the box around each body, m.
-        length: length of the animal, m.
-
-    Returns:
-        The instant, or None if no body comes near.
-    """
-    own = np.einsum("tbij,tbi->tbj", recording.rotation, recording.goal - recording.position)
-    away = np.linalg.norm(np.maximum(np.abs(own) - half_extents, 0.0), axis=-1).min(1)
-    if away.min() > _REACHED * length:
-        return None
-    touching = away <= away.min() + LAMP * length / 2
-    return float(recording.time[touching.argmax()])
 
 
 def tank_of(
@@ -226,35 +213,28 @@ def tank_of(
         # On the viewer's side, captions are below.
         sides = _NEARER * length, lane * (_LANES - 1) + _NEARER * length
         track = Track(start, course.bearing, course.spacing, lines, *sides, finish)
-    title = _title_view(course, STYLES[panel.world].side_elevation, aspect)
-    floor = None if land else _floor(panel, course, crowds)
+    # The title is above the animal at its start, and its goal if the animal stays large.
+    tail = start + (along.min() - _BACK * length) * ahead
+    fore = start + (along.max() + _AHEAD * length) * ahead
+    elevation = STYLES[panel.world].side_elevation
+    title = Overview(np.array([*corners, tail, fore]), course.bearing, elevation, titled=True)
+    if target is not None:
+        both = np.array([*corners, tail, target + _BACK * length * ahead])
+        seen = overview(both, course.bearing, elevation, aspect, titled=True)
+        if np.ptp(project(seen, corners[None], aspect)[0, :, 0]) / 2 >= _SMALLEST:
+            title = title._replace(points=both)
+    floor = None
+    if not land:
+        # The floor is below the champion, its goal and most of the crowds.
+        depths = [recording.position[..., 2].min()]
+        depths += [target[2]] if target is not None else []
+        depths += [np.quantile(crowd.position[..., 2], _BELOW) for crowd in crowds]
+        lowest = max(min(depths), start[2] - _DEEPEST * length)
+        reach = max(body.shape.reach for body in panel.creature.bodies)
+        floor = float(lowest - reach - _FLOOR * length)
     goal = None if target is None or finish is None else (target, f"{finish:g} m")
     others = _LANES - 1 if lane else _PILED
     return Tank(course, lane, others, track, floor, title, wide, near, goal)
-
-
-def _title_view(course: Course, elevation: float, aspect: float) -> Overview:
-    """Return a view of the animal at its start, and of its goal if the animal stays large."""
-    corners, ahead = course.corners, course.ahead
-    along = (corners - course.start) @ ahead
-    tail = course.start + (along.min() - _BACK * course.length) * ahead
-    near = course.start + (along.max() + _AHEAD * course.length) * ahead
-    alone = Overview(np.array([*corners, tail, near]), course.bearing, elevation, titled=True)
-    if course.target is None:
-        return alone
-    both = np.array([*corners, tail, course.target + _BACK * course.length * ahead])
-    seen = overview(both, course.bearing, elevation, aspect, titled=True)
-    large = np.ptp(project(seen, corners[None], aspect)[0, :, 0]) / 2 >= _SMALLEST
-    return alone._replace(points=both) if large else alone
-
-
-def _floor(panel: Panel, course: Course, crowds: Sequence[CrowdMotion]) -> float:
-    """Return the height of a floor below the champion, its goal and most of the crowds, m."""
-    depths = [panel.recording.position[..., 2].min()]
-    depths += [course.target[2]] if course.target is not None else []
-    depths += [np.quantile(crowd.position[..., 2], _BELOW) for crowd in crowds]
-    lowest = max(min(depths), course.start[2] - _DEEPEST * course.length)
-    return float(lowest - animal_reach(panel.creature) - _FLOOR * course.length)
 
 
 def in_lanes(
@@ -276,19 +256,3 @@ def in_lanes(
     chosen = ranked[((np.arange(count) + 0.5) / max(count, 1) * len(ranked)).astype(int)]
     # Neighbours differ, as in the population.
     return crowd.recording(0, root), crowd.of(np.sort(chosen))
-
-
-def _flat(
-    ground: Ground,
-    start: Float[np.ndarray, "3"],
-    ahead: Float[np.ndarray, "3"],
-    aside: Float[np.ndarray, "3"],
-    far: float,
-    lane: float,
-) -> bool:
-    """Return whether ground has the same height in all lanes, up to a distance."""
-    if ground.level is not None:
-        return True
-    along, across = np.linspace(0.0, far, 12), lane * np.arange(_LANES)
-    place = start + along[:, None, None] * ahead + across[:, None] * aside
-    return bool(np.ptp(heights(ground.floor, place[..., :2]), axis=1).max() <= _LEVEL * lane)

@@ -113,13 +113,14 @@ def drawn_eyes(creature: Creature) -> list[LightSensor]:
     if not solid:
         return []
 
-    def front(i: int) -> np.ndarray:
-        return np.asarray(creature.bodies[i].shape.support(rotations[i].T @ _FRONT), float)
-
     thick = {i: float(creature.bodies[i].shape.half_extents.min()) for i in solid}
     solid = [i for i in solid if thick[i] >= _HEAD * max(thick.values())]
-    head = max(solid, key=lambda i: (centres[i] + rotations[i] @ front(i)) @ _FRONT)
-    body, foremost = creature.bodies[head].name, front(head)
+    front = {
+        i: np.asarray(creature.bodies[i].shape.support(rotations[i].T @ _FRONT), float)
+        for i in solid
+    }
+    head = max(solid, key=lambda i: (centres[i] + rotations[i] @ front[i]) @ _FRONT)
+    body, foremost = creature.bodies[head].name, front[head]
     place = foremost * (1 - _SET_BACK * thick[head] / np.linalg.norm(foremost))
     axes = (rotations[head].T @ [_FORWARD, side, _UP] for side in (_SIDE, -_SIDE))
     return [LightSensor(body, tuple(place), tuple(axis), np.pi) for axis in axes]
@@ -213,7 +214,16 @@ def _shell_mesh(body: Body, color: np.ndarray) -> pv.PolyData:
     """
     out, half = np.linspace(0, np.pi / 2, _OUT), np.asarray(body.shape.half_extents, float)
     flat, height, faces = _dome(out)
-    scute, far = _scutes(flat)
+    # Scutes are the Voronoi cells of their middles. Those of the rim are narrow.
+    around = 2 * np.pi * (np.arange(_RIM) + 0.5) / _RIM
+    rim = _AT_RIM * np.column_stack([np.cos(around), np.sin(around)])
+    middles = np.array([*_MIDDLE, *_BESIDE, *rim])
+    narrow = np.concatenate([np.zeros(len(_MIDDLE) + len(_BESIDE)), np.full(_RIM, 0.12)])
+    away = np.linalg.norm(flat[:, None] - middles, axis=-1) + narrow
+    far, next_ = np.sort(away, axis=1)[:, :2].T
+    # 0 in a seam to 1 on a scute.
+    part = np.clip((next_ - far) / _SEAM, 0, 1)
+    scute = part * part * (3 - 2 * part)
     # Seams end at the rim, where the belly begins.
     seam = _DEPTH * (1 - scute) * np.sqrt(height)
     above = np.column_stack([flat, height]) * (1 - seam)[:, None]
@@ -239,19 +249,3 @@ def _dome(out: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     # The first ring is one point, so half of its triangles have no area. The rim is level.
     faces = faces[(faces < _AROUND).sum(1) < 2]
     return flat, np.repeat(np.maximum(np.cos(out), 0).round(9), _AROUND), faces
-
-
-def _scutes(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where places ``(n, 2)`` lie: 0 in a seam to 1 on a scute, and how far from its middle.
-
-    The scutes are the Voronoi cells of their middles.
-    """
-    around = 2 * np.pi * (np.arange(_RIM) + 0.5) / _RIM
-    rim = _AT_RIM * np.column_stack([np.cos(around), np.sin(around)])
-    middles = np.array([*_MIDDLE, *_BESIDE, *rim])
-    # Scutes of the rim are narrow.
-    narrow = np.concatenate([np.zeros(len(_MIDDLE) + len(_BESIDE)), np.full(_RIM, 0.12)])
-    away = np.linalg.norm(places[:, None] - middles, axis=-1) + narrow
-    near, next_ = np.sort(away, axis=1)[:, :2].T
-    part = np.clip((next_ - near) / _SEAM, 0, 1)
-    return part * part * (3 - 2 * part), near

@@ -1,4 +1,4 @@
-"""An off-screen picture: plotter, pixels, kinds of actors, and textures made from seeded noise.
+"""An off-screen picture: plotter, kinds of actors, and textures made from seeded noise.
 
 Opposite edges of a floor tile match, so that it repeats without a seam.
 """
@@ -9,9 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pyvista as pv
-from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkInformation, vtkUnsignedCharArray
-from vtkmodules.vtkRenderingCore import vtkRenderWindow
+from vtkmodules.vtkCommonCore import vtkInformation
 from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
 
 
@@ -30,15 +28,6 @@ def canvas(size: tuple[int, int]) -> Iterator[pv.Plotter]:
             yield plotter
         finally:
             plotter.close()
-
-
-def pixels(plotter: pv.Plotter) -> np.ndarray:
-    """Return the picture just rendered, ``(height, width, 3)`` bytes, bottom row first."""
-    width, height = plotter.window_size
-    buffer = vtkUnsignedCharArray()
-    window = cast(vtkRenderWindow, plotter.render_window)
-    window.GetPixelData(0, 0, width - 1, height - 1, 0, buffer, 0)
-    return vtk_to_numpy(buffer).reshape(height, width, 3)
 
 
 def add_faded(plotter: pv.Plotter, mesh: pv.PolyData, rgba: np.ndarray, **given: Any) -> pv.Actor:

@@ -92,26 +92,6 @@ def is_numbered(path: Path) -> bool:
     return re.fullmatch(r"[^%]*%(0\d)?d[^%]*\.png", path.name, re.IGNORECASE) is not None
 
 
-def numbered_path(path: Path) -> Path:
-    """Return a path such as ``frames/%04d.png``, whose folder must be empty or new.
-
-    Raises:
-        OutputError: the folder is not empty, or cannot be created.
-    """
-    folder = path.parent
-    if folder.is_dir() and any(folder.iterdir()):
-        raise OutputError(
-            f"cannot write {path}: the folder {folder} is not empty. Name a new folder"
-        )
-    if not folder.is_dir() and not folder.parent.is_dir():
-        raise OutputError(
-            f"cannot write {path}: there is no folder {folder.parent}. Create it first"
-        )
-    if not os.access(folder.parent, os.W_OK):
-        raise OutputError(f"cannot write {path}: no permission to write in {folder.parent}")
-    return path
-
-
 def picture_of(frame: np.ndarray, size: tuple[int, int]) -> Image.Image:
     """Return a picture of this width and height, averaged from the bytes of a frame.
 
@@ -120,23 +100,13 @@ def picture_of(frame: np.ndarray, size: tuple[int, int]) -> Image.Image:
     return Image.fromarray(frame[::-1]).resize(size, Image.Resampling.BOX)
 
 
-def save_picture(picture: Image.Image, path: Path) -> None:
-    """Write a picture whole.
-
-    Raises:
-        OutputError: the picture cannot be written, for instance because the disk is full.
-    """
-    with in_one_piece(path) as partial:
-        picture.save(partial)
-
-
 def save_numbered(pictures: Iterable[Image.Image], path: Path) -> None:
     """Write pictures to files with numbers, all of them or none.
 
     Args:
         pictures: pictures, counted from 0.
-        path: path such as ``frames/%04d.png``, checked by `numbered_path`. The folder is new or
-            empty.
+        path: path such as ``frames/%04d.png``, checked by
+            `evo_cpg.view.film.film_path`. The folder is new or empty.
 
     Raises:
         OutputError: the pictures cannot be written, for instance because the disk is full.

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -23,7 +23,6 @@ from evo_cpg.view.figure import (
     ORANGE,
     RED,
     TIME,
-    count_in_whole_numbers,
     draw_runs,
     framed,
     new_figure,
@@ -98,7 +97,7 @@ def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
         bottom.set(ylabel="diverged", ylim=(0, diverged.max() * 1.15))
         bottom.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=3))
     bottom.set_xlabel("generation")
-    count_in_whole_numbers(bottom)
+    bottom.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     return figure
 
 
@@ -142,7 +141,14 @@ def joint_signals_figure(
     axis = bending_axis(recording) if axis is None else axis
     if axis not in available:
         raise ValueError(f"no joint has the axis {axis!r}. Allowed: {', '.join(available)}")
-    shown = _in_window(recording, window)
+    end = recording.time[-1]
+    start, stop = window or (max(0.0, 0.75 * end - _WINDOW / 2), 0.75 * end + _WINDOW / 2)
+    shown = (recording.time >= start) & (recording.time <= stop)
+    if shown.sum() < 2:
+        raise ValueError(
+            f"the window from {start:g} s to {stop:g} s holds {shown.sum()} recorded instants, but "
+            f"needs 2. The recording runs from {recording.time[0]:g} s to {end:g} s"
+        )
     left, groups = [i for i, name in enumerate(names) if name[1] == axis], []
     for chain in chains:
         groups.append([row for row in chain if row in left])
@@ -184,19 +190,6 @@ def joint_signals_figure(
     words = [word, signal.partition(" (")[0]]
     figure.legend(lines, words, loc="outside lower center", ncols=2)
     return figure
-
-
-def _in_window(recording: Recording, window: tuple[float, float] | None) -> Bool[np.ndarray, " t"]:
-    """Return a mask of the shown instants (`joint_signals_figure`)."""
-    end = recording.time[-1]
-    start, stop = window or (max(0.0, 0.75 * end - _WINDOW / 2), 0.75 * end + _WINDOW / 2)
-    shown = (recording.time >= start) & (recording.time <= stop)
-    if shown.sum() < 2:
-        raise ValueError(
-            f"the window from {start:g} s to {stop:g} s holds {shown.sum()} recorded instants, but "
-            f"needs 2. The recording runs from {recording.time[0]:g} s to {end:g} s"
-        )
-    return shown
 
 
 def _draw_rows(

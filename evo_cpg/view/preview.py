@@ -6,13 +6,13 @@ The scene is the one of a film, in pale colours and parallel projection.
 import dataclasses
 import math
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.creature import Body, Creature, lowest_height, neutral_pose
+from evo_cpg.creature.creature import Creature, lowest_height, neutral_pose
+from evo_cpg.files import in_one_piece
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording
@@ -22,7 +22,7 @@ from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import STYLES
 from evo_cpg.view.meshes import add_bodies, shape_mesh
 from evo_cpg.view.offscreen import canvas
-from evo_cpg.view.output import check_size, output_path, oversampling, picture_of, save_picture
+from evo_cpg.view.output import check_size, output_path, oversampling, picture_of
 from evo_cpg.view.scene import Panel, Scene, grid_spacing, sample, scene_of
 from evo_cpg.view.skin import drape
 from evo_cpg.view.stage import Stage
@@ -106,19 +106,38 @@ def preview(
         SettingError: the size is too small, or too large.
     """
     path = preview_path(path, size)
-    scene = _at_rest(creature, ground, pose, surface)
+    rest = neutral_pose(creature) if pose is None else pose
+    if ground is True:
+        ground = Ground(floor=Plane(height=float(lowest_height(creature, rest))))
+    none, start, nowhere = np.zeros((1, 0)), np.zeros(1), np.full(3, np.nan)
+    instant = (start, rest[0][None], rest[1][None], none, none, none, none, start, nowhere, ())
+    recording = Recording(*instant)
+    world = "land" if surface is None else "water"
+    seen = surface if surface is not None and math.isfinite(surface) else None
+    panel = Panel(creature, recording, world=world, ground=ground or None, surface=seen)
+    scene = scene_of(panel, sample(recording, 1.0))
+    dry = _DRY if surface is None else _SUNK
+    scene = scene._replace(look=dry if scene.surface is None else _SHORE)
     rest = scene.clip.position[0], scene.clip.rotation[0]
     hull = np.concatenate(
         [
             np.asarray(shape_mesh(body.shape).points) @ turn.T + centre
-            for body, centre, turn in _posed(scene)
+            for body, centre, turn in zip(creature.bodies, *rest, strict=True)
         ]
     )
     stones, far = obstacles_near(scene.ground, hull)
     shown = np.concatenate([hull, stones])
     middle = (shown.min(0) + shown.max(0)) / 2
     scene = scene._replace(radius=float(np.linalg.norm(shown - middle, axis=1).max()))
-    camera, half_height = _camera(shown, size)
+    # The shown points fill the picture.
+    axes = np.stack([_RIGHT, _UP])
+    across = shown @ axes.T
+    low, high = across.min(0), across.max(0)
+    focus = (low + high) / 2 @ axes + shown.mean(0) @ _AHEAD * _AHEAD
+    width, height = (high - low) / _FILL
+    eye = focus - 5 * np.ptp(shown, axis=0).max() * _AHEAD
+    camera = CameraPath(eye[None], focus[None], VIEW_ANGLE)
+    half_height = float(max(width * size[1] / size[0], height) / 2)
     finer = oversampling(size, _OVERSAMPLING)
     rendered = round(size[0] * finer), round(size[1] * finer)
     with canvas(rendered) as plotter:
@@ -132,7 +151,7 @@ def preview(
         thin = scene.half_extents.min(1)
         # Half the thickness of a typical body, m.
         scale = float(np.median(thin[thin > 0]))
-        legend = _add_joints(plotter, scene, scale) | _add_sensors(plotter, scene, scale)
+        legend = _add_signs(plotter, scene, scale)
         opaque = show(0)
         for actor in [body for body, *_ in bodies] + [actor for _, actor in draped]:
             actor.visibility = False
@@ -146,30 +165,9 @@ def preview(
         offset = (rest[0] - camera.focus[0]) @ np.column_stack([_RIGHT, -_UP])
         places = np.array(rendered) / 2 + pixels_per_metre * offset
         _write(picture, creature, places, pixels_per_metre, legend, notes, unit)
-    save_picture(picture_of(picture, size), path)
+    with in_one_piece(path) as partial:
+        picture_of(picture, size).save(partial)
     return path
-
-
-def _at_rest(
-    creature: Creature,
-    ground: Ground | bool,
-    pose: tuple[np.ndarray, np.ndarray] | None,
-    surface: float | None,
-) -> Scene:
-    """Return the scene of one instant, in pale colours (arguments: `preview`)."""
-    centres, rotations = neutral_pose(creature) if pose is None else pose
-    if ground is True:
-        ground = Ground(floor=Plane(height=float(lowest_height(creature, (centres, rotations)))))
-    none, start, nowhere = np.zeros((1, 0)), np.zeros(1), np.full(3, np.nan)
-    rest = Recording(
-        start, centres[None], rotations[None], none, none, none, none, start, nowhere, ()
-    )
-    world = "land" if surface is None else "water"
-    seen = surface if surface is not None and math.isfinite(surface) else None
-    panel = Panel(creature, rest, world=world, ground=ground or None, surface=seen)
-    scene = scene_of(panel, sample(rest, 1.0))
-    dry = _DRY if surface is None else _SUNK
-    return scene._replace(look=dry if scene.surface is None else _SHORE)
 
 
 def obstacles_near(ground: Ground, hull: np.ndarray) -> tuple[np.ndarray, int]:
@@ -200,11 +198,13 @@ def water_note(surface: float, hull: np.ndarray) -> str:
     return "partly under water" if surface > low else f"{low - surface:.2g} m above the water"
 
 
-def _add_joints(plotter: pv.Plotter, scene: Scene, scale: float) -> dict[str, str]:
-    """Draw arrows along the joint axes, and return their colours by meaning."""
-    meaning = {}
-    for body, centre, turn in _posed(scene):
-        joint = scene.creature.joint_of(body)
+def _add_signs(plotter: pv.Plotter, scene: Scene, scale: float) -> dict[str, str]:
+    """Draw joint axes, lines of sight and sensors, and return their colours by meaning."""
+    creature, arrows, balls, meaning = scene.creature, [], [], {}
+    places = zip(creature.bodies, scene.clip.position[0], scene.clip.rotation[0], strict=True)
+    posed = {body.name: (body, centre, turn) for body, centre, turn in places}
+    for body, centre, turn in posed.values():
+        joint = creature.joint_of(body)
         if joint is None:
             continue
         anchor = centre + turn @ np.array(joint.child_anchor)
@@ -214,18 +214,12 @@ def _add_joints(plotter: pv.Plotter, scene: Scene, scale: float) -> dict[str, st
             color = _AXES.get(name, _OTHER_AXIS)
             meaning[f"{name} axis" if names else "other axis, such as -z"] = color
             # Long enough to stick out of the bodies on either side.
-            _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * scale, color)
-    return dict(sorted(meaning.items()))
-
-
-def _add_sensors(plotter: pv.Plotter, scene: Scene, scale: float) -> dict[str, str]:
-    """Draw lines of sight, depth gauges and pressure sensors, and return their colours."""
-    creature, balls, meaning = scene.creature, [], {}
-    posed = {body.name: (body, centre, turn) for body, centre, turn in _posed(scene)}
+            arrows.append((anchor, turn @ np.array(axis), 2.1, color))
+    meaning = dict(sorted(meaning.items()))
     for sensor in creature.light_sensors:
         _, centre, turn = posed[sensor.body]
         eye = centre + turn @ np.array(sensor.position)
-        _add_arrow(plotter, eye, turn @ np.array(sensor.axis), 3.2 * scale, _SIGHT)
+        arrows.append((eye, turn @ np.array(sensor.axis), 3.2, _SIGHT))
         meaning["line of sight"] = _SIGHT
     for gauge in creature.depth_sensors:
         _, centre, turn = posed[gauge.body]
@@ -236,42 +230,20 @@ def _add_sensors(plotter: pv.Plotter, scene: Scene, scale: float) -> dict[str, s
         for outward in (*np.eye(3)[1:], *-np.eye(3)[1:]):
             balls.append((centre + turn @ body.shape.support(outward), 0.22, _PRESSURE))
         meaning["pressure sensor"] = _PRESSURE
+    for start, direction, length, color in arrows:
+        arrow = pv.Arrow(
+            start=start,
+            direction=direction,
+            scale=length * scale,
+            shaft_radius=0.022,
+            tip_radius=0.065,
+            tip_length=0.2,
+        )
+        plotter.add_mesh(arrow, color=color, ambient=0.6, diffuse=0.5, render=False)
     for place, size, color in balls:
         ball = pv.Sphere(radius=size * scale, center=place)
         plotter.add_mesh(ball, color=color, lighting=False, render=False)
     return meaning
-
-
-def _posed(scene: Scene) -> Iterator[tuple[Body, np.ndarray, np.ndarray]]:
-    """Yield every body with its centre and rotation."""
-    clip = scene.clip
-    return zip(scene.creature.bodies, clip.position[0], clip.rotation[0], strict=True)
-
-
-def _add_arrow(
-    plotter: pv.Plotter, start: np.ndarray, direction: np.ndarray, length: float, color: str
-) -> None:
-    arrow = pv.Arrow(
-        start=start,
-        direction=direction,
-        scale=length,
-        shaft_radius=0.022,
-        tip_radius=0.065,
-        tip_length=0.2,
-    )
-    plotter.add_mesh(arrow, color=color, ambient=0.6, diffuse=0.5, render=False)
-
-
-def _camera(shown: np.ndarray, size: tuple[int, int]) -> tuple[CameraPath, float]:
-    """Return a camera whose picture the points ``(n, 3)`` fill, and half the shown height, m."""
-    axes = np.stack([_RIGHT, _UP])
-    place = shown @ axes.T
-    low, high = place.min(0), place.max(0)
-    focus = (low + high) / 2 @ axes + shown.mean(0) @ _AHEAD * _AHEAD
-    width, height = (high - low) / _FILL
-    eye = focus - 5 * np.ptp(shown, axis=0).max() * _AHEAD
-    half_height = max(width * size[1] / size[0], height) / 2
-    return CameraPath(eye[None], focus[None], VIEW_ANGLE), float(half_height)
 
 
 def _write(

@@ -297,11 +297,6 @@ class Scene(NamedTuple):
         return None if self.surface is not None or level is None else float(level)
 
     @property
-    def grid(self) -> float:
-        """Spacing of the lines on the ground, m."""
-        return self.marks.spacing / CELLS
-
-    @property
     def measured(self) -> str:
         """Meaning of the clip's distance, in words."""
         return "from the start" if self.goal is None else "to the light"
@@ -336,7 +331,7 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
     if panel.ground is not None:
         ground, marks = panel.ground, Marks(root[0, :2], bearing, mark_spacing(2 * radius))
     else:
-        lowest = clip.position[..., 2].min() - animal_reach(creature)
+        lowest = clip.position[..., 2].min() - max(body.shape.reach for body in creature.bodies)
         lowest = lowest if goal is None else min(lowest, goal[2])
         lowest -= _FLOOR_DEPTH * radius
         if panel.staging is not None and panel.staging.floor is not None:
@@ -397,13 +392,8 @@ def surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surfa
 
 def animal_radius(creature: Creature, clip: Clip) -> float:
     """Return the distance of the animal's far ends from its middle at the start, m."""
-    start = clip.position[0]
-    return float(np.linalg.norm(start - start.mean(0), axis=-1).max()) + animal_reach(creature)
-
-
-def animal_reach(creature: Creature) -> float:
-    """Return the largest distance from a body's centre to its surface, m."""
-    return max(body.shape.reach for body in creature.bodies)
+    start, reach = clip.position[0], max(body.shape.reach for body in creature.bodies)
+    return float(np.linalg.norm(start - start.mean(0), axis=-1).max()) + reach
 
 
 def grid_spacing(length: float) -> float:

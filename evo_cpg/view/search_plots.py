@@ -12,15 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.evolution.strategy import Axis
-from evo_cpg.view.figure import (
-    PALETTE,
-    RED,
-    count_in_whole_numbers,
-    draw_runs,
-    framed,
-    name_rows,
-    new_figure,
-)
+from evo_cpg.view.figure import PALETTE, RED, draw_runs, framed, name_rows, new_figure
 from evo_cpg.view.legible import UNITS, in_words
 
 # Sizes of a sweep in inches: width, least height, height of a setting, and height of the rest.
@@ -74,7 +66,7 @@ def generations_figure(
         draw_runs(axes, np.arange(len(best)), best.T, color, name)
     axes.set(xlabel="generation", ylabel=label)
     axes.set_ylim(bottom=0)
-    count_in_whole_numbers(axes)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     axes.grid()
     counts = [best.shape[1] for best in bests.values()]
     least, most = min(counts), max(counts)
@@ -177,31 +169,22 @@ def map_figure(axes: Sequence[Axis], fitness: Float[np.ndarray, "..."], title: s
     least = 1e-3 * max(abs(low), abs(high), 1e-6)
     middle, half = (low + high) / 2, max((high - low) / 2, least)
     scale = Normalize(middle - half, middle + half)
-    draw = _bars if len(axes) == 1 else _panels
-    return draw(axes, shown, scale, head)
-
-
-def _bars(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize, title: str) -> Figure:
-    (axis,) = axes
-    figure = new_figure(_ALONE + _BESIDE, _ALONE, title)
-    panel = figure.subplots()
-    middles = (axis.edges[1:] + axis.edges[:-1]) / 2
-    width = 0.9 * np.diff(axis.edges)
-    colours = ScalarMappable(scale, _COLOURS).to_rgba(np.nan_to_num(fitness))
-    panel.bar(middles, np.nan_to_num(fitness), width, color=colours)
-    panel.set(xlabel=_axis_label(axis), ylabel="fitness")
-    return figure
-
-
-def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize, title: str) -> Figure:
-    slices = [fitness] if len(axes) == 2 else [fitness[..., i] for i in range(axes[2].cells)]
+    colours = ScalarMappable(scale, _COLOURS)
+    if len(axes) == 1:
+        (axis,), heights = axes, np.nan_to_num(shown)
+        figure = new_figure(_ALONE + _BESIDE, _ALONE, head)
+        panel = figure.subplots()
+        middles, width = (axis.edges[1:] + axis.edges[:-1]) / 2, 0.9 * np.diff(axis.edges)
+        panel.bar(middles, heights, width, color=colours.to_rgba(heights))
+        panel.set(xlabel=_axis_label(axis), ylabel="fitness")
+        return figure
+    slices = [shown] if len(axes) == 2 else [shown[..., i] for i in range(axes[2].cells)]
     across = min(len(slices), _PANELS_IN_A_ROW)
     down = -(-len(slices) // across)
     size = _ALONE if len(slices) == 1 else _PANEL
-    figure = new_figure(size * across + _BESIDE, size * down + _ABOVE, title)
+    figure = new_figure(size * across + _BESIDE, size * down + _ABOVE, head)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    found = np.isfinite(fitness).any()
-    best = np.unravel_index(np.nanargmax(fitness), fitness.shape) if found else None
+    star = np.unravel_index(np.nanargmax(shown), shown.shape) if finite.size else None
     for i, panel in enumerate(grid.flat):
         if i >= len(slices):
             panel.set_axis_off()
@@ -213,16 +196,16 @@ def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize, title: 
         if len(slices) > 1:
             low, high = axes[2].edges[i : i + 2]
             unit = UNITS.get(axes[2].name, "")
-            head = f"{in_words(axes[2].name)} {low:.3g} to {high:.3g} {unit}".strip()
-            panel.set_title(head, fontsize=8)
-        if best is not None and (len(slices) == 1 or best[2] == i):
-            x, y = (axes[k].edges[best[k] : best[k] + 2].mean() for k in (0, 1))
+            words = f"{in_words(axes[2].name)} {low:.3g} to {high:.3g} {unit}"
+            panel.set_title(words.strip(), fontsize=8)
+        if star is not None and (len(slices) == 1 or star[2] == i):
+            x, y = (axes[k].edges[star[k] : star[k] + 2].mean() for k in (0, 1))
             panel.plot(x, y, marker="*", ms=11, mfc="white", mec=RED, mew=1.4)
     for panel in grid[-1]:
         panel.set_xlabel(_axis_label(axes[0]))
     for panel in grid[:, 0]:
         panel.set_ylabel(_axis_label(axes[1]))
-    colours, label = ScalarMappable(scale, _COLOURS), "fitness (star: best cell)"
+    label = "fitness (star: best cell)"
     bar = figure.colorbar(colours, ax=list(grid.flat), label=label, shrink=0.8)
     bar.outline.set_visible(False)
     return figure

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.shapes import Shape
 from evo_cpg.view.offscreen import add_faded, spot_texture, write_depth
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Level, Terrain
@@ -112,8 +111,14 @@ def add_shadows(stage: Stage, half_extents: np.ndarray) -> Update:
 
     def update(shot: Shot) -> None:
         gap = shot.position[:, 2] - stage.ground.height(shot.position[:, :2])
-        under = [patch_under(*each) for each in zip(shot.rotation, half_extents, gap, strict=True)]
-        spots.lay(shot.position[:, :2], np.array(under), patch_opacity(gap / stage.radius))
+        under = np.zeros((len(half_extents), 2, 2))
+        for i in np.flatnonzero(half_extents.any(1)):
+            across = shot.rotation[i, :2] * half_extents[i]
+            # The patch widens with height above the floor, because the sky lights its edge.
+            blur = 0.9 * half_extents[i].min() + 0.12 * max(gap[i], 0.0)
+            spread, axes = np.linalg.eigh(across @ across.T + blur**2 * np.eye(2))
+            under[i] = axes * np.sqrt(spread) * 1.25
+        spots.lay(shot.position[:, :2], under, patch_opacity(gap / stage.radius))
 
     return update
 
@@ -124,8 +129,10 @@ def add_contacts(stage: Stage) -> Update:
     drawn = [i for i, body in enumerate(bodies) if body.shape.exists]
     texture = spot_texture(stage.look.shadow, _CONTACT, sharpness=2.6)
     spots = Spots(stage.plotter, texture, ground, stage.lift, len(drawn))
-    points = [soles(bodies[i].shape) for i in drawn]
-    sizes = [float(bodies[i].shape.half_extents.min()) for i in drawn]
+    shapes = [bodies[i].shape for i in drawn]
+    # Drawn boxes are rounded, the boxes of the physics are not.
+    points = [each.skin().points if each.corners is None else each.corners for each in shapes]
+    sizes = [float(each.half_extents.min()) for each in shapes]
 
     def update(shot: Shot) -> None:
         places = [
@@ -149,29 +156,6 @@ def add_contacts(stage: Stage) -> Update:
 def patch_opacity(height: np.ndarray) -> np.ndarray:
     """Return opacities of patches under bodies, 0 to 1, by height in radii of the animal."""
     return np.interp(height, (_HIGH, _GONE), (1.0, 0.0))
-
-
-def patch_under(turn: np.ndarray, half: np.ndarray, gap: float) -> np.ndarray:
-    """Return half axes of the soft patch under a body, the columns of ``(2, 2)``, m.
-
-    Args:
-        turn: rotation from body to world ``(3, 3)``.
-        half: half extents of the body ``(3,)``, m.
-        gap: height of the body's centre above the floor, m.
-    """
-    if not half.any():
-        return np.zeros((2, 2))
-    # The patch widens with height above the floor, because the sky lights its edge.
-    blur = 0.9 * half.min() + 0.12 * max(gap, 0.0)
-    ellipse = (turn[:2] * half) @ (turn[:2] * half).T + blur**2 * np.eye(2)
-    spread, axes = np.linalg.eigh(ellipse)
-    return axes * np.sqrt(spread) * 1.25
-
-
-def soles(shape: Shape) -> np.ndarray:
-    """Return points of a body that may touch the ground ``(n, 3)``, in its own frame, m."""
-    # Drawn boxes are rounded, the boxes of the physics are not.
-    return shape.skin().points if shape.corners is None else shape.corners
 
 
 def spot_under(

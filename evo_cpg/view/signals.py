@@ -132,7 +132,23 @@ class Strip:
         self.height = self._size[1]
         self._letter = scale * max(_LETTER, _LETTERS * size[1])
         height = size[1] - 2.6 * self._letter / scale
-        self._signals = _shown(signals, height / max(1.0, self._letter / scale / _LETTER))
+        room = height / max(1.0, self._letter / scale / _LETTER)
+        steps = [len(touch_downs(foot, 1.0)) for foot in signals.touched.T]
+        # A foot that hardly ever touches down would leave its row empty.
+        often = [i for i, count in enumerate(steps) if count >= _SELDOM * max(steps)]
+        most = max(int(0.45 * room / _FOOT), 1)
+        feet = sorted(sorted(often, key=lambda i: -steps[i])[:most])
+        # Choose every second or third joint, so that they lie evenly along the body.
+        left = max(int((room - len(feet) * _FOOT) / _ROW), 1)
+        every = max(-(-len(signals.names) // left), 1)
+        self._signals = signals._replace(
+            names=signals.names[::every],
+            angle=signals.angle[:, ::every],
+            slides=signals.slides[::every],
+            signal=signals.signal[:, ::every],
+            feet=tuple(signals.feet[i] for i in feet),
+            touched=signals.touched[:, feet],
+        )
         first, last = float(signals.time[0]), float(signals.time[-1])
         self._length = max(min(_PACE * size[0] / 100, _LONGEST, last - first), 1e-3)
         # The length of a page divides the time evenly, so that the last page is not almost empty.
@@ -177,7 +193,28 @@ class Strip:
         axes.tick_params(length=0, pad=0.25 * points, labelsize=points, labelcolor=look.text)
         axes.grid(axis="x", color=look.text, alpha=0.16, lw=0.5 * self._scale)
         axes.xaxis.set_major_formatter(lambda value, place: f"{value:g} s")
-        self._legend(figure, left / width, (height - 0.2 * letter) / height, points)
+        # A legend of the lines and bars stands in a line above them.
+        colours = _DARK if look.under_water else _BRIGHT
+        angle, _, displacement = signals.highest
+        words: list[tuple[str, str]] = []
+        if signals.names:
+            ranges = [f"joint angle, up to {np.degrees(angle):.0f} deg"]
+            if signals.slides.any():
+                slid = f"displacement, up to {displacement:.2g} m"
+                ranges = [slid] if signals.slides.all() else [*ranges, slid]
+            words = [(", ".join(ranges), colours[0])]
+            if np.abs(signals.signal).max(initial=0.0) > 0:
+                words.append((f"- - {signals.word}", colours[1]))
+        if signals.feet:
+            words.append(("foot on the ground", colours[2]))
+        # Shrink the text if it would run out of the picture.
+        place, above, per_letter = left / width, (height - 0.2 * letter) / height, letter / width
+        needed = sum(_WIDTH * len(word) + 2 for word, _ in words) * per_letter
+        smaller = min(1.0, (1.0 - place) / max(needed, 1e-9))
+        size = points * smaller
+        for word, colour in words:
+            figure.text(place, above, legible(word), color=colour, va="top", fontsize=size)
+            place += (_WIDTH * len(word) + 2) * per_letter * smaller
         canvas.draw()
         picture = np.asarray(canvas.buffer_rgba())[::-1, :, :3].copy()
         return picture, (left, right, bottom, height - top)
@@ -211,50 +248,6 @@ class Strip:
             draw_stances(axes, begins, (start, end), middle, 0.64 * high, colours[2])
         axes.set_ylim(len(signals.names) + len(signals.feet) * high, 0.0)
         return places
-
-    def _legend(self, figure: Figure, left: float, top: float, points: float) -> None:
-        """Write a legend of the lines and bars in a line above them."""
-        signals = self._signals
-        colours = _DARK if self._look.under_water else _BRIGHT
-        angle, _, displacement = signals.highest
-        words: list[tuple[str, str]] = []
-        if signals.names:
-            ranges = [f"joint angle, up to {np.degrees(angle):.0f} deg"]
-            if signals.slides.any():
-                slid = f"displacement, up to {displacement:.2g} m"
-                ranges = [slid] if signals.slides.all() else [*ranges, slid]
-            words = [(", ".join(ranges), colours[0])]
-            if np.abs(signals.signal).max(initial=0.0) > 0:
-                words.append((f"- - {signals.word}", colours[1]))
-        if signals.feet:
-            words.append(("foot on the ground", colours[2]))
-        # Shrink the text if it would run out of the picture.
-        per_letter = self._letter / self._size[0]
-        needed = sum(_WIDTH * len(word) + 2 for word, _ in words) * per_letter
-        smaller = min(1.0, (1.0 - left) / max(needed, 1e-9))
-        for word, colour in words:
-            figure.text(left, top, legible(word), color=colour, va="top", fontsize=points * smaller)
-            left += (_WIDTH * len(word) + 2) * per_letter * smaller
-
-
-def _shown(signals: Signals, room: float) -> Signals:
-    """Return the signals of those joints and feet for which the strip has room (pixels)."""
-    steps = [len(touch_downs(foot, 1.0)) for foot in signals.touched.T]
-    # A foot that hardly ever touches down would leave its row empty.
-    often = [i for i, count in enumerate(steps) if count >= _SELDOM * max(steps)]
-    most = max(int(0.45 * room / _FOOT), 1)
-    feet = sorted(sorted(often, key=lambda i: -steps[i])[:most])
-    # Choose every second or third joint, so that they lie evenly along the body.
-    left = max(int((room - len(feet) * _FOOT) / _ROW), 1)
-    every = max(-(-len(signals.names) // left), 1)
-    return signals._replace(
-        names=signals.names[::every],
-        angle=signals.angle[:, ::every],
-        slides=signals.slides[::every],
-        signal=signals.signal[:, ::every],
-        feet=tuple(signals.feet[i] for i in feet),
-        touched=signals.touched[:, feet],
-    )
 
 
 def _highest(values: Float[np.ndarray, "t d"]) -> float:

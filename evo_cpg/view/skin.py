@@ -105,10 +105,20 @@ def _skin(
         + (t**3 - t**2) * far * ahead[i + 1]
     )
     across = rings[i] * (1 - t[..., None]) + rings[i + 1] * t[..., None]
-    # A wide body reaches beyond the section of a narrow neighbour.
+    # A wide body reaches beyond the section of a narrow neighbour. Sections of an ellipsoid narrow
+    # away from its centre.
     wide = np.linalg.norm(across, axis=-1)
-    for body, away in ((i, t[:, 0]), (i + 1, 1 - t[:, 0])):
-        narrow = _narrowed(creature, bodies, tangents, body, away * far[:, 0])
+    shapes = [creature.bodies[body].shape for body in bodies]
+    lengths = np.array(
+        [
+            float(tangent @ shape.support(tangent)) if isinstance(shape, Ellipsoid) else 0.0
+            for shape, tangent in zip(shapes, tangents, strict=True)
+        ]
+    )
+    for body, away in ((i, t[:, 0] * far[:, 0]), (i + 1, (1 - t[:, 0]) * far[:, 0])):
+        half = lengths[body]
+        off = np.divide(away, half, out=np.ones_like(away), where=half > 0)
+        narrow = np.sqrt(np.maximum(1 - off**2, 0))
         own = np.linalg.norm(rings[body], axis=-1) * narrow[:, None]
         across *= np.maximum(own / wide, 1)[..., None]
         wide = np.maximum(wide, own)
@@ -128,33 +138,6 @@ def _skin(
         np.repeat(np.stack([bodies[i], bodies[i + 1]], -1), _POINTS, 0),
         np.repeat(np.concatenate([1 - after, after], -1), _POINTS, 0),
     )
-
-
-def _narrowed(
-    creature: Creature,
-    bodies: np.ndarray,
-    tangents: np.ndarray,
-    which: np.ndarray,
-    away: np.ndarray,
-) -> np.ndarray:
-    """Return the size of ellipsoids' sections away from their centres, relative to the middle.
-
-    Args:
-        creature: the animal.
-        bodies: indices of the bodies of a chain.
-        tangents: unit vectors along them.
-        which: number of the body in the chain, for each section.
-        away: distance of the section from the body's centre, m.
-    """
-    shapes = [creature.bodies[body].shape for body in bodies]
-    half = np.array(
-        [
-            float(tangent @ shape.support(tangent)) if isinstance(shape, Ellipsoid) else 0.0
-            for shape, tangent in zip(shapes, tangents, strict=True)
-        ]
-    )[which]
-    part = np.divide(away, half, out=np.ones_like(away), where=half > 0)
-    return np.sqrt(np.maximum(1 - part**2, 0))
 
 
 class Draped:

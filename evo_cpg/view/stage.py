@@ -137,7 +137,15 @@ def camera_path(scene: Scene, camera: str, aspect: float, close: bool = False) -
         return follow(bodies, goal, clip.rate, aspect, elevation, turn, close)
 
     if look.under_water and surface is not None:
-        return _below(at, surface, scene)
+        # The camera is between the ground and the surface.
+        path = at(0.0)
+        for _ in range(_ROUNDS):
+            eye, focus = path.position, path.focus
+            low = heights(ground.floor, eye[:, :2])
+            middle = low + _DEPTH * (surface - low)
+            away = np.linalg.norm(eye - focus, axis=-1)
+            path = at(float(np.arcsin(np.clip((middle - focus[:, 2]) / away, -0.5, 0.5)).mean()))
+        return path
     path = at(first)
     if scene.level is not None:
         return path
@@ -155,18 +163,6 @@ def camera_path(scene: Scene, camera: str, aspect: float, close: bool = False) -
         if free and hidden(path, clip.position, top, margin) <= _HIDDEN:
             break
         path = at(elevation)
-    return path
-
-
-def _below(at: Callable[[float], CameraPath], surface: float, scene: Scene) -> CameraPath:
-    """Return a camera between the ground and the surface of the water (m)."""
-    path = at(0.0)
-    for _ in range(_ROUNDS):
-        eye, focus = path.position, path.focus
-        ground = heights(scene.ground.floor, eye[:, :2])
-        middle = ground + _DEPTH * (surface - ground)
-        away = np.linalg.norm(eye - focus, axis=-1)
-        path = at(float(np.arcsin(np.clip((middle - focus[:, 2]) / away, -0.5, 0.5)).mean()))
     return path
 
 

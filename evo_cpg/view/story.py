@@ -16,7 +16,7 @@ from jaxtyping import Float
 from evo_cpg.view.camera import SMOOTHING, CameraPath, between, overview, smooth
 from evo_cpg.view.captions import Words, pointer, tags_of, written
 from evo_cpg.view.drawing import set_scene
-from evo_cpg.view.film import drawing_processes, drawn_frames
+from evo_cpg.view.film import drawn_frames
 from evo_cpg.view.legible import lettering
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
@@ -101,33 +101,28 @@ class StoryFrames:
         """Yield a function that draws frames, see `Reel.drawn`. At most two scenes are kept."""
         open_takes: dict[int, tuple[contextlib.ExitStack, Callable[[int], np.ndarray]]] = {}
 
-        def close(numbers: Sequence[int]) -> None:
-            for number in numbers:
-                open_takes.pop(number)[0].close()
-
-        def take(number: int, frame: int) -> np.ndarray:
-            if number not in open_takes:
-                close([other for other in open_takes if other < number - 1])
-                stack = contextlib.ExitStack()
-                show = stack.enter_context(self._take(number))
-                open_takes[number] = stack, show
-            return open_takes[number][1](frame - self._spans[number][0])
-
         def draw(frame: int) -> np.ndarray:
             shown = [i for i, (first, end) in enumerate(self._spans) if first <= frame < end]
-            picture = take(shown[0], frame)
-            if len(shown) == 2:
-                first, end = self._spans[shown[1]][0], self._spans[shown[0]][1]
-                weight = float(eased(np.array((frame - first + 1) / (end - first + 1))))
-                after = take(shown[1], frame).astype(np.float32)
-                mixed = picture.astype(np.float32) * (1 - weight) + after * weight
-                picture = (mixed + 0.5).astype(np.uint8)
-            return picture
+            pictures = []
+            for number in shown:
+                if number not in open_takes:
+                    for other in [each for each in open_takes if each < number - 1]:
+                        open_takes.pop(other)[0].close()
+                    stack = contextlib.ExitStack()
+                    open_takes[number] = stack, stack.enter_context(self._take(number))
+                pictures.append(open_takes[number][1](frame - self._spans[number][0]))
+            if len(shown) != 2:
+                return pictures[0]
+            first, end = self._spans[shown[1]][0], self._spans[shown[0]][1]
+            weight = float(eased(np.array((frame - first + 1) / (end - first + 1))))
+            before, after = (picture.astype(np.float32) for picture in pictures)
+            return (before * (1 - weight) + after * weight + 0.5).astype(np.uint8)
 
         try:
             yield draw
         finally:
-            close(list(open_takes))
+            for stack, _ in open_takes.values():
+                stack.close()
 
     @contextlib.contextmanager
     def _take(self, number: int) -> Iterator[Callable[[int], np.ndarray]]:
@@ -250,7 +245,7 @@ def story_film(
         for take in takes
     ]
     with (
-        drawn_frames(frames, drawing_processes(frames.count, processes)) as drawn,
+        drawn_frames(frames, processes) as drawn,
         film_writer(path, frames.size, frames.rendered, FPS) as write,
     ):
         for number, bare in enumerate(drawn):

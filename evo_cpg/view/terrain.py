@@ -74,9 +74,13 @@ class Terrain(NamedTuple):
         Args:
             place: coordinates x and y, m.
         """
-        (i, u), (j, v) = (
-            _cell(place[..., axis], lines) for axis, lines in enumerate((self.x, self.y))
-        )
+        # Index of the cell between lines, and the fraction within the cell, along either axis.
+        found = []
+        for axis, lines in enumerate((self.x, self.y)):
+            inside = np.clip(place[..., axis], lines[0], lines[-1])
+            cell = np.clip(np.searchsorted(lines, inside, "right") - 1, 0, len(lines) - 2)
+            found.append((cell, (inside - lines[cell]) / (lines[cell + 1] - lines[cell])))
+        (i, u), (j, v) = found
         a, c = self.z[i, j], self.z[i + 1, j + 1]
         corner = np.where(u > v, self.z[i + 1, j], self.z[i, j + 1])
         less, more = np.minimum(u, v), np.maximum(u, v)
@@ -117,7 +121,33 @@ def make_terrain(
     """
     low, high = path.min(0) - _NEAR * radius, path.max(0) + _NEAR * radius
     step = max(_STEP * radius, float((high - low).max()) / _LINES)
-    x, y = (_lines(low[i], high[i], far, step, _creases(floor, "xy"[i])) for i in (0, 1))
+    found = []
+    for i, axis in enumerate("xy"):
+        # Coordinates where the slope of the ground jumps.
+        creases = np.zeros(0)
+        if isinstance(floor, Shore) and floor.axis == axis:
+            creases = np.array([floor.start, floor.stop], float)
+        elif isinstance(floor, Relief):
+            creases = floor.corner[i] + floor.spacing * np.arange(floor.heights.shape[i])
+        near = np.linspace(low[i], high[i], int(np.ceil((high[i] - low[i]) / step)) + 1)
+        count = int(np.ceil(np.log1p(far * (_GROWTH - 1) / step) / np.log(_GROWTH)))
+        beyond = step * (_GROWTH ** np.arange(1, count + 1) - 1) / (_GROWTH - 1)
+        even = np.concatenate([low[i] - beyond[::-1], near, high[i] + beyond])
+        # A crease replaces an even line, unless creases are finer than the lines. Heights are then
+        # exact only at the lines.
+        width = np.gradient(even)
+        inside = creases[(creases > even[0]) & (creases < even[-1])]
+        room = np.interp(inside, even, width)
+        if len(inside) > 1 and np.diff(inside).min() < 0.7 * step:
+            inside = inside[:0]
+        elif len(inside) > 2:
+            # Keep the creases of a relief only where the mesh's lines are about as close.
+            inside = inside[room <= 1.5 * np.diff(inside).min()]
+        if len(inside):
+            clear = np.abs(even[:, None] - inside).min(1) > 0.35 * width
+            even = np.sort(np.concatenate([even[clear], inside]))
+        found.append(even)
+    x, y = found
     return Terrain(x, y, heights(floor, np.stack(np.meshgrid(x, y, indexing="ij"), -1)))
 
 
@@ -125,47 +155,6 @@ def make_terrain(
 def _heights(floor: GroundPart, point: Float[Array, "3 n"]) -> Float[Array, " n"]:
     gap, normal = floor.distance(point)
     return jnp.broadcast_to(-gap / normal[2], gap.shape)
-
-
-def _lines(
-    low: float, high: float, far: float, step: float, creases: np.ndarray
-) -> Float[np.ndarray, " n"]:
-    """Return the coordinates along one axis of the mesh's grid lines, m."""
-    near = np.linspace(low, high, int(np.ceil((high - low) / step)) + 1)
-    count = int(np.ceil(np.log1p(far * (_GROWTH - 1) / step) / np.log(_GROWTH)))
-    beyond = step * (_GROWTH ** np.arange(1, count + 1) - 1) / (_GROWTH - 1)
-    even = np.concatenate([low - beyond[::-1], near, high + beyond])
-    # A crease replaces an even line, unless creases are finer than the lines. Heights are then
-    # exact only at the lines.
-    width = np.gradient(even)
-    inside = creases[(creases > even[0]) & (creases < even[-1])]
-    room = np.interp(inside, even, width)
-    if len(inside) > 1 and np.diff(inside).min() < 0.7 * step:
-        inside = inside[:0]
-    elif len(inside) > 2:
-        # Keep the creases of a relief only where the mesh's lines are about as close as they are.
-        inside = inside[room <= 1.5 * np.diff(inside).min()]
-    if not len(inside):
-        return even
-    clear = np.abs(even[:, None] - inside).min(1) > 0.35 * width
-    return np.sort(np.concatenate([even[clear], inside]))
-
-
-def _creases(floor: GroundPart, axis: str) -> np.ndarray:
-    """Return the coordinates along an axis where the slope of the ground jumps, m."""
-    if isinstance(floor, Shore) and floor.axis == axis:
-        return np.array([floor.start, floor.stop], float)
-    if isinstance(floor, Relief):
-        i = "xy".index(axis)
-        return floor.corner[i] + floor.spacing * np.arange(floor.heights.shape[i])
-    return np.zeros(0)
-
-
-def _cell(value: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the index of the cell between lines, and the fraction within the cell, 0 to 1."""
-    inside = np.clip(value, lines[0], lines[-1])
-    cell = np.clip(np.searchsorted(lines, inside, "right") - 1, 0, len(lines) - 2)
-    return cell, (inside - lines[cell]) / (lines[cell + 1] - lines[cell])
 
 
 _STONE = np.array([0.60, 0.57, 0.53])

@@ -1,5 +1,6 @@
 """Films: the files decode to the given size and frames, and show the animal."""
 
+import contextlib
 import dataclasses
 import itertools
 import os
@@ -7,6 +8,7 @@ import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import imageio_ffmpeg
 import numpy as np
@@ -21,9 +23,9 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.view import film as view_film
 from evo_cpg.view import output
 from evo_cpg.view.camera import BodyBoxes, follow, in_camera, project, smooth
-from evo_cpg.view.captions import edge_places, fitted, heading
+from evo_cpg.view.captions import edge_places, fitted
 from evo_cpg.view.film import Film, Frames, RenderError, side_by_side
-from evo_cpg.view.legible import font
+from evo_cpg.view.legible import font, write
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.scene import Panel, sample, scene_of
 from evo_cpg.view.stage import camera_path
@@ -250,8 +252,17 @@ def test_a_process_that_cannot_draw_is_reported(creature, recording, monkeypatch
 @pytest.mark.parametrize(
     ("frames", "cores", "processes"), [(239, 8, 1), (240, 64, 2), (990, 2, 2), (990, 64, 8)]
 )
-def test_short_films_use_fewer_processes(frames, cores, processes):
-    assert view_film.drawing_processes(frames, cores) == processes
+def test_short_films_use_fewer_processes(frames, cores, processes, monkeypatch):
+    used = [1]
+
+    def pool(count, *_):
+        used.append(count)
+        return ThreadPoolExecutor(1)
+
+    monkeypatch.setattr(view_film, "ProcessPoolExecutor", pool)
+    reel = SimpleNamespace(count=frames, drawn=lambda: contextlib.nullcontext(len))
+    with view_film.drawn_frames(reel, cores):
+        assert used[-1] == processes
 
 
 @pytest.mark.slow
@@ -367,11 +378,11 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
     """A column has a heading: the time, or the part of each film if lengths differ."""
     said = []
 
-    def heard(text: str, width: int, height: int) -> np.ndarray:
+    def heard(draw, text, *where, **style):
         said.append(text)
-        return heading(text, width, height)
+        write(draw, text, *where, **style)
 
-    monkeypatch.setattr("evo_cpg.view.film.heading", heard)
+    monkeypatch.setattr(view_film, "write", heard)
     settings = {"size": SMALL, "fps": 1, "sheet": (2, 1)}
     panels = [Panel(creature, recording, "")] * 3
     image = synthetic.read(side_by_side(panels, tmp_path / "s.png", Film(**settings)))

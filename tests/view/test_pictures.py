@@ -22,7 +22,6 @@ from evo_cpg.physics.contact.terrain import Block, Boulder, Plane
 from evo_cpg.view.meshes import eye_meshes, head_index, shape_mesh
 from evo_cpg.view.output import SettingError, oversampling
 from evo_cpg.view.preview import obstacles_near, preview, water_note
-from evo_cpg.view.shadows import soles
 from polyhedra import ball_mesh, tetrahedron, wedge
 
 
@@ -56,7 +55,7 @@ def test_a_drawn_mesh_matches_its_shape(shape):
     normals = np.asarray(mesh.point_data.active_normals).reshape(-1, 3, 3)
     np.testing.assert_allclose(normals[:, 0], shape.planes[0], atol=1e-5)
     np.testing.assert_array_equal(normals[:, 0], normals[:, 2])
-    assert (shape.distance(soles(shape)) < 1e-9).all()
+    assert (shape.distance(shape.corners) < 1e-9).all()
 
 
 @pytest.mark.parametrize("shape", [Box((0.2, 0.1, 0.1)), tetrahedron()], ids="bt")

@@ -37,8 +37,19 @@ def mirror(data: Data, name: str, axis: MirrorAxis = "y") -> str:
         New name of the entry.
     """
     index = entry_index(data, name)
-    entry, joint = bodies(data)[index], joint_of(data, name)
-    _require_uncopied(data, index, "mirror")
+    entry, joint, limb = bodies(data)[index], joint_of(data, name), limb_of(data, index)
+    for i in limb:
+        each = bodies(data)[i]
+        if "{side}" in str(each["name"]):
+            raise EditError(f"{each['name']} is already copied by `mirror`")
+        carrier = parent_of(each) or ""
+        numbered = re.search(r"\{[ij]\}", carrier)
+        if i != index and not numbered and re.search(r"\d$", carrier):
+            carriers = [x for x in all_copies(data) if x.name == carrier]
+            if carriers and bodies(data)[carriers[0].entry]["name"] != carrier:
+                raise EditError(
+                    f"{each['name']} is on {carrier}, one body of a row. Separate the row first"
+                )
     side = "xyz".index(axis)
     if joint["at"][side] == 0:
         raise EditError(
@@ -47,9 +58,21 @@ def mirror(data: Data, name: str, axis: MirrorAxis = "y") -> str:
         )
     if joint["at"][side] < 0:
         # The written limb is on the positive side.
-        for each in limb_of(data, index):
-            _reflect(data, each, axis)
-    _mark_limb(data, limb_of(data, index), "{side}", front=True)
+        for i in limb:
+            each = bodies(data)[i]
+            _reflect_shapes(each, axis)
+            own = each["joint"]
+            checked = JointConfig.model_validate(own).mirrored(axis)
+            own["at"], own["child_at"] = tidy(checked.at), tidy(checked.child_at)
+            own["axes"] = _mirrored_axes(own["axes"], axis)
+            if "rotation_deg" in own:
+                own["rotation_deg"] = tidy(opposed(own["rotation_deg"], axis))
+            for kind in ("light_sensors", "depth_sensors"):
+                for eye in data["creature"].get(kind) or []:
+                    mirrored = ("position", "axis") if eye.get("body") == each["name"] else ()
+                    for key in (key for key in mirrored if key in eye):
+                        eye[key] = tidy(reflected_if(eye[key], axis))
+    _mark_limb(data, limb, "{side}", front=True)
     bodies(data)[index]["mirror"] = axis
     return str(bodies(data)[index]["name"])
 
@@ -63,9 +86,32 @@ def repeat(data: Data, name: str, count: int) -> str:
     Returns:
         New name of the entry.
     """
-    if count > 1 and not _fits(data, name):
-        return _row_behind(data, name, count - 1)
-    return _number(data, name, "repeat", count)
+    if count <= 1:
+        return _number(data, name, "repeat", count)
+    index, further = entry_index(data, name), count - 1
+    entry, joint = bodies(data)[index], joint_of(data, name)
+    fits = "repeat" in entry or "{i}" in str(entry["name"])
+    if not fits:
+        at, end = np.array(joint["at"], float), -np.array(joint["child_at"], float)
+        fits = bool(np.linalg.norm(at - end) <= _GAP * np.linalg.norm(end))
+    if fits:
+        return _number(data, name, "repeat", count)
+    if re.search(r"\{\w+\}", str(entry["name"])):
+        raise EditError(f"{entry['name']} is copied already. Separate the copies first")
+    row = copying.deepcopy(entry)
+    row["name"] = free_name(data, f"{entry['name']}_{{i}}")
+    row["joint"]["parent"] = entry["name"]
+    row["joint"]["at"] = tidy(-np.array(row["joint"]["child_at"], float))
+    row["joint"].pop("rotation_deg", None)
+    if further > 1:
+        row["repeat"] = further
+    last = str(row["name"]).replace("{i}", str(further))
+    for child in bodies(data):
+        if parent_of(child) == entry["name"]:
+            child["joint"]["parent"] = last
+    _reorder(row)
+    bodies(data).insert(index + 1, row)
+    return str(row["name"])
 
 
 def radial(data: Data, name: str, count: int) -> str:
@@ -89,11 +135,7 @@ def separate(data: Data, name: str) -> None:
             f"{entry['name']} is copied with its parent. Separate {parent_of(entry)} first"
         )
     # What the copies carry is copied with them, and would lose its pattern.
-    _separate_all(data, limb_of(data, index))
-
-
-def _separate_all(data: Data, indices: list[int]) -> None:
-    entries, everything = bodies(data), all_copies(data)
+    indices = limb_of(data, index)
 
     def separated(name: Any) -> list[Copy]:
         """Return the bodies of a name with placeholders, if they get entries of their own."""
@@ -104,11 +146,11 @@ def _separate_all(data: Data, indices: list[int]) -> None:
         return [each.name for each in separated(name)] or [name]
 
     made: list[Data] = []
-    for i, entry in enumerate(entries):
-        if i not in indices:
-            made.append(entry)
-            continue
-        made += [_single(entry, each) for each in everything if each.entry == i]
+    for i, written in enumerate(bodies(data)):
+        if i in indices:
+            made += [_single(written, each) for each in everything if each.entry == i]
+        else:
+            made.append(written)
     creature = data["creature"]
     creature["bodies"] = made
     tendons: list[Data] = []
@@ -175,19 +217,13 @@ def _mirrored_axes(axes: Any, mirror: MirrorAxis) -> Any:
 
 def _image(direction: Any, mirror: MirrorAxis, image: Callable[..., Any]) -> Any:
     """Return the mirror image of an axis, by its name if it has one."""
-    if isinstance(direction, str):
-        sign, name = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
-        return _named(image(tuple(sign * np.eye(3)["xyz".index(name)]), mirror))
-    return tidy(image(tuple(direction), mirror))
-
-
-def _named(axis: tuple[float, ...]) -> str | list[float]:
-    """Return an axis by its name, if it has one."""
-    for i, name in enumerate("xyz"):
-        for sign, word in ((1.0, name), (-1.0, f"-{name}")):
-            if np.array_equal(axis, sign * np.eye(3)[i]):
-                return word
-    return tidy(axis)
+    if not isinstance(direction, str):
+        return tidy(image(tuple(direction), mirror))
+    sign, name = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
+    i = "xyz".index(name)
+    # The image of an axis is the same axis, or points against it.
+    ahead = image(tuple(sign * np.eye(3)[i]), mirror)[i] > 0
+    return "xyz"[i] if ahead else f"-{'xyz'[i]}"
 
 
 def _number(data: Data, name: str, key: str, count: int) -> str:
@@ -200,7 +236,20 @@ def _number(data: Data, name: str, key: str, count: int) -> str:
     if key in entry or mark in str(entry["name"]):
         if mark in (parent_of(entry) or ""):
             raise EditError(f"{entry['name']} is copied with its parent {parent_of(entry)}")
-        _recount(data, index, key, count)
+        limb, was = limb_of(data, index), entry.get(key, 1)
+        own = [each for each in all_copies(data) if each.entry == index]
+        entry[key] = count
+        names = {}
+        for each in own:
+            number = int(each.marks.get(mark[1:-1], "1"))
+            # Parts on the last body of a row stay on its last body.
+            if (key == "repeat" and number == was) or number > count:
+                marks = each.marks | {mark[1:-1]: str(count)}
+                names[each.name] = fill(str(entry["name"]), marks)
+        rename_references(data, {old: new for old, new in names.items() if old != new})
+        if count == 1 and key == "radial":
+            del entry[key]
+            _mark_limb(data, limb, mark, front=False, remove=True)
         return str(bodies(data)[index]["name"])
     if count == 1:
         return str(entry["name"])
@@ -223,54 +272,6 @@ def _number(data: Data, name: str, key: str, count: int) -> str:
     return new
 
 
-def _fits(data: Data, name: str) -> bool:
-    """Return whether a segment can hang on its copy where it hangs on its parent."""
-    entry, joint = bodies(data)[entry_index(data, name)], joint_of(data, name)
-    if "repeat" in entry or "{i}" in str(entry["name"]):
-        return True
-    at, end = np.array(joint["at"], float), -np.array(joint["child_at"], float)
-    return bool(np.linalg.norm(at - end) <= _GAP * np.linalg.norm(end))
-
-
-def _row_behind(data: Data, name: str, count: int) -> str:
-    """Add a row of copies at the end of a segment."""
-    index = entry_index(data, name)
-    entry = bodies(data)[index]
-    if re.search(r"\{\w+\}", str(entry["name"])):
-        raise EditError(f"{entry['name']} is copied already. Separate the copies first")
-    row = copying.deepcopy(entry)
-    row["name"] = free_name(data, f"{entry['name']}_{{i}}")
-    row["joint"]["parent"] = entry["name"]
-    row["joint"]["at"] = tidy(-np.array(row["joint"]["child_at"], float))
-    row["joint"].pop("rotation_deg", None)
-    if count > 1:
-        row["repeat"] = count
-    last = str(row["name"]).replace("{i}", str(count))
-    for child in bodies(data):
-        if parent_of(child) == entry["name"]:
-            child["joint"]["parent"] = last
-    _reorder(row)
-    bodies(data).insert(index + 1, row)
-    return str(row["name"])
-
-
-def _recount(data: Data, index: int, key: str, count: int) -> None:
-    """ProposedEdit the number of copies. Parts on the last body of a row stay on its last body."""
-    entry, limb = bodies(data)[index], limb_of(data, index)
-    own = [each for each in all_copies(data) if each.entry == index]
-    was, mark = entry.get(key, 1), _MARKS[key][1:-1]
-    entry[key] = count
-    names = {}
-    for each in own:
-        number = int(each.marks.get(mark, "1"))
-        if (key == "repeat" and number == was) or number > count:
-            names[each.name] = fill(str(entry["name"]), each.marks | {mark: str(count)})
-    rename_references(data, {old: new for old, new in names.items() if old != new})
-    if count == 1 and key == "radial":
-        del entry[key]
-        _mark_limb(data, limb, "{j}", front=False, remove=True)
-
-
 def _mark_limb(data: Data, limb: list[int], mark: str, front: bool, remove: bool = False) -> None:
     """Add a placeholder to the names of a limb's entries, or remove it."""
     names: dict[str, str] = {}
@@ -285,39 +286,6 @@ def _mark_limb(data: Data, limb: list[int], mark: str, front: bool, remove: bool
         names[old] = new
         bodies(data)[i]["name"] = new
     rename_references(data, names)
-
-
-def _require_uncopied(data: Data, index: int, key: str) -> None:
-    for i in limb_of(data, index):
-        entry = bodies(data)[i]
-        if _MARKS[key] in str(entry["name"]):
-            raise EditError(f"{entry['name']} is already copied by `{key}`")
-        numbered = re.search(r"\{[ij]\}", parent_of(entry) or "")
-        if i != index and not numbered and re.search(r"\d$", parent_of(entry) or ""):
-            carriers = [x for x in all_copies(data) if x.name == parent_of(entry)]
-            if carriers and bodies(data)[carriers[0].entry]["name"] != parent_of(entry):
-                raise EditError(
-                    f"{entry['name']} is on {parent_of(entry)}, one body of a row. Separate the "
-                    "row first"
-                )
-
-
-def _reflect(data: Data, index: int, axis: MirrorAxis) -> None:
-    """Replace a part by its mirror image."""
-    entry = bodies(data)[index]
-    _reflect_shapes(entry, axis)
-    joint = entry["joint"]
-    checked = JointConfig.model_validate(joint).mirrored(axis)
-    joint["at"], joint["child_at"] = tidy(checked.at), tidy(checked.child_at)
-    joint["axes"] = _mirrored_axes(joint["axes"], axis)
-    if "rotation_deg" in joint:
-        joint["rotation_deg"] = tidy(opposed(joint["rotation_deg"], axis))
-    for kind in ("light_sensors", "depth_sensors"):
-        for eye in data["creature"].get(kind) or []:
-            if eye.get("body") == entry["name"]:
-                for key in ("position", "axis"):
-                    if key in eye:
-                        eye[key] = tidy(reflected_if(eye[key], axis))
 
 
 def _reflect_shapes(entry: Data, axis: MirrorAxis) -> None:

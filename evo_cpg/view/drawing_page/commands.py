@@ -27,7 +27,9 @@ _OWN = ("data", "source")
 
 def set_water(data: Data, on: bool, surface: float | None = None) -> None:
     """Fill the world with water, up to a surface (None: everywhere), or remove the water."""
-    world = _world(data)
+    if not isinstance(data.get("world"), dict):
+        data["world"] = {}
+    world = data["world"]
     if not on:
         world["water"] = None
         return
@@ -41,7 +43,9 @@ def set_water(data: Data, on: bool, surface: float | None = None) -> None:
 
 def set_ground(data: Data, on: bool) -> None:
     """Put ground below the animal, or remove it."""
-    world = _world(data)
+    if not isinstance(data.get("world"), dict):
+        data["world"] = {}
+    world = data["world"]
     if not on:
         world["ground"] = None
     elif not isinstance(world.get("ground"), dict):
@@ -65,12 +69,6 @@ def unset_value(data: Data, key: list[str | int]) -> None:
     place = _above(data, key, create=False)
     if isinstance(place, dict):
         place.pop(key[-1], None)
-
-
-def _world(data: Data) -> Data:
-    if not isinstance(data.get("world"), dict):
-        data["world"] = {}
-    return data["world"]
 
 
 def _above(data: Data, key: list[str | int], create: bool) -> Any:

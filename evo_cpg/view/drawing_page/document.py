@@ -153,17 +153,20 @@ class Document:
         """
         data = self.data
         edit(data)
-        main = parse_yaml(self.texts.main)
-        creature = self.texts.creature
-        if creature is not None:
+        main, whole = parse_yaml(self.texts.main), {}
+        if self.texts.creature is not None:
             given, whole = main.get("creature"), dict(data["creature"])
             if isinstance(given, dict):
                 own = {k: whole.pop(k) for k in list(whole) if k in given and k != "file"}
                 data["creature"] = {"file": given["file"], **own}
             else:
                 data["creature"] = given
-            creature = _written(creature, whole)
-        texts = Texts(_written(self.texts.main, data), creature)
+        try:
+            own = self.texts.creature
+            own = own if own is None else with_data(own, whole)
+            texts = Texts(with_data(self.texts.main, data), own)
+        except ValueError as error:
+            raise EditError(str(error)) from None
         pairs = zip(self.texts, texts, strict=True)
         lost = [each for old, new in pairs if old and new for each in lost_comments(old, new)]
         return ProposedEdit(texts, tuple(lost))
@@ -312,13 +315,6 @@ def _creature_name(data: Data) -> str | None:
     given = data.get("creature")
     name = given.get("file") if isinstance(given, dict) else given
     return name if isinstance(name, str) else None
-
-
-def _written(text: str, data: Data) -> str:
-    try:
-        return with_data(text, data)
-    except ValueError as error:
-        raise EditError(str(error)) from None
 
 
 def _unshared(value: Any) -> Any:

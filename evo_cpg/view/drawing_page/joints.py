@@ -1,6 +1,5 @@
 """Edits of joints: keys, axes with the values of each axis, and places."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -49,29 +48,41 @@ def set_axes(
     was_ball = joint.get("axes") == "ball"
     joint["axes"] = axes
     if axes == "ball":
-        _become_ball(joint)
+        # A ball has one value where other joints have one for each axis.
+        for key in (*_NUMBERS, "actuator"):
+            given = joint.get(key)
+            if isinstance(given, list):
+                first = next((each for each in given if each is not None), None)
+                joint[key] = first
+                if first is None:
+                    del joint[key]
+        joint.pop("rest_deg", None)
+        motor = joint.get("actuator")
+        if isinstance(motor, dict) and motor.get("type") == "muscle":
+            joint["actuator"] = dict(_SERVO)
+        limits = joint.get("limits_deg", _LIMITS)
+        if limits:
+            pairs = limits if isinstance(limits[0], (list, type(None))) else [limits]
+            largest = max((abs(x) for pair in pairs if pair for x in pair), default=180)
+            joint["limits_deg"] = [0, min(largest, 180)]
         return
     if was_ball and joint.get("limits_deg"):
         joint["limits_deg"] = [-joint["limits_deg"][1], joint["limits_deg"][1]]
     sources = list(range(len(axes))) if kept is None else list(kept)
-    for key in (*_NUMBERS, "actuator"):
-        if isinstance(joint.get(key), list):
-            joint[key] = _followed(joint[key], sources)
-    limits = joint.get("limits_deg")
-    if limits and isinstance(limits[0], (list, type(None))):
-        joint["limits_deg"] = _followed(limits, sources)
+    for key in (*_NUMBERS, "actuator", "limits_deg"):
+        values = joint.get(key)
+        # One pair of limits is for all axes.
+        single = key == "limits_deg" and values and not isinstance(values[0], (list, type(None)))
+        if isinstance(values, list) and not single:
+            first = next((each for each in values if each is not None), None)
+            joint[key] = [
+                values[source] if source is not None and source < len(values) else first
+                for source in sources
+            ]
     _suit_slides(joint, [isinstance(axis, dict) and "slide" in axis for axis in axes])
     for key in (*_NUMBERS, "actuator", "limits_deg"):
         if joint.get(key) == []:
             del joint[key]
-
-
-def _followed(values: list[Any], sources: Sequence[int | None]) -> list[Any]:
-    first = next((each for each in values if each is not None), None)
-    return [
-        values[source] if source is not None and source < len(values) else first
-        for source in sources
-    ]
 
 
 def _suit_slides(joint: Data, slides: list[bool]) -> None:
@@ -92,34 +103,13 @@ def _suit_slides(joint: Data, slides: list[bool]) -> None:
     motors = joint.get("actuator")
     every = motors if isinstance(motors, list) else [motors] * len(slides)
     suited = [
-        dict(_SERVO) if slide and _is_muscle(motor) else motor
+        dict(_SERVO)
+        if slide and isinstance(motor, dict) and motor.get("type") == "muscle"
+        else motor
         for slide, motor in zip(slides, every, strict=True)
     ]
     if suited != every:
         joint["actuator"] = suited
-
-
-def _become_ball(joint: Data) -> None:
-    """Replace values of each axis by values that a ball can have."""
-    for key in (*_NUMBERS, "actuator"):
-        given = joint.get(key)
-        if isinstance(given, list):
-            first = next((each for each in given if each is not None), None)
-            joint[key] = first
-            if first is None:
-                del joint[key]
-    joint.pop("rest_deg", None)
-    if _is_muscle(joint.get("actuator")):
-        joint["actuator"] = dict(_SERVO)
-    limits = joint.get("limits_deg", _LIMITS)
-    if limits:
-        pairs = limits if isinstance(limits[0], (list, type(None))) else [limits]
-        largest = max((abs(x) for pair in pairs if pair for x in pair), default=180)
-        joint["limits_deg"] = [0, min(largest, 180)]
-
-
-def _is_muscle(motor: Any) -> bool:
-    return isinstance(motor, dict) and motor.get("type") == "muscle"
 
 
 def facing(normal: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:

@@ -16,8 +16,6 @@ from evo_cpg.view.drawing_page.document import Data, EditError
 
 # Number of digits to which the tool writes numbers.
 _DIGITS = 5
-# Distance from a plane of symmetry within which a place is in the plane, in half extents.
-_NEAR = 0.15
 
 
 class Posed(NamedTuple):
@@ -148,11 +146,6 @@ def joint_of(data: Data, name: str) -> Data:
     return joint
 
 
-def copies_of(data: Data, index: int) -> list[Copy]:
-    """Return the bodies that an entry stands for."""
-    return [each for each in all_copies(data) if each.entry == index]
-
-
 def limb_of(data: Data, index: int) -> list[int]:
     """Return the indices of an entry and of all entries that it carries."""
     found, everything = [index], all_copies(data)
@@ -192,13 +185,3 @@ def reflected_if(place: Sequence[float] | np.ndarray, axis: MirrorAxis | None) -
     """Return a position or direction as written in the entry of a body that may be mirrored."""
     x, y, z = map(float, place)
     return np.array(reflected((x, y, z), axis) if axis else (x, y, z))
-
-
-def on_planes(
-    place: np.ndarray, normal: np.ndarray, half_extents: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return a place on a surface and its normal, moved into planes of symmetry that are close."""
-    near = np.abs(place) < _NEAR * np.asarray(half_extents, float)
-    # At a corner the normal may point along the plane's normal alone.
-    flat = np.where(near, 0.0, normal)
-    return np.where(near, 0.0, place), flat if flat.any() else normal

@@ -16,12 +16,10 @@ from evo_cpg.view.drawing_page.joints import facing
 from evo_cpg.view.drawing_page.lookup import (
     all_copies,
     bodies,
-    copies_of,
     entry_index,
     entry_of,
     free_name,
     limb_of,
-    on_planes,
     parent_of,
     posed,
     reflected_if,
@@ -62,7 +60,7 @@ def add_part(
     carrying = solid(here, body.name)
     at, out = surface(place, normal, carrying.half_extents)
     carrier = body.name
-    copied = len(copies_of(data, body.entry)) > 1
+    copied = sum(x.entry == body.entry for x in here.copies) > 1
     if copied and each:
         carrier = str(on["name"])
         at, out = reflected_if(at, body.mirror), reflected_if(out, body.mirror)
@@ -129,7 +127,8 @@ def rename_part(data: Data, name: str, new: str) -> None:
         raise EditError(f"{new!r}: the name must contain {marks}, as {old!r} does")
     if new != free_name(data, new):
         raise EditError(f"{new!r}: another part has this name")
-    copied = copies_of(data, entry_index(data, old))
+    index = entry_index(data, old)
+    copied = [each for each in all_copies(data) if each.entry == index]
     rename_references(data, {old: new} | {each.name: fill(new, each.marks) for each in copied})
     entry["name"] = new
 
@@ -189,21 +188,15 @@ def add_eye(
 
     ``each`` gives all copies of the body an eye. The field of view is the full opening angle.
     """
-    carrier, at, out = _place(data, source, part, place, axis, each)
-    _list(data, "light_sensors").append(
-        {
-            "body": carrier,
-            "position": tidy(at),
-            "axis": tidy(out / np.linalg.norm(out)),
-            "field_of_view_deg": tidy(field_of_view_deg),
-        }
-    )
+    eye, out = _add_sensor(data, source, "light_sensors", part, place, axis, each)
+    eye["axis"] = tidy(out / np.linalg.norm(out))
+    eye["field_of_view_deg"] = tidy(field_of_view_deg)
 
 
 def add_depth_gauge(data: Data, source: Path, part: str, place: Vector, each: bool = True) -> None:
     """Add a depth gauge on a surface, see `add_eye`."""
-    carrier, at, _ = _place(data, source, part, place, (0, 0, 1), each)
-    _list(data, "depth_sensors").append({"body": carrier, "position": tidy(at), "full_scale": 1})
+    gauge, _ = _add_sensor(data, source, "depth_sensors", part, place, (0, 0, 1), each)
+    gauge["full_scale"] = 1
 
 
 def remove_sensor(data: Data, kind: Kind, index: int) -> None:
@@ -224,7 +217,7 @@ def set_pressure(data: Data, part: str, on: bool) -> None:
         index = next((i for i, x in enumerate(bodies(data)) if x.get("name") == part), None)
     if index is None:
         raise EditError(f"there is no part {part!r}")
-    own = [each.name for each in copies_of(data, index)]
+    own = [each.name for each in everything if each.entry == index]
     entry = str(bodies(data)[index]["name"])
     kept: list[Any] = [name for name in names if name not in (*own, entry)]
     kept += [entry] if on else []
@@ -233,25 +226,20 @@ def set_pressure(data: Data, part: str, on: bool) -> None:
     data["creature"]["pressure_sensors"] = "all" if listed == set(plain) else kept
 
 
-def _place(
-    data: Data, source: Path, part: str, place: Vector, axis: Vector, each: bool
-) -> tuple[str, np.ndarray, np.ndarray]:
-    """Return the name of the carrier, and place and direction in the frame of its entry."""
+def _add_sensor(
+    data: Data, source: Path, kind: Kind, part: str, place: Vector, axis: Vector, each: bool
+) -> tuple[Data, np.ndarray]:
+    """Add a sensor at its place, and return it and its direction in the frame of its entry."""
     here = posed(data, source)
     body = here.copies[here.index(part)]
-    at, out = np.asarray(place, float), np.asarray(axis, float)
-    if not np.linalg.norm(out) > 0:
-        raise EditError("the axis of an eye must not be zero")
-    shape = here.creature.bodies[here.creature.body_index(body.name)].shape
-    at, out = on_planes(at, out, shape.half_extents)
-    if each and len(copies_of(data, body.entry)) > 1:
-        name = str(bodies(data)[body.entry]["name"])
-        return name, reflected_if(at, body.mirror), reflected_if(out, body.mirror)
-    return body.name, at, out
-
-
-def _list(data: Data, kind: Kind) -> list[Data]:
+    carrier, shape = body.name, here.creature.bodies[here.creature.body_index(body.name)].shape
+    at, out = surface(place, axis, shape.half_extents, "axis of an eye")
+    if each and sum(x.entry == body.entry for x in here.copies) > 1:
+        carrier = str(bodies(data)[body.entry]["name"])
+        at, out = reflected_if(at, body.mirror), reflected_if(out, body.mirror)
+    sensor: Data = {"body": carrier, "position": tidy(at)}
     creature = data["creature"]
     if not isinstance(creature.get(kind), list):
         creature[kind] = []
-    return creature[kind]
+    creature[kind].append(sensor)
+    return sensor, out

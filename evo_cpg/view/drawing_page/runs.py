@@ -118,13 +118,23 @@ class TrainingRun:
             words = self._output.read_text(encoding="utf-8", errors="replace")
         except OSError:  # The run was closed at this moment.
             words = ""
+        rows: list[dict[str, str]] = []
+        metrics = self.folder / "metrics.csv"
+        with contextlib.suppress(OSError), metrics.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        curves: dict[str, list[float]] = {name: [] for name in _CURVES if rows and name in rows[0]}
+        for name, values in curves.items():
+            for row in rows:
+                # The trainer may not have written the last cell yet.
+                with contextlib.suppress(TypeError, ValueError):
+                    values.append(float(row[name]))
         return {
             "folder": str(self.folder),
             "running": self.is_running,
             "stopping": self._is_stopping,
             "code": self._process.poll(),
             "output": words[-_SHOWN:].strip(),
-            "curves": self._curves(),
+            "curves": curves,
         }
 
     def champion(self) -> dict[str, Any]:
@@ -197,20 +207,6 @@ class TrainingRun:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-
-    def _curves(self) -> dict[str, list[float]]:
-        try:
-            with (self.folder / "metrics.csv").open(encoding="utf-8", newline="") as file:
-                rows = list(csv.DictReader(file))
-        except OSError:
-            return {}
-        found: dict[str, list[float]] = {name: [] for name in _CURVES if rows and name in rows[0]}
-        for name, values in found.items():
-            for row in rows:
-                # The trainer may not have written the last cell yet.
-                with contextlib.suppress(TypeError, ValueError):
-                    values.append(float(row[name]))
-        return found
 
 
 def _release(process: subprocess.Popen) -> None:

@@ -132,7 +132,37 @@ class Session:
                 # A fault of this program must not end the page, and the document is unchanged.
                 traceback.print_exc()
                 extra = {"error": f"{request} met a fault of the program: {error!r}"}
-            return self._state() | extra
+            document = self.document
+            data = document.data
+            drawn: Answer | None = None
+            undrawn = None
+            shapes: frozenset[str] = frozenset()
+            try:
+                drawn = scene(data, document.path)
+                shapes = frozenset(drawn["arrays"])
+                drawn["arrays"] = {k: v for k, v in drawn["arrays"].items() if k not in self._sent}
+                self._sent |= drawn["arrays"].keys()
+            except (KeyProblem, CreatureError) as problem:
+                undrawn = str(problem)
+            found = problems(data, document.path, thorough=False)
+            now = document.path, document.texts, shapes
+            if now != self._last:
+                self._revision, self._last = self._revision + 1, now
+            return {
+                "revision": self._revision,
+                "path": str(document.path),
+                "changed": document.is_changed,
+                "recovered": document.recovered,
+                "unsafe": document.unsafe,
+                "undo": document.can_undo,
+                "redo": document.can_redo,
+                "data": data,
+                "text": document.texts,
+                "scene": drawn,
+                "undrawn": undrawn,
+                "problems": [each._asdict() for each in found],
+                **extra,
+            }
 
     def check(self) -> Answer:
         """Return all messages of `validate`, for which the experiment is built.
@@ -242,38 +272,6 @@ class Session:
         if self._run is None:
             raise EditError("there is no run")
         return self._run
-
-    def _state(self) -> Answer:
-        document = self.document
-        data = document.data
-        drawn: Answer | None = None
-        error = None
-        shapes: frozenset[str] = frozenset()
-        try:
-            drawn = scene(data, document.path)
-            shapes = frozenset(drawn["arrays"])
-            drawn["arrays"] = {k: v for k, v in drawn["arrays"].items() if k not in self._sent}
-            self._sent |= drawn["arrays"].keys()
-        except (KeyProblem, CreatureError) as problem:
-            error = str(problem)
-        found = problems(data, document.path, thorough=False)
-        now = document.path, document.texts, shapes
-        if now != self._last:
-            self._revision, self._last = self._revision + 1, now
-        return {
-            "revision": self._revision,
-            "path": str(document.path),
-            "changed": document.is_changed,
-            "recovered": document.recovered,
-            "unsafe": document.unsafe,
-            "undo": document.can_undo,
-            "redo": document.can_redo,
-            "data": data,
-            "text": document.texts,
-            "scene": drawn,
-            "undrawn": error,
-            "problems": [each._asdict() for each in found],
-        }
 
 
 def problems(

@@ -1,6 +1,5 @@
 """Edits of shapes: another type, sizes, further shapes of a body, and cross-sections of lofts."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +18,13 @@ from evo_cpg.view.drawing_page.lookup import (
     bodies,
     entry_index,
     entry_of,
-    on_planes,
     posed,
     reflected_if,
     tidy,
 )
 
+# Distance from a plane of symmetry within which a place is in the plane, in half extents.
+_NEAR = 0.15
 # Sizes of the sections of a new loft, relative to the middle one.
 _TAPER = (0.5, 1.0, 0.5)
 # Least factor of a size when a section is scaled.
@@ -69,7 +69,16 @@ def set_shape(data: Data, source: Path, name: str, type: str, further: int | Non
     if type != "loft" and type not in made:
         raise EditError(f"{type!r}: choose one of {', '.join([*made, 'loft'])}")
     if type == "loft":
-        shape = _new_loft((x, y, z))
+        # A spindle along x.
+        sections = [
+            {
+                "at": tidy([place * x, 0, 0]),
+                "width": tidy(2 * y * size),
+                "height": tidy(2 * z * size),
+            }
+            for place, size in zip((1, 0, -1), _TAPER, strict=True)
+        ]
+        shape = {"type": "loft", "sections": sections}
     else:
         shape = {"type": type} | {key: tidy(value) for key, value in made[type].items()}
     owner["shape"] = shape
@@ -115,32 +124,26 @@ def stretch(data: Data, name: str, factors: Vector) -> None:
             each["height"] = tidy(each["height"] * np.linalg.norm(up * ratios))
     elif kind in _LENGTHS:
         before = np.array(half_extents(shape))
+        # A size that several axes share takes the factor that differs most from 1.
+        overall, across = (
+            float(shared[np.abs(np.log(shared)).argmax()]) for shared in (ratios, ratios[1:])
+        )
         for key, axes in _LENGTHS[kind].items():
-            shape[key] = _stretched(kind, key, shape, axes, ratios)
+            if axes is None:
+                new = shape[key] * overall
+            elif isinstance(axes, tuple):
+                new = np.array(shape[key], float) * ratios
+            elif key == "length" and kind == "capsule":
+                # The ends keep their radius, so the cylinder takes the whole change.
+                whole, radius = shape["length"] + 2 * shape["radius"], shape["radius"] * across
+                new = max(whole * ratios[0] - 2 * radius, 0.01 * radius)
+            else:
+                new = shape[key] * (ratios[0] if key == "length" else across)
+            shape[key] = tidy(new)
         ratios = np.array(half_extents(shape)) / before
     else:
         raise EditError(f"{name}: a shape of type {kind!r} cannot be stretched")
     _carry(data, str(entry["name"]), ratios)
-
-
-def _stretched(kind: str, key: str, shape: Data, axes: Any, factors: np.ndarray) -> Any:
-    if axes is None:
-        return tidy(shape[key] * _overall(factors))
-    if isinstance(axes, tuple):
-        return tidy(np.array(shape[key], float) * factors)
-    if key == "length" and kind == "capsule":
-        # The ends keep their radius, so the cylinder takes the whole change.
-        whole = shape["length"] + 2 * shape["radius"]
-        new_radius = shape["radius"] * _overall(factors[1:])
-        return tidy(max(whole * factors[0] - 2 * new_radius, 0.01 * new_radius))
-    if key == "length":
-        return tidy(shape[key] * factors[0])
-    return tidy(shape[key] * _overall(factors[1:]))
-
-
-def _overall(factors: np.ndarray) -> float:
-    """Return the factor that differs most from 1, for a size that several axes share."""
-    return float(factors[np.abs(np.log(factors)).argmax()])
 
 
 def _carry(data: Data, name: str, factors: np.ndarray) -> None:
@@ -189,7 +192,15 @@ def half_extents(shape: Data | None) -> tuple[float, float, float]:
             case "cylinder":
                 halves = [given["length"] / 2, given["radius"], given["radius"]]
             case "loft":
-                halves = _loft_half_extents(given).tolist()
+                made, reach = LoftConfig.model_validate(given), []
+                for each, (across, up) in zip(made.drawn, section_axes(made.drawn), strict=True):
+                    sizes = np.array([across * each.width / 2, up * each.height / 2])
+                    corners = np.abs(outline(made.corners) @ sizes).max(0)
+                    is_round = made.corners is None
+                    reach.append(np.linalg.norm(sizes, axis=0) if is_round else corners)
+                places = np.array([each.at for each in made.drawn])
+                box = np.max(places + reach, axis=0) - np.min(places - reach, axis=0)
+                halves = (box / 2).tolist()
             case _:
                 raise EditError(f"a shape of type {kind!r} has no sizes that can be changed here")
         x, y, z = map(float, halves)
@@ -245,13 +256,16 @@ def solid(here: Posed, name: str) -> Any:
 
 
 def surface(
-    place: Vector, normal: Vector, half_extents: np.ndarray
+    place: Vector, normal: Vector, half_extents: np.ndarray, what: str = "normal of a surface"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a checked place and normal, in the body's planes of symmetry if they are close."""
     at, out = np.asarray(place, float), np.asarray(normal, float)
     if not np.linalg.norm(out) > 0:
-        raise EditError("the normal of a surface must not be zero")
-    return on_planes(at, out, half_extents)
+        raise EditError(f"the {what} must not be zero")
+    near = np.abs(at) < _NEAR * np.asarray(half_extents, float)
+    # At a corner the normal may point along the plane's normal alone.
+    flat = np.where(near, 0.0, out)
+    return np.where(near, 0.0, at), flat if flat.any() else out
 
 
 def fitting(parent: Any) -> Data:
@@ -259,34 +273,6 @@ def fitting(parent: Any) -> Data:
     radius = _SIZE * float(parent.half_extents.min())
     length = min(_SLENDER * radius, 2 * float(parent.half_extents.max()))
     return {"type": "capsule", "radius": tidy(radius), "length": tidy(max(length, radius))}
-
-
-def _new_loft(half_extents: Sequence[float]) -> Data:
-    """Return a spindle along x with some half extents, m."""
-    x, y, z = half_extents
-    return {
-        "type": "loft",
-        "sections": [
-            {
-                "at": tidy([place * x, 0, 0]),
-                "width": tidy(2 * y * size),
-                "height": tidy(2 * z * size),
-            }
-            for place, size in zip((1, 0, -1), _TAPER, strict=True)
-        ],
-    }
-
-
-def _loft_half_extents(shape: Data) -> np.ndarray:
-    """Return half the sizes ``(3,)`` of the box around a loft, m."""
-    made = LoftConfig.model_validate(shape)
-    reach = []
-    for each, (across, up) in zip(made.drawn, section_axes(made.drawn), strict=True):
-        sizes = np.array([across * each.width / 2, up * each.height / 2])
-        corners = np.abs(outline(made.corners) @ sizes).max(0)
-        reach.append(np.linalg.norm(sizes, axis=0) if made.corners is None else corners)
-    places = np.array([each.at for each in made.drawn])
-    return (np.max(places + reach, axis=0) - np.min(places - reach, axis=0)) / 2
 
 
 def add_section(data: Data, name: str, after: int) -> None:

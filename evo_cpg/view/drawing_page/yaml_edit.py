@@ -80,7 +80,13 @@ def _edited(text: str, old: Any, data: Any) -> Iterator[str]:
     except (YAMLError, AttributeError, LookupError, TypeError, ValueError):
         pass
     else:
-        sources = _sources(code, touched, before)
+        # Numbers of the lines that each line by ruamel.yaml stands for, which joins lists.
+        one, other = ([" ".join(line.split()) for line in rows] for rows in (code, before))
+        sources: list[list[int]] = [[] for _ in before]
+        for _, i, i_end, j, j_end in _differences(one, other):
+            for k in range(i_end - i):
+                # Lines that have no counterpart belong to the one before.
+                sources[max(min(j + k, j_end - 1), 0)].append(touched[i + k])
         for keeps in (True, False):
             yield _carried(lines, sources, before, after, starts, keeps)
     yield "\n".join(_written(form, _styled(data))) + "\n"
@@ -235,23 +241,6 @@ def _is_nested(value: Any) -> bool:
     )
 
 
-def _sources(code: list[str], numbers: list[int], written: list[str]) -> list[list[int]]:
-    """Return for each line that ruamel.yaml writes the numbers of the lines that it stands for.
-
-    Args:
-        code: lines of the text without comments.
-        numbers: their numbers in the text.
-        written: the lines of the same data by ruamel.yaml, which joins lists over several lines.
-    """
-    one, other = ([" ".join(line.split()) for line in lines] for lines in (code, written))
-    sources: list[list[int]] = [[] for _ in written]
-    for _, i, i_end, j, j_end in _differences(one, other):
-        for k in range(i_end - i):
-            # Lines that have no counterpart belong to the one before.
-            sources[max(min(j + k, j_end - 1), 0)].append(numbers[i + k])
-    return sources
-
-
 def _carried(
     lines: list[str],
     sources: list[list[int]],
@@ -273,7 +262,17 @@ def _carried(
     """
     placed: dict[int, list[str]] = defaultdict(list)
     gone, last = set(), -1
-    for what, i, i_end, j, j_end in _hunks(before, after):
+    hunks: list[tuple[str, int, int, int, int]] = []
+    for what, i, i_end, j, j_end in _differences(before, after):
+        if what == "equal":
+            hunks.append((what, i, i_end, j, j_end))
+            continue
+        # Replaced lines with the same key stand in one hunk.
+        changed = before[i:i_end], after[j:j_end]
+        keys, later = ([line.partition(":")[0] for line in rows] for rows in changed)
+        for _, k, k_end, m, m_end in _differences(keys, later):
+            hunks.append(("replace", i + k, i + k_end, j + m, j + m_end))
+    for what, i, i_end, j, j_end in hunks:
         for k in range(max(i_end - i, j_end - j)):
             own = sources[i + k] if i + k < i_end else []
             last = own[-1] if own else last
@@ -289,17 +288,6 @@ def _carried(
     for number, line in enumerate(lines):
         made += [*([] if number in gone else [line]), *placed[number]]
     return "\n".join(made)
-
-
-def _hunks(before: list[str], after: list[str]) -> Iterator[tuple[str, int, int, int, int]]:
-    """Yield how lines become others. Replaced lines with the same key stand in one hunk."""
-    keys, later = ([line.partition(":")[0] for line in lines] for lines in (before, after))
-    for what, i, i_end, j, j_end in _differences(before, after):
-        if what == "equal":
-            yield what, i, i_end, j, j_end
-            continue
-        for _, k, k_end, m, m_end in _differences(keys[i:i_end], later[j:j_end]):
-            yield "replace", i + k, i + k_end, j + m, j + m_end
 
 
 def _differences(one: list[str], other: list[str]) -> Sequence[tuple[str, int, int, int, int]]:

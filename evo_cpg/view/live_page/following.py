@@ -44,7 +44,12 @@ class Following:
     """
 
     def __init__(self, folder: RunFolder, say: Callable[[str], object] = lambda words: None):
-        if not _may_begin(folder):
+        # A run may begin where nothing is, or where the trainer prepares it.
+        may_begin = not folder.path.exists()
+        if folder.path.is_dir():
+            names = (each.name for each in folder.path.iterdir())
+            may_begin = all(name.startswith(".") or name == folder.start.name for name in names)
+        if not may_begin:
             require_run(folder)
         self._folder, self._say = folder, say
         # Threads do not inherit it.
@@ -118,23 +123,39 @@ class Following:
 
     def _read(self) -> tuple[str, str]:
         """Read the folder. Return the kind of its state, and a sentence about it."""
+        now = None
         try:
-            if not self._folder.config.is_file():
-                return self._without_run()
-            self._now = now = standing(self._folder, self._now)
+            if self._folder.config.is_file():
+                self._now = now = standing(self._folder, self._now)
         except (UserError, OSError) as error:
             # It may have been deleted meanwhile.
-            deleted = not self._folder.config.is_file()
-            return self._without_run() if deleted else ("wrong", str(error))
+            if self._folder.config.is_file():
+                return "wrong", str(error)
+        if now is None:
+            began, self._now = self._now is not None, None
+            if began or self._status[0] == "deleted":
+                return _DELETED
+            return "waiting", "There is no run yet. The page waits for it"
         if now.checkpoint is None or not now.checkpoint.history:
             return "waiting", "No generation is finished yet"
-        self._numbers = _numbers(now)
+        history, champion = now.checkpoint.history, now.checkpoint.champion
+        rows = [row for row in history if row["generation"] == history[-1]["generation"]]
+        # The most important numbers come first.
+        found = [(f"{now.checkpoint.generation} of {now.generations}", "generations")]
+        if champion is not None:
+            found.append((number(champion.worth), "champion's fitness"))
+            for name, value in list(champion.terms.items())[:_TERMS]:
+                found.append((f"{number(value)} {UNITS.get(name, '')}".rstrip(), in_words(name)))
+        found.append((number(np.mean([row["mean"] for row in rows])), "mean fitness"))
+        found.append((f"{now.seconds:.3g} s", "per generation"))
+        self._numbers = found
         if now is not self._drawn and (self._drawing.due or now.finished):
             self._drawn = now
             with self._drawing.working():
                 figure = fitness_figure(history_columns(now.checkpoint.history))
                 figure.set_size_inches(_SIZE)
-                self._chart = self._chart.replaced({"html": chart(figure, _CAPTION)})
+                drawn = {"html": chart(figure, _CAPTION)}
+                self._chart = Numbered(self._chart.number + 1, drawn)
         if now.finished:
             return "finished", "All generations are done. Control-C ends the program of this page"
         if not now.left:
@@ -142,34 +163,3 @@ class Following:
         if now.quiet:
             return "running", f"No new generation for {now.quiet}"
         return "running", f"Evolving, about {duration(now.left * now.seconds)} to go"
-
-    def _without_run(self) -> tuple[str, str]:
-        began, self._now = self._now is not None, None
-        if began or self._status[0] == "deleted":
-            return _DELETED
-        return "waiting", "There is no run yet. The page waits for it"
-
-
-def _may_begin(folder: RunFolder) -> bool:
-    """Return whether a run may begin in a folder: it is missing, or the trainer prepares it."""
-    if not folder.path.exists():
-        return True
-    if not folder.path.is_dir():
-        return False
-    names = (each.name for each in folder.path.iterdir())
-    return all(name.startswith(".") or name == folder.start.name for name in names)
-
-
-def _numbers(now: Standing) -> list[tuple[str, str]]:
-    """Return values and their names, the most important first."""
-    assert now.checkpoint is not None
-    history, champion = now.checkpoint.history, now.checkpoint.champion
-    rows = [row for row in history if row["generation"] == history[-1]["generation"]]
-    found = [(f"{now.checkpoint.generation} of {now.generations}", "generations")]
-    if champion is not None:
-        found.append((number(champion.worth), "champion's fitness"))
-        for name, value in list(champion.terms.items())[:_TERMS]:
-            found.append((f"{number(value)} {UNITS.get(name, '')}".rstrip(), in_words(name)))
-    found.append((number(np.mean([row["mean"] for row in rows])), "mean fitness"))
-    found.append((f"{now.seconds:.3g} s", "per generation"))
-    return found

@@ -48,10 +48,6 @@ class Numbered(NamedTuple):
     number: int = 0
     content: Mapping[str, Any] = MappingProxyType({})
 
-    def replaced(self, content: Answer) -> "Numbered":
-        """Return other content."""
-        return Numbered(self.number + 1, content)
-
     def since(self, known: int) -> Answer | None:
         """Return the content with its number, or None if it has the known number."""
         return None if self.number in (0, known) else {**self.content, "number": self.number}
@@ -167,13 +163,26 @@ class Replaying:
                 self._shown = which
                 with self._champions.working():
                     recording = kept or replays.champion(champion).recording
-                    self._show(replays.experiment, champion, recording)
+                    words = (
+                        f"Champion of generation {champion.generation} (the first is 0), "
+                        f"fitness {number(champion.worth)}"
+                    )
+                    made = replays.experiment
+                    scene = viewer_data(panel_of(made, recording, made.name))
+                    shown = {"words": words, "scene": scene}
+                    self.motion = Numbered(self.motion.number + 1, shown)
                 return
             if replays.prepare("population"):
                 return
             if self._rest is None:
                 self._filled = generation
-                self._rest = self._begin(replays, checkpoint, champion.run)
+                size = replays.experiment.strategy.population
+                places = np.linspace(0, size - 1, min(size, _TILES)).round().astype(int)
+                some = "all" if len(places) == size else f"{len(places)} of {size}"
+                words = f"Generation {checkpoint.generation}: {some} individuals, and their fitness"
+                empty = {"words": words, "count": len(places), "tiles": []}
+                self.wall = Numbered(self.wall.number + 1, empty)
+                self._rest = _Rest(checkpoint, champion.run, places.tolist())
             with self._walls.working():
                 self._rest = self._fill(replays, self._rest)
         except (UserError, OSError, ValueError) as error:
@@ -182,7 +191,7 @@ class Replaying:
             self._failed = which
             if self._folder.config.is_file():
                 words = f"The animals cannot be replayed: {error}"
-                self.motion = self.motion.replaced({"words": words, "scene": None})
+                self.motion = Numbered(self.motion.number + 1, {"words": words, "scene": None})
 
     def _forget(self) -> None:
         self._settings: Answer | None = None
@@ -204,14 +213,6 @@ class Replaying:
             self._settings = settings
         return self._replays
 
-    def _show(self, experiment: ExperimentParts, champion: Champion, recording: Recording) -> None:
-        words = (
-            f"Champion of generation {champion.generation} (the first is 0), "
-            f"fitness {number(champion.worth)}"
-        )
-        scene = viewer_data(panel_of(experiment, recording, experiment.name))
-        self.motion = self.motion.replaced({"words": words, "scene": scene})
-
     def _kept(self, champion: Champion) -> Recording | None:
         """Return the motion in champion.npz, which the trainer records at the end."""
         with contextlib.suppress(UserError):
@@ -221,34 +222,18 @@ class Replaying:
                 return recording
         return None
 
-    def _begin(self, replays: Replays, checkpoint: Checkpoint, run: int) -> _Rest:
-        population = replays.experiment.strategy.population
-        places = np.linspace(0, population - 1, min(population, _TILES)).round().astype(int)
-        which = "all" if len(places) == population else f"{len(places)} of {population}"
-        words = f"Generation {checkpoint.generation}: {which} individuals, and their fitness"
-        self.wall = self.wall.replaced({"words": words, "count": len(places), "tiles": []})
-        return _Rest(checkpoint, run, places.tolist())
-
     def _fill(self, replays: Replays, rest: _Rest) -> _Rest | None:
         """Add individuals to the wall, and return the rest."""
         own = rest.places[:LANES]
         found = replays.population(rest.checkpoint, rest.run, own)
-        tiles = [
-            {
-                "place": place,
-                "value": replay.fitness,
-                "fitness": number(replay.fitness),
-                "motion": _motion(replay.recording),
-            }
-            for place, replay in zip(own, found, strict=True)
-        ]
+        tiles = []
+        for place, replay in zip(own, found, strict=True):
+            recording, motion = replay.recording, None
+            # An individual that diverged has no motion.
+            if np.isfinite(recording.position).all() and np.isfinite(recording.rotation).all():
+                motion = motion_data(recording, _RATE, _SECONDS)
+            value, words = replay.fitness, number(replay.fitness)
+            tiles.append({"place": place, "value": value, "fitness": words, "motion": motion})
         shown = self.wall.content
         self.wall = self.wall._replace(content={**shown, "tiles": shown["tiles"] + tiles})
         return rest._replace(places=rest.places[LANES:]) if rest.places[LANES:] else None
-
-
-def _motion(recording: Recording) -> Answer | None:
-    """Return the motion of an individual on the wall, or None if it diverged."""
-    if not (np.isfinite(recording.position).all() and np.isfinite(recording.rotation).all()):
-        return None
-    return motion_data(recording, _RATE, _SECONDS)

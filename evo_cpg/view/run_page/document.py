@@ -9,10 +9,9 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.view.run_page import movement, origin
-from evo_cpg.view.run_page.html import Html, asset, join, number, tag, whole_page, with_unit
-from evo_cpg.view.run_page.subject import Crowd, PageSubject, RecordedMotion
+from evo_cpg.view.run_page.html import Html, asset, join, number, tag, whole_page
+from evo_cpg.view.run_page.subject import PageSubject, RecordedMotion
 
 _ALONE = """
 html, body { height: 100%; }
@@ -40,17 +39,30 @@ def document(subject: PageSubject, motion: RecordedMotion) -> str:
     if subject.changed is not None:
         words = "All numbers on this page describe a trial with the changed configuration."
         changed = tag("p", f"{subject.changed}. {words}", class_="failed")
+    choice = None
+    if motion.crowd is not None:
+        # Buttons choose the animals in the viewer.
+        named = [("scene", "Champion"), ("crowd", motion.crowd.title)]
+        buttons = (tag("button", words, type="button", data_scene=key) for key, words in named)
+        choice = tag("p", *buttons, class_="choice")
+    cards = [("fitness", number(subject.champion["fitness"]))]
+    for key in ("speed", "speed_in_lengths", "stride_frequency", "strouhal", "duty_factor",
+                "cost_of_transport", "power"):  # fmt: skip
+        for each in motion.numbers.quantities:
+            if each.key == key:
+                cards.append((each.name, f"{number(each.value)} {each.unit}".rstrip()))
+    items = (tag("li", tag("b", value), tag("span", name)) for name, value in cards)
     return _whole(
         f"{subject.name}: its champion",
-        _scenes(motion.scene, motion.crowd),
+        {"scene": motion.scene} | ({"crowd": motion.crowd.scene} if motion.crowd else {}),
         asset("page.css"),
         tag("h1", f"{subject.name}: its champion"),
         tag("p", subject.sentence, class_="lead"),
         changed,
         tag("nav", *(tag("a", title, href=f"#{key}") for key, title, _ in shown)),
-        _choice(motion.crowd),
+        choice,
         player(_still(motion.still)),
-        _cards(subject, motion.numbers),
+        tag("ul", *items, class_="cards"),
         *(
             tag("section", tag("h2", title), inner, id=key, aria_label=title)
             for key, title, inner in shown
@@ -63,41 +75,24 @@ def document(subject: PageSubject, motion: RecordedMotion) -> str:
     )
 
 
-def _scenes(champion: Mapping[str, Any], crowd: Crowd | None) -> Html:
-    """Return the data of the viewer."""
-    scenes = {"scene": champion} | ({} if crowd is None else {"crowd": crowd.scene})
-    parts = []
-    for name, scene in scenes.items():
-        # Text within a script is not escaped, and "</" would end the script.
-        text = json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-        parts.append(tag("script", Html(text), type="application/json", id=name))
-    return join(*parts)
-
-
-def _choice(crowd: Crowd | None) -> Html | None:
-    """Return buttons that choose the animals in the viewer, or None if there is one scene."""
-    if crowd is None:
-        return None
-    named = [("scene", "Champion"), ("crowd", crowd.title)]
-    return tag(
-        "p",
-        *(tag("button", words, type="button", data_scene=scene) for scene, words in named),
-        class_="choice",
-    )
-
-
 def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
     """Return a page that has nothing but the animal, and fills its window or frame.
 
     Browsers without WebGL show the picture (JPEG) instead.
     """
     style = asset("page.css") + _ALONE
-    return _whole(title, _scenes(scene, None), style, player(_still(picture)))
+    return _whole(title, {"scene": scene}, style, player(_still(picture)))
 
 
-def _whole(title: str, scenes: Html, style: str, *body: Html | None) -> str:
+def _whole(title: str, scenes: Mapping[str, Any], style: str, *body: Html | None) -> str:
+    """Return a page with the data of its viewer: scenes by name."""
+    parts = []
+    for name, scene in scenes.items():
+        # Text within a script is not escaped, and "</" would end the script.
+        text = json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+        parts.append(tag("script", Html(text), type="application/json", id=name))
     scripts = [asset(name) for name in ("three.min.js", "animal.js", "viewer.js")]
-    return whole_page(title, style, join(*body, scenes), scripts).text
+    return whole_page(title, style, join(*body, *parts), scripts).text
 
 
 def player(before: Html) -> Html:
@@ -137,17 +132,3 @@ def player(before: Html) -> Html:
 def _still(picture: bytes) -> Html:
     source = f"data:image/jpeg;base64,{base64.b64encode(picture).decode()}"
     return tag("img", class_="still", src=source, alt="the animal")
-
-
-def _cards(subject: PageSubject, numbers: GaitNumbers) -> Html:
-    """Return the most important numbers."""
-    found = [("fitness", number(subject.champion["fitness"]))]
-    for key in ("speed", "speed_in_lengths", "stride_frequency", "strouhal", "duty_factor",
-                "cost_of_transport", "power"):  # fmt: skip
-        for each in numbers.quantities:
-            if each.key == key:
-                found.append((each.name, with_unit(each)))
-    return tag(
-        "ul", *(tag("li", tag("b", value), tag("span", name)) for name, value in found),
-        class_="cards",
-    )  # fmt: skip

@@ -14,8 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evo_cpg.analysis.gait_quantities import Quantity
-
 # Rows of a long table that are not folded away.
 _DOZEN = 12
 # Elements without an end.
@@ -151,11 +149,6 @@ def number(value: float | np.floating) -> str:
     if "e" in words:
         words = f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else words
     return words.replace("-", "\N{MINUS SIGN}", 1) if words.startswith("-") else words
-
-
-def with_unit(each: Quantity) -> str:
-    """Return the value and unit of a quantity."""
-    return f"{number(each.value)} {each.unit}".rstrip()
 
 
 def quantity(value: Any, unit: Any) -> str:

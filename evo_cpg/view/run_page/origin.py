@@ -2,7 +2,7 @@
 
 import hashlib
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from evo_cpg.training.run_folder import refinements
@@ -120,22 +120,6 @@ def paper(subject: PageSubject) -> Html | None:
     return join(*parts)
 
 
-def _refined(done: Sequence[Mapping[str, Any]]) -> Html:
-    """List the changes that `evo-cpg refine` made after evolution."""
-    rows = []
-    for one in done:
-        words = [without_folders(str(word)) for word in listed(one.get("command"))]
-        gained = f"{cell(one.get('from'))} to {cell(one.get('to'))}"
-        rows.append([cell(one.get("finished")), f"evo-cpg {shlex.join(words)}", gained])
-    return join(
-        tag("p", "After evolution, this champion was refined along the gradient of the fitness. "
-            "The commands below repeat only the evolution, so their champion differs. The "
-            "configuration below is the refined one. The run folder keeps the files from before "
-            "the last successful refinement: config_before.yaml and champion_before.npz."),
-        table(["refined", "command", "fitness"], rows),
-    )  # fmt: skip
-
-
 def repetition(subject: PageSubject) -> Html:
     """Show commands, versions and the configuration."""
     run, meta = subject.folder, subject.meta
@@ -159,9 +143,22 @@ def repetition(subject: PageSubject) -> Html:
     if isinstance(command, list):
         words = [without_folders(str(word)) for word in command]
         rows.append(["first command", f"evo-cpg {shlex.join(words)}"])
-    refined = refinements(meta)
+    refined, changes = [], None
+    for one in refinements(meta):
+        words = [without_folders(str(word)) for word in listed(one.get("command"))]
+        gained = f"{cell(one.get('from'))} to {cell(one.get('to'))}"
+        refined.append([cell(one.get("finished")), f"evo-cpg {shlex.join(words)}", gained])
+    if refined:
+        changes = join(
+            tag("p", "After evolution, this champion was refined along the gradient of the "
+                "fitness. The commands below repeat only the evolution, so their champion differs. "
+                "The configuration below is the refined one. The run folder keeps the files from "
+                "before the last successful refinement: config_before.yaml and "
+                "champion_before.npz."),
+            table(["refined", "command", "fitness"], refined),
+        )  # fmt: skip
     return join(
-        _refined(refined) if refined else None,
+        changes,
         tag("p", "Save the configuration below as ", tag("code", "config.yaml"), " and run these "
             "commands. The results are identical on the same processor, with the same versions and "
             "number of cores. Elsewhere numbers round differently, and evolution may find another "

@@ -128,8 +128,17 @@ class _PageHandler(http.server.BaseHTTPRequestHandler):
             return
         path, query = place
         take = upload if path == "/upload" else None
-        body = self.body(LARGEST if take else MOST_BYTES)
-        if body is None:
+        most = LARGEST if take else MOST_BYTES
+        length = self.headers.get("Content-Length", "")
+        if not (length.isascii() and length.isdigit()):
+            self.refuse(HTTPStatus.LENGTH_REQUIRED, "the request has no length")
+            return
+        if len(length) > len(str(most)) or int(length) > most:
+            self.refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"more than {most // 2**20} MiB")
+            return
+        body = self.rfile.read(int(length))
+        if len(body) < int(length):
+            self.refuse(HTTPStatus.BAD_REQUEST, "the request is cut off")
             return
         if take:
             self.send_json(take(query.get("name", ""), body))
@@ -173,20 +182,6 @@ class _PageHandler(http.server.BaseHTTPRequestHandler):
         else:
             return True
         return False
-
-    def body(self, most: int) -> bytes | None:
-        """Return the body of a request of at most ``most`` bytes, or refuse it."""
-        length = self.headers.get("Content-Length", "")
-        if not (length.isascii() and length.isdigit()):
-            self.refuse(HTTPStatus.LENGTH_REQUIRED, "the request has no length")
-        elif len(length) > len(str(most)) or int(length) > most:
-            self.refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"more than {most // 2**20} MiB")
-        else:
-            body = self.rfile.read(int(length))
-            if len(body) == int(length):
-                return body
-            self.refuse(HTTPStatus.BAD_REQUEST, "the request is cut off")
-        return None
 
     def send_json(self, answer: Any) -> None:
         """Send an answer as JSON. Numbers that are not finite become null."""

@@ -16,13 +16,13 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, neutral_pose
-from evo_cpg.physics.contact.terrain import GroundPart
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import smooth
 from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import BodySurface, head_index, pieces
+from evo_cpg.view.offscreen import CELLS
 from evo_cpg.view.scene import Clip, Panel, quaternions, sample, scene_of
 from evo_cpg.view.skin import skins
 from evo_cpg.view.terrain import obstacle_mesh
@@ -91,20 +91,32 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
         land = scene.terrain(_FAR * scene.radius)
         terrain = {name: arrays.add(values, "<f4") for name, values in land._asdict().items()}
         terrain["normals"] = arrays.add(land.normals() * 127, "i1")
+    # Equal arrays are written once, and have the number of the first one.
+    animal, motion = animal_data(scene.creature, arrays), _motion(clip, arrays)
+    speed, distance = arrays.add(clip.speed, "<f4"), arrays.add(clip.distance, "<f4")
+    obstacles = []
+    for obstacle in scene.ground.obstacles:
+        mesh, place, turn = obstacle_mesh(obstacle)
+        mesh = mesh.triangulate()
+        if mesh.n_points > _FINE:
+            mesh = mesh.decimate(1 - _FINE / mesh.n_points)
+        made = piece_data(BodySurface(cast(pv.PolyData, mesh), _STONE), arrays.add)
+        turned = quaternions(turn[None])[0].tolist()
+        obstacles.append(made | {"place": place.tolist(), "turn": turned})
     return {
         "start": float(clip.time[0]),
-        **animal_data(scene.creature, arrays),
-        **_motion(clip, arrays),
+        **animal,
+        **motion,
         "head": head,
-        "speed": arrays.add(clip.speed, "<f4"),
-        "distance": arrays.add(clip.distance, "<f4"),
+        "speed": speed,
+        "distance": distance,
         "measured": scene.measured,
         "radius": scene.radius,
         "bearing": scene.bearing,
         "floor": float(clip.position[..., 2].min()) if level is None else level,
-        "spacing": scene.grid,
+        "spacing": scene.marks.spacing / CELLS,
         "terrain": terrain,
-        "obstacles": [_obstacle(obstacle, arrays) for obstacle in scene.ground.obstacles],
+        "obstacles": obstacles,
         "goal": None if scene.goal is None else [float(x) for x in scene.goal],
         "surface": None if scene.surface is None else float(scene.surface),
         "water": panel.world == "water" and scene.surface is None,
@@ -141,16 +153,6 @@ def _motion(clip: Clip, arrays: Arrays) -> dict[str, Any]:
         "rotation": arrays.add(quaternions(clip.rotation) * _SHORT, "<i2"),
         "focus": arrays.add(smooth(clip.position.mean(1), _CALM * clip.rate), "<f4"),
     }
-
-
-def _obstacle(obstacle: GroundPart, arrays: Arrays) -> dict[str, Any]:
-    mesh, place, turn = obstacle_mesh(obstacle)
-    coarse = mesh.triangulate()
-    if coarse.n_points > _FINE:
-        coarse = coarse.decimate(1 - _FINE / coarse.n_points)
-    turned = quaternions(turn[None])[0].tolist()
-    made = piece_data(BodySurface(cast(pv.PolyData, coarse), _STONE), arrays.add)
-    return made | {"place": place.tolist(), "turn": turned}
 
 
 def piece_data(piece: BodySurface, add: Add) -> dict[str, Any]:
