@@ -247,14 +247,6 @@ def test_batched_runs_equal_single_runs():
         np.testing.assert_array_equal(together[seed], alone)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_uncompiled_generations_equal_compiled_ones(seed):
-    fitness = jnp.roll(jnp.asarray(FITNESS, jnp.float32), seed)
-    uncompiled = BitGenetics().next_generation(jax.random.key(seed), bits(seed), fitness)
-    np.testing.assert_array_equal(uncompiled, bred(bits(seed), fitness, seed))
-
-
 @pytest.mark.parametrize(
     ("words", "wrong"),
     [

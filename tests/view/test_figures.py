@@ -20,20 +20,8 @@ from evo_cpg.view.answer_plots import (
     sensitivity_figure,
 )
 from evo_cpg.view.figure import new_figure, save_figure
-from evo_cpg.view.plots import (
-    _crests,
-    fit_figure,
-    fitness_figure,
-    joint_signals_figure,
-    path_figure,
-)
-from evo_cpg.view.search_plots import (
-    Curves,
-    champions_figure,
-    generations_figure,
-    map_figure,
-    sweep_figure,
-)
+from evo_cpg.view.plots import _crests, fitness_figure, joint_signals_figure, path_figure
+from evo_cpg.view.search_plots import Curves, generations_figure, map_figure, sweep_figure
 from pictures import ink
 
 
@@ -192,17 +180,6 @@ def test_a_path_names_its_dots_and_the_origin_of_the_distance(recording, goal, o
     assert later.lines[0].get_ydata().max() == pytest.approx(recording.distance.max())
 
 
-def test_the_best_so_far_is_visible_below_an_equal_line():
-    """The lower one of two equal lines is wider."""
-    equal = np.array([1.0, 2.0, 2.0])
-    columns = {"generation": np.arange(3), "best": equal, "best_so_far": equal, "mean": equal - 1}
-    figure = fitness_figure(columns | {"diverged": np.zeros(3)})
-    (axes,) = figure.axes
-    below, above, _ = axes.get_lines()
-    assert (below.get_label(), above.get_label()) == ("best so far", "best of the generation")
-    assert below.get_linewidth() > 3 * above.get_linewidth()
-
-
 def test_generations_are_counted_in_round_numbers():
     steps = set()
     for count in (7, 13, 20, 60, 130, 200, 1000):
@@ -249,13 +226,6 @@ def test_generations_have_a_line_and_a_band_for_each_setting():
         assert words in shown.get_legend().get_title().get_text()
 
 
-def test_a_pair_of_groups_has_one_colour_and_the_second_is_filled():
-    dots = champions_figure({"a": ([1], [2]), "b": ([3], [4])}, ("x (m)", "y")).axes[0].collections
-    assert [dot.get_offsets().tolist() for dot in dots] == [[[1, 2]], [[3, 4]]]
-    assert (dots[0].get_edgecolor() == dots[1].get_edgecolor()).all()
-    assert [len(dot.get_facecolor()) for dot in dots] == [0, 1]
-
-
 @pytest.mark.parametrize("count", [2, 9])
 def test_a_sweep_shows_each_setting_in_its_colour(count):
     """Settings without a champion keep their row."""
@@ -271,15 +241,6 @@ def test_a_sweep_shows_each_setting_in_its_colour(count):
     assert rows_of(right)[:2] == ["0" * 33 + "...  (n = 0)", f"{head}  (n = 2)"]
     _, median = right.get_lines()[:2]
     assert median.get_xdata().tolist() == [4.0, 4.0]
-
-
-def test_a_fit_shows_data_and_model_with_their_units():
-    time, data = np.arange(3.0), np.array([[1.0, 4.0], [2.0, 5.0], [3.0, 6.0]])
-    rows = fit_figure(time, ("tail.z", "x"), data, data + 0.5).axes
-    assert [axes.get_ylabel() for axes in rows] == ["tail.z (rad)", "x (m)"]
-    recorded, fitted = rows[1].get_lines()
-    assert recorded.get_ydata().tolist() == [4, 5, 6]
-    assert fitted.get_ydata().tolist() == [4.5, 5.5, 6.5]
 
 
 def test_sensitivities_are_bars_and_unconfirmed_ones_are_grey():
@@ -335,12 +296,6 @@ def test_an_audit_has_a_panel_of_paths_only_with_mujoco():
     assert rows_of(fractions) == ["way kept at half the step"]
     assert fractions.patches[0].get_width() == pytest.approx(97)
     assert [text.get_text().strip() for text in fractions.texts] == ["> 90"]
-    # A walker with a brain has up to three paths from MuJoCo, each in its own colour.
-    hard = "MuJoCo, hard contacts"
-    paths = diverging_paths("evo_cpg", "MuJoCo", hard, f"{hard}, own senses")
-    lines = audit_figure(a_ledger(), 1 / 240, [], paths, "animal: audit").axes[1].get_lines()
-    drawn = {line.get_label(): line.get_color() for line in lines if line.get_label() in paths}
-    assert list(drawn) == list(paths) and len(set(drawn.values())) == 4
 
 
 AXES = (

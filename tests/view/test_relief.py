@@ -129,17 +129,6 @@ def test_buried_obstacles_are_not_drawn():
     assert 2 * np.pi * 0.99 < seen.area < 2 * np.pi * (1 + deep)
 
 
-def test_unknown_floors_and_obstacles_are_refused():
-    place, boulder = np.zeros((1, 2)), Boulder((0.0, 0.0, 0.0), 1.0)
-    for call, words in (
-        (lambda: heights(boulder, place), r"Boulder .*: Plane, Shore, Relief"),
-        (lambda: obstacle_mesh(Plane()), r"Plane .*: Boulder, Block"),
-        (lambda: obstacle_top(Plane(), place), r"Plane .*: Boulder, Block"),
-    ):
-        with pytest.raises(TypeError, match=words):
-            call()
-
-
 def test_ripples_repeat_and_move_like_waves():
     ripples = Ripples(2.0)
     still, later = ripples.slopes(0.0), ripples.slopes(0.1)
@@ -288,15 +277,6 @@ def test_shading_shows_the_relief(creature, tmp_path):
         light = still(creature, walk, tmp_path, world="land", ground=ground).mean(-1)[90:150]
         tones.append(light.std())
     assert tones[1] > 1.15 * tones[0]
-
-
-def test_ground_nearly_level_looks_like_level_ground(creature, tmp_path):
-    """Ground with a shore far away is drawn as a mesh, with the same things in the same places."""
-    walk = synthetic.walk(6)
-    far = Ground(floor=Shore("x", 90.0, 91.0, 0.0, 0.1))
-    one, two = (still(creature, walk, tmp_path, world="land", ground=g) for g in (Ground(), far))
-    assert np.abs(one - two).mean() < 12
-    assert not np.array_equal(one, two)
 
 
 def test_the_camera_rises_over_a_wall_that_hides_the_animal(creature):

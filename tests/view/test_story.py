@@ -12,7 +12,6 @@ from evo_cpg.physics.contact.terrain import Plane, Relief
 from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import CameraPath, between, overview, project
 from evo_cpg.view.captions import Words, placed_tags, wrapped, written
-from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.lanes import course_of, in_lanes, tank_of
 from evo_cpg.view.legible import font, lettering
 from evo_cpg.view.look import STYLES
@@ -104,13 +103,6 @@ def test_ghosts_are_drawn_in_their_places():
         across, up = project(path, trunk[None, None], SIZE[0] / SIZE[1])[0, 0]
         column, row = round((across + 1) / 2 * SIZE[0]), round((1 - up) / 2 * SIZE[1])
         assert changed[row, column] == seen, step
-
-
-def test_a_coarse_body_has_the_size_of_its_shape():
-    shape = WALKER.bodies[0].shape
-    points, faces = coarse(shape)
-    np.testing.assert_allclose(np.abs(points).max(0), shape.half_extents, rtol=1e-6)
-    assert len(points) == 8 and len(faces) == 12
 
 
 def test_a_take_dissolves_into_the_next():
