@@ -113,14 +113,6 @@ def test_numbers_on_the_page_equal_the_measured_terms(walker):
     assert 0.1 < whole <= terms["airborne"] + 1e-3 and terms["airborne"] <= most
 
 
-@pytest.mark.slow
-def test_only_a_walker_has_footfalls(walker, swimmer):
-    on_land, in_water = page_of(walker), page_of(swimmer)
-    assert "Footfalls" in on_land and "Strouhal" not in on_land
-    assert "Footfalls" not in in_water
-    assert "CPG output" in in_water and "angle of the posture" in on_land
-
-
 @pytest.mark.parametrize("animal", ["swimmer", pytest.param("walker", marks=pytest.mark.slow)])
 def test_the_page_is_small_and_requests_nothing_from_the_network(animal, request):
     page = page_of(request.getfixturevalue(animal))
