@@ -34,7 +34,7 @@ from evo_cpg.files import make_folder, write_table, write_text
 from evo_cpg.io.build import build_experiment, require_genes
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.keys import parts_of, replaces
-from evo_cpg.io.load import load_config
+from evo_cpg.io.load import as_overrides, load_config
 from evo_cpg.io.run import Run, fingerprint
 from evo_cpg.io.settings import Setting, combine, is_folder_name
 from evo_cpg.io.shipped import find_config
@@ -267,7 +267,7 @@ def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
     members = []
     for name, values in plan["settings"].items():
         setting = Setting(name, values)
-        config = load_config(source, [*plan["overrides"], *setting.overrides])
+        config = load_config(source, [*plan["overrides"], *as_overrides(values)])
         config = config.model_copy(update={"name": f"{config.name} {name}"})
         experiment = build_experiment(config, source)
         require_genes(experiment, source)

@@ -18,14 +18,13 @@ from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import Mapped
-from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.io.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.io.load import located
 from evo_cpg.io.own_checks import check_own_forces, check_own_returns, check_own_strategy
 from evo_cpg.io.schema.evolution import RealEvolutionConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
-from evo_cpg.io.situations import build_situations, require_light
+from evo_cpg.io.situations import build_situations
 from evo_cpg.io.trust import code_folders, require_code
 from evo_cpg.native.engine import Engine, target, using
 from evo_cpg.native.ir import Unsupported
@@ -87,11 +86,26 @@ def build_experiment(
                 sys.path.append(str(resolved(folder)))
         require_code(config, folders)
         creature, simulation = build_simulation(config, plan)
-        require_light(config, simulation.task)
+        trials = config.simulation.trials
+        for i, entry in enumerate(trials if isinstance(trials, list) else ()):
+            if entry.light is not None and simulation.task.light is None:
+                problem = f"a task of type {config.task.type!r} has no light"
+                raise KeyProblem(("simulation", "trials", i, "light"), problem)
         check_own_returns(config, simulation)
+        given = config.evolution
+        islands = getattr(given, "islands", None)
+        population = given.population // (islands.count if islands else 1)
         with under("evolution"):
-            strategy = _build_strategy(config, simulation)
-        learning, given = None, config.evolution
+            strategy = given.build(simulation.genome, population)
+            mapped = bool(given.axes and (islands or not strategy.map_axes))
+            if isinstance(given, CustomConfig):
+                check_own_strategy(config, strategy, population, simulation, mapped)
+            if islands:
+                about = islands.count, islands.every, islands.migrants
+                strategy = Islands(given.population, strategy, *about)
+            if mapped:
+                strategy = Mapped(given.population, given.build_axes(), strategy)
+        learning = None
         if isinstance(given, RealEvolutionConfig) and given.learning:
             learners = given.learning.elites or min(_LEARNERS, given.elites)
             learning = given.learning.into(Learning, elites=learners)
@@ -106,22 +120,6 @@ def build_experiment(
             trials=config.trial_count,
             learning=learning,
         )
-
-
-def _build_strategy(config: ExperimentConfig, simulation: Simulation) -> Strategy:
-    """Build the search, on its islands and with its map."""
-    given = config.evolution
-    islands = getattr(given, "islands", None)
-    population = given.population // (islands.count if islands else 1)
-    strategy = given.build(simulation.genome, population)
-    mapped = bool(given.axes and (islands or not strategy.map_axes))
-    if isinstance(given, CustomConfig):
-        check_own_strategy(config, strategy, population, simulation, mapped)
-    if islands:
-        strategy = Islands(
-            given.population, strategy, islands.count, islands.every, islands.migrants
-        )
-    return Mapped(given.population, given.build_axes(), strategy) if mapped else strategy
 
 
 def require_genes(experiment: ExperimentParts, source: Path | str) -> None:
@@ -155,7 +153,14 @@ def build_simulation(
     Raises:
         KeyProblem: parts of the configuration do not fit together.
     """
-    engine = _choose_engine(config)
+    engine = Engine(config.engine, config.instruction_set)
+    if engine.name == "native":
+        try:
+            with using(engine):
+                target()
+        except Unsupported as error:
+            key = ("engine",) if config.instruction_set == "host" else ("instruction_set",)
+            raise KeyProblem(key, f"this machine has no such native code: {error}") from None
     with _refused(config):
         creature = config.creature.build()
         tree = build_tree(creature)
@@ -167,7 +172,16 @@ def build_simulation(
         for i, given in enumerate(config.creature.sensors)
     )
     controller = _build_controller(config, creature, tree, extra_sensors, step)
-    noise = _build_noise(config, world)
+    noise, hangs = config.noise, f"{tree.names[0]!r} hangs on the world"
+    problem = None
+    if noise.friction and world.contact_model is None:
+        problem = "friction", "there is no ground whose friction could vary (world.ground)"
+    elif noise.tilt_deg and tree.hanging is not None:
+        problem = "tilt_deg", f"{hangs} and cannot tilt. Use joint_angle_deg, or leave it out"
+    elif noise.push and tree.hanging is not None and not tree.root_slides:
+        problem = "push", f"{hangs} without a slide, so no push moves it. Leave it out"
+    if problem:
+        raise KeyProblem(("noise", problem[0]), problem[1])
     with using(engine):
         situations = build_situations(config, creature, world)
     with under("task"):
@@ -188,7 +202,12 @@ def build_simulation(
         control_rate=config.simulation.control_rate_hz,
         substeps=config.simulation.substeps,
         steps=chosen(lambda: config.simulation.steps),
-        noise=noise,
+        noise=Noise(
+            joint_angle=xp.deg2rad(noise.joint_angle_deg),
+            tilt=xp.deg2rad(noise.tilt_deg),
+            push=noise.push,
+            friction=noise.friction,
+        ),
         situations=situations,
         engine=engine,
         extra_sensors=extra_sensors,
@@ -196,32 +215,6 @@ def build_simulation(
         measures=_build_measures(config, task, creature, world),
     )
     return creature, simulation
-
-
-def _build_noise(config: ExperimentConfig, world: World) -> Noise:
-    """Build the noise of a trial.
-
-    Raises:
-        KeyProblem: the noise has no effect: on friction without ground, or on a root that hangs on
-            the world.
-    """
-    given, tree = config.noise, world.tree
-    hangs = f"{tree.names[0]!r} hangs on the world"
-    problem = None
-    if given.friction and world.contact_model is None:
-        problem = "friction", "there is no ground whose friction could vary (world.ground)"
-    elif given.tilt_deg and tree.hanging is not None:
-        problem = "tilt_deg", f"{hangs} and cannot tilt. Use joint_angle_deg, or leave it out"
-    elif given.push and tree.hanging is not None and not tree.root_slides:
-        problem = "push", f"{hangs} without a slide, so no push moves it. Leave it out"
-    if problem:
-        raise KeyProblem(("noise", problem[0]), problem[1])
-    return Noise(
-        joint_angle=xp.deg2rad(given.joint_angle_deg),
-        tilt=xp.deg2rad(given.tilt_deg),
-        push=given.push,
-        friction=given.friction,
-    )
 
 
 def _build_measures(
@@ -310,23 +303,6 @@ def _build_rules(
     return Rules(**most, pairs=make_pairs(creature, world.tree, watched))
 
 
-def _choose_engine(config: ExperimentConfig) -> Engine:
-    """Return the engine that computes the trials.
-
-    Raises:
-        KeyProblem: the configuration requires an engine that this machine does not have.
-    """
-    engine = Engine(config.engine, config.instruction_set)
-    if engine.name == "native":
-        try:
-            with using(engine):
-                target()
-        except Unsupported as error:
-            key = ("engine",) if config.instruction_set == "host" else ("instruction_set",)
-            raise KeyProblem(key, f"this machine has no such native code: {error}") from None
-    return engine
-
-
 def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
     """Build the creature alone.
 
@@ -345,7 +321,13 @@ def _refused(config: ExperimentConfig) -> Iterator[None]:
     except CreatureError as error:
         where: list[str | int] = list(error.where)
         if len(where) > 1 and where[0] in ("bodies", "tendons") and isinstance(where[1], int):
-            where[1] = config.creature.entry_of(where[0], where[1])
+            # An entry may stand for several bodies or tendons of the creature.
+            given = config.creature
+            everything = given.copies()
+            owners = [copy.entry for copy in everything for _ in given.names_of(copy)]
+            if where[0] == "tendons":
+                owners = [i for i, x in enumerate(given.tendons) for _ in x.build(everything)]
+            where[1] = owners[where[1]]
         raise KeyProblem(("creature", *where), str(error)) from None
 
 

@@ -14,7 +14,6 @@ from evo_cpg.io.schema.audit import Limits
 from evo_cpg.io.schema.evolution import MapSection
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.ground import ReliefFileConfig
-from evo_cpg.io.schema.section import Section
 from evo_cpg.io.schema.shape import MeshFileConfig
 
 Schema = dict[str, Any]
@@ -48,8 +47,16 @@ def file_schema() -> Schema:
                 own = kind["properties"]["type"].get("const")
                 if not isinstance(meant, dict) or own != meant["type"]:
                     kind["required"] = list(dict.fromkeys(("type", *kind.get("required", ()))))
-    _read_from_file(kinds["MeshConfig"], MeshFileConfig, ("vertices", "faces"))
-    _read_from_file(kinds["ReliefConfig"], ReliefFileConfig, ("heights",))
+    # The key ``file`` may replace the keys whose values are read from that file.
+    for name, file, instead_of in (
+        ("MeshConfig", MeshFileConfig, ["vertices", "faces"]),
+        ("ReliefConfig", ReliefFileConfig, ["heights"]),
+    ):
+        kind, named = kinds[name], file.model_json_schema()
+        _describe(named)
+        kind["properties"] = named["properties"] | kind["properties"]
+        kind["required"] = [key for key in kind["required"] if key not in instead_of]
+        kind["anyOf"] = [{"required": ["file"]}, {"required": instead_of}]
     whole = kinds["CreatureConfig"]
     kinds["CreatureFile"] = {
         **whole,
@@ -93,12 +100,3 @@ def _describe(kind: Schema) -> None:
             value["description"] = own.get(name) or inherited[name]
         elif "const" in value:
             value["description"] = f"``{value['const']}``."
-
-
-def _read_from_file(kind: Schema, file: type[Section], instead_of: tuple[str, ...]) -> None:
-    """Allow the key ``file`` instead of the keys whose values are read from that file."""
-    named = file.model_json_schema()
-    _describe(named)
-    kind["properties"] = named["properties"] | kind["properties"]
-    kind["required"] = [name for name in kind["required"] if name not in instead_of]
-    kind["anyOf"] = [{"required": ["file"]}, {"required": list(instead_of)}]

@@ -235,21 +235,18 @@ def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any
 def _apply(data: dict[str, Any], override: str) -> None:
     """Set one value of the raw configuration, and create missing sections."""
     key, separator, text = override.partition("=")
-
-    def refused(problem: str) -> ConfigError:
-        return ConfigError("command line", parts_of(key), problem)
-
+    source, parts = "command line", parts_of(key)
     if not separator or not key:
-        raise ConfigError(
-            "command line", (), f"{override!r} is not of the form key.path=value, such as seed=3"
-        )
+        problem = f"{override!r} is not of the form key.path=value, such as seed=3"
+        raise ConfigError(source, (), problem)
     if any("\ud800" <= character <= "\udfff" for character in text):
-        raise refused(f"{text!a} is not UTF-8 text")
+        raise ConfigError(source, parts, f"{text!a} is not UTF-8 text")
     try:
         value = parse_yaml(text)
     except yaml.YAMLError as error:
-        raise refused(f"{text!r} is not YAML: {syntax_problem(text, error)[1]}") from None
-    *parents, last = parts_of(key)
+        problem = f"{text!r} is not YAML: {syntax_problem(text, error)[1]}"
+        raise ConfigError(source, parts, problem) from None
+    *parents, last = parts
     place, known = follow(data, parents)
     for part in parents[known:]:
         if not isinstance(place, dict) or part in place:
@@ -261,11 +258,10 @@ def _apply(data: dict[str, Any], override: str) -> None:
     elif known == len(parents) and isinstance(place, list) and is_index(last, place):
         place[int(last)] = value
     else:
-        parts = [*parents, last]
         problem = f"{'.'.join(parts[:known])} has no {parts[known]}"
         if isinstance(place, list) and place:
             problem = f"{problem}. Its entries are numbered from 0 to {len(place) - 1}"
-        raise refused(problem)
+        raise ConfigError(source, parts, problem)
 
 
 def _find(path: Path, key: Key) -> tuple[int, Any, int] | None:

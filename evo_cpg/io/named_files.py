@@ -47,7 +47,21 @@ def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
     with under("file"):
         path = named_file(source, shape.file, MESH_SUFFIXES)
         try:
-            vertices, faces = _triangles(path)
+            import trimesh
+
+            if path.suffix.lower() == ".glb":
+                mesh = _read_glb(path)
+            else:
+                mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+            if not np.isfinite(mesh.vertices).all():
+                raise ValueError("a coordinate of a vertex is not a finite number")
+            # Merging rounds positions to integers. Positions that overflow are refused later.
+            with np.errstate(all="ignore"):
+                mesh.merge_vertices(merge_tex=True, merge_norm=True)
+            if not len(mesh.faces):
+                raise ValueError("it has no faces")
+            vertices = np.array(mesh.vertices, float).reshape(-1, 3)
+            faces = np.array(mesh.faces, int).reshape(-1, 3)
         except Exception as error:
             # Any error of the reader concerns the file.
             problem = " ".join(str(error).split()) or type(error).__name__
@@ -64,47 +78,14 @@ def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
     return {"type": "mesh", "vertices": vertices.tolist(), "faces": faces.tolist()}
 
 
-def _triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices without duplicates, and the triangles."""
-    import trimesh
-
-    if path.suffix.lower() == ".glb":
-        mesh = read_glb(path)
-    else:
-        mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
-    if not np.isfinite(mesh.vertices).all():
-        raise ValueError("a coordinate of a vertex is not a finite number")
-    # Merging rounds positions to integers. Positions that overflow are refused later.
-    with np.errstate(all="ignore"):
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    if not len(mesh.faces):
-        raise ValueError("it has no faces")
-    return np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, int).reshape(-1, 3)
-
-
-def read_glb(path: Path) -> Any:
-    """Return the mesh of a file as a `trimesh.Trimesh`.
+def _read_glb(path: Path) -> Any:
+    """Return the mesh of a file as a `trimesh.Trimesh`. Check the header's counts first.
 
     Raises:
         ValueError: the file is no binary glTF, refers to other files, or is too large.
     """
     import trimesh
 
-    _require_sensible(path)
-    with path.open("rb") as file:
-        # Without a resolver nothing outside of the file is read.
-        scene = trimesh.load_scene(file, file_type="glb", process=False, skip_materials=True)
-    mesh = scene.to_mesh()
-    mesh.vertices = np.asarray(mesh.vertices) @ _TO_OURS.T
-    return mesh
-
-
-def _require_sensible(path: Path) -> None:
-    """Check the header's counts.
-
-    Raises:
-        ValueError: a count is too large, or the header is none.
-    """
     with path.open("rb") as file:
         head = file.read(20)
         if len(head) < 20 or head[:4] != b"glTF":
@@ -135,6 +116,12 @@ def _require_sensible(path: Path) -> None:
     count = sum(own[node["mesh"]] for node in nodes if "mesh" in node)
     if count > _MOST_TRIANGLES:
         raise ValueError(f"its nodes have {count} triangles. Allowed: at most {_MOST_TRIANGLES}")
+    with path.open("rb") as file:
+        # Without a resolver nothing outside of the file is read.
+        scene = trimesh.load_scene(file, file_type="glb", process=False, skip_materials=True)
+    mesh = scene.to_mesh()
+    mesh.vertices = np.asarray(mesh.vertices) @ _TO_OURS.T
+    return mesh
 
 
 def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
@@ -159,7 +146,14 @@ def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
                 if heights.dtype.kind not in "iuf":
                     raise ValueError(f"its values are {heights.dtype}, and not real numbers")
             elif suffix in _TABLES:
-                heights, scaled = _table(path), False
+                # Skip the byte order mark with which spreadsheets begin a file.
+                text = re.sub("#.*", "", path.read_text(encoding="utf-8-sig"))
+                if _DECIMAL_COMMA.search(text):
+                    raise ValueError("it has decimal commas. Write decimal points")
+                # Delimiters are commas, semicolons or spaces.
+                delimiter = ";" if ";" in text else "," if "," in text else None
+                heights = np.loadtxt(io.StringIO(text), delimiter=delimiter, quotechar='"')
+                scaled = False
             else:
                 heights, scaled = _image(path, relief.lowest, relief.highest)
             if heights.ndim == 2 and max(heights.shape) <= MOST_HEIGHTS:
@@ -181,16 +175,6 @@ def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
         if problem is not None:
             raise KeyProblem((), f"{relief.file}: {problem}")
     return heights.tolist()
-
-
-def _table(path: Path) -> np.ndarray:
-    """Return the numbers of a table whose delimiters are commas, semicolons or spaces."""
-    # Skip the byte order mark with which spreadsheets begin a file.
-    text = re.sub("#.*", "", path.read_text(encoding="utf-8-sig"))
-    if _DECIMAL_COMMA.search(text):
-        raise ValueError("it has decimal commas. Write decimal points")
-    delimiter = ";" if ";" in text else "," if "," in text else None
-    return np.loadtxt(io.StringIO(text), delimiter=delimiter, quotechar='"')
 
 
 def _image(path: Path, lowest: float, highest: float) -> tuple[np.ndarray, bool]:

@@ -113,7 +113,19 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
         after, airborne = put("after", animal.state), put("airborne", energy)
         effects = Effects(animal.state, after, observation, command, forces, energy, airborne)
         seen = transition(simulation, constants, effects, jnp.int32(0))
-        _check_task(methods(simulation.task, "task"), simulation, seen, put)
+        # The methods of the task in the order of a run.
+        task, steps = methods(simulation.task, "task"), simulation.steps
+        each, alone = _numbers(), jax.ShapeDtypeStruct((), jnp.float32)
+        tally = task.call("begin", _BATCH, seen.energy.dtype, steps)
+        tally = task.call("update", tally, seen, steps, test=_is_like(tally, exact=True))
+        terms = task.call("terms", tally, steps, test=_is_dict_of(each))
+        terms = put("terms", terms | dict.fromkeys(simulation.measures.names, seen.energy))
+        # Scales are measured on the whole first generation.
+        scales = put("scales", task.call("scales", terms, test=_is_dict_of(alone)))
+        task.call("descriptors", terms, test=_is_dict_of(each))
+        task.call("fitness", terms, scales, test=_is_like(each))
+        first = {name: jnp.asarray(term)[0] for name, term in terms.items()}
+        task.call("fitness", first, scales, test=_is_like(alone))
         return results
 
     genes = jax.ShapeDtypeStruct((simulation.genome.count, _INDIVIDUALS), jnp.float32)
@@ -124,21 +136,6 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
     if all(name in found and np.isnan(found[name]).all() for found in tried):
         problem = f"{name[1]} is NaN for every animal that was tried, so all would be disqualified"
         raise KeyProblem(("task", "type"), problem)
-
-
-def _check_task(task: "_Methods", simulation: Simulation, seen: Any, put: Callable) -> None:
-    """Call the methods of a task in the order of a run."""
-    steps, each, alone = simulation.steps, _numbers(), jax.ShapeDtypeStruct((), jnp.float32)
-    tally = task.call("begin", _BATCH, seen.energy.dtype, steps)
-    after = task.call("update", tally, seen, steps, test=_is_like(tally, exact=True))
-    terms = task.call("terms", after, steps, test=_is_dict_of(each))
-    terms = put("terms", terms | dict.fromkeys(simulation.measures.names, seen.energy))
-    # Scales are measured on the whole first generation.
-    scales = put("scales", task.call("scales", terms, test=_is_dict_of(alone)))
-    task.call("descriptors", terms, test=_is_dict_of(each))
-    task.call("fitness", terms, scales, test=_is_like(each))
-    first = {name: jnp.asarray(term)[0] for name, term in terms.items()}
-    task.call("fitness", first, scales, test=_is_like(alone))
 
 
 def check_own_forces(config: ExperimentConfig, world: World) -> None:

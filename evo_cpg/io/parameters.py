@@ -25,7 +25,7 @@ from evo_cpg.io.build import CommonPlan, build_experiment
 from evo_cpg.io.errors import ConfigError, KeyProblem
 from evo_cpg.io.keys import parts_of
 from evo_cpg.io.load import located
-from evo_cpg.io.numbers import Building, Built, number_at, number_keys, values_of, with_numbers
+from evo_cpg.io.numbers import Building, number_at, number_keys, values_of, with_numbers
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.native.jax_internals import Tracer
 from evo_cpg.simulation.batched import Inputs
@@ -270,7 +270,17 @@ def _change(
         KeyProblem: more than numbers changes, no leaf changes, or there is no derivative.
     """
     value, where = number_at(config, key), parts_of(key)
-    others, both = _neighbours(building, config, key, value)
+    step = _STEP * (abs(value) or 1.0)
+    # Build on both sides, or on one side if the other one is not allowed.
+    for fractions in (_BOTH_SIDES, _ONE_SIDE, [-fraction for fraction in _ONE_SIDE]):
+        try:
+            near = [with_numbers(config, {key: value + x * step}, "") for x in fractions]
+            others, both = [building.known(each) for each in near], fractions is _BOTH_SIDES
+            break
+        except KeyProblem:
+            continue
+    else:
+        raise KeyProblem(where, f"has no allowed values on either side of {value:g}")
     if not all(other.has_layout_of(building.own) for other in others):
         raise KeyProblem(
             where,
@@ -284,8 +294,17 @@ def _change(
         first = getattr(building.own.paths[place][0], "name", None)
         searched = first == "situations" and building.own.choices.searched
         accuracy = _SEARCHED if searched else 0.0
-        moves, smooth = _moves(leaf, [other.leaves[place] for other in others], both, accuracy)
-        if not smooth:
+        known = np.isfinite(leaf)
+        centre = np.where(known, leaf, 0.0)
+        moved = np.array([np.where(known, x.leaves[place], 0.0) for x in others]) - centre
+        least = _ROUNDING * max(float(np.abs(centre).max(initial=0.0)), np.finfo(float).tiny)
+        moved[np.abs(moved) < least] = 0.0
+        bend = 0.0
+        if both:
+            even = moved[0] + moved[-1] - 4 * (moved[1] + moved[-2])
+            bend = float(np.abs(even).max(initial=0.0))
+        largest = float(np.abs(moved).max(initial=0.0))
+        if not bend <= _KINK * largest + 40 * least + accuracy:
             problem = (
                 f"{value:g} is at a kink of `{building.name(place)}` (such as a limit, or the "
                 "lowest of several feet), so it has no derivative"
@@ -293,8 +312,8 @@ def _change(
             if kinks is None:
                 raise KeyProblem(where, problem)
             kinks[key] = problem
-        if moves.any():
-            change[place] = moves
+        if moved.any():
+            change[place] = np.asarray(moved.any(0))
     if not change:
         raise KeyProblem(where, "changes nothing in a trial of this experiment")
     for place in change:
@@ -302,28 +321,6 @@ def _change(
             problem = "changes a table of positions (a mesh or a relief), so it has no derivative"
             raise KeyProblem(where, problem)
     return change
-
-
-def _neighbours(
-    building: Building, config: ExperimentConfig, key: str, value: float
-) -> tuple[list[Built], bool]:
-    """Build at neighbouring values on both sides, or on one side if the other is not allowed.
-
-    Returns:
-        The simulations in the order of the values, and whether the values lie on both sides.
-
-    Raises:
-        KeyProblem: there are no allowed values on either side.
-    """
-    step = _STEP * (abs(value) or 1.0)
-    for fractions in (_BOTH_SIDES, _ONE_SIDE, [-fraction for fraction in _ONE_SIDE]):
-        try:
-            near = [with_numbers(config, {key: value + x * step}, "") for x in fractions]
-            return [building.known(each) for each in near], fractions is _BOTH_SIDES
-        except KeyProblem:
-            # The value is at the end of the allowed range, so try the other side.
-            continue
-    raise KeyProblem(parts_of(key), f"has no allowed values on either side of {value:g}")
 
 
 def _followed(
@@ -401,25 +398,3 @@ def _undifferentiated(value: Array, refusal: ConfigError) -> Array:
         raise refusal
 
     return same(value)
-
-
-def _moves(leaf: Any, others: list[Any], both: bool, accuracy: float) -> tuple[np.ndarray, bool]:
-    """Return which elements of a leaf change, and whether they change smoothly.
-
-    Args:
-        leaf: leaf at the configuration's own value.
-        others: leaves at neighbouring values.
-        both: whether these values lie on both sides, so that a kink can be detected.
-        accuracy: accuracy of the leaf.
-    """
-    finite = np.isfinite(leaf)
-    centre = np.where(finite, leaf, 0.0)
-    moved = np.array([np.where(finite, other, 0.0) for other in others]) - centre
-    least = _ROUNDING * max(float(np.abs(centre).max(initial=0.0)), np.finfo(float).tiny)
-    moved[np.abs(moved) < least] = 0.0
-    bend = 0.0
-    if both:
-        even = moved[0] + moved[-1] - 4 * (moved[1] + moved[-2])
-        bend = float(np.abs(even).max(initial=0.0))
-    largest = float(np.abs(moved).max(initial=0.0))
-    return np.asarray(moved.any(0)), bool(bend <= _KINK * largest + 40 * least + accuracy)

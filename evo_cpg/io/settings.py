@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.keys import replaces
-from evo_cpg.io.load import as_overrides, read_yaml
+from evo_cpg.io.load import read_yaml
 
 # Largest number of settings: more than a user would compare.
 _MOST = 1000
@@ -30,11 +30,6 @@ class Setting(NamedTuple):
 
     name: str
     values: dict[str, Any]
-
-    @property
-    def overrides(self) -> list[str]:
-        """The values in the form of the command line."""
-        return as_overrides(self.values)
 
 
 def read_settings(path: Path) -> dict[str, Values]:

@@ -24,7 +24,6 @@ from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.simulation.plans import Programs
 from evo_cpg.simulation.settle import NoRestError, Settling, settled
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.simulation.task import Task
 
 # Largest number of steps to find the height at which an animal stands, and its accuracy: in m, and
 # as a fraction of the distance from the origin, because float32 resolves 1.2e-7 of it.
@@ -51,12 +50,13 @@ def build_situations(
         KeyProblem: the creature cannot stand or come to rest, or a light cannot be reached.
     """
     settings = config.simulation
-    common = config.task.goal
+    common = getattr(config.task, "light", None)
     h = 1.0 / (settings.control_rate_hz * settings.substeps)
     settling = functools.cache(lambda: Settling(world, h))
     situations: list[Situation] = []
     begins: list[Situation] = []
-    for i, entry in enumerate(settings.situations or [SituationConfig()]):
+    listed = settings.trials if isinstance(settings.trials, list) else [SituationConfig()]
+    for i, entry in enumerate(listed):
         key = ("simulation", "trials", i)
         x, y = settings.start if entry.start is None else entry.start
         turn = entry.start_heading_deg
@@ -125,18 +125,6 @@ def _require_resolved(creature: Creature, place: Triple, h: Number, start: Key) 
                 f"move wrongly in steps of {h:.2g} s. Allowed: less than {most:g} m from the "
                 f"origin. Subtract about {here:.6g} m from the world's {axis} coordinates",
             )
-
-
-def require_light(config: ExperimentConfig, task: Task) -> None:
-    """Check that no trial moves a light that the task does not have.
-
-    Raises:
-        KeyProblem: a trial moves such a light.
-    """
-    for i, entry in enumerate(config.simulation.situations):
-        if entry.light is not None and task.light is None:
-            problem = f"a task of type {config.task.type!r} has no light"
-            raise KeyProblem(("simulation", "trials", i, "light"), problem)
 
 
 def _is_still_within_reach(

@@ -161,7 +161,13 @@ def _worded(
     problems = sorted(
         error.errors(), key=lambda p: not (_is_of_key(p) or p["type"] in _UNKNOWN_KEY)
     )
-    problem = _closest(problems, data)
+    problem = problems[0]
+    if _is_of_wrong_type(problem) and isinstance(problem.get("input"), (dict, list)):
+        # If a place accepts several types, pydantic reports the problem with each type. Take a
+        # more exact one within the same list or section.
+        outer = _key_of(problem, data)
+        inside = [each for each in problems if _key_of(each, data)[: len(outer)] == outer]
+        problem = max(inside, key=lambda each: len(_key_of(each, data)))
     key, kind, given = _key_of(problem, data), problem["type"], problem.get("input")
     tags = frozenset(part for part in problem["loc"] if isinstance(part, str))
     allowed, limits = Allowed(model, data, tags), problem.get("ctx", {})
@@ -196,19 +202,6 @@ def _worded(
         message = f"must be {allowed.words(key)}"
     message = message.replace("Input should be", "must be", 1)
     return KeyProblem(key, f"{short(given)}: {message[:1].lower()}{message[1:]}")
-
-
-def _closest(problems: list[Any], data: dict[str, Any]) -> Any:
-    """Return the first problem, or a more exact one within the same list or section.
-
-    If a place accepts several types, pydantic reports the problem with each type.
-    """
-    first = problems[0]
-    if not _is_of_wrong_type(first) or not isinstance(first.get("input"), (dict, list)):
-        return first
-    key = _key_of(first, data)
-    inner = [each for each in problems if _key_of(each, data)[: len(key)] == key]
-    return max(inner, key=lambda each: len(_key_of(each, data)))
 
 
 def _is_of_wrong_type(problem: Any) -> bool:

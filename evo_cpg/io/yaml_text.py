@@ -173,7 +173,7 @@ def _require_shallow(text: str) -> None:
     opened: list[tuple[str | None, int]] = [(None, 0)]
     sizes: dict[str, int | None] = {}
     for event in yaml.parse(text, _Loader):
-        added = 0
+        added, problem = 0, None
         anchor = getattr(event, "anchor", None)
         if isinstance(event, yaml.CollectionStartEvent):
             opened.append((anchor, 1))
@@ -186,21 +186,19 @@ def _require_shallow(text: str) -> None:
         elif isinstance(event, yaml.AliasEvent):
             size = sizes.get(event.anchor, 0)
             if size is None:
-                raise _refused(event, f"the alias *{event.anchor} is inside its own anchor")
-            added = size
+                problem = f"the alias *{event.anchor} is inside its own anchor"
+            added = size or 0
         elif isinstance(event, yaml.ScalarEvent):
             added = 1
             if anchor:
                 sizes[anchor] = 1
         opened[-1] = opened[-1][0], opened[-1][1] + added
         if len(opened) > _DEEPEST:
-            raise _refused(event, f"nested more than {_DEEPEST} levels deep")
+            problem = f"nested more than {_DEEPEST} levels deep"
         if opened[-1][1] > _MOST_VALUES:
-            raise _refused(event, f"more than {_MOST_VALUES} values")
-
-
-def _refused(event: yaml.Event, problem: str) -> yaml.YAMLError:
-    return yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+            problem = f"more than {_MOST_VALUES} values"
+        if problem:
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
 
 
 # Largest length of the line that a message about invalid YAML quotes.

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from evo_cpg.io.settings import Setting, read_settings
+from evo_cpg.io.load import as_overrides
+from evo_cpg.io.settings import read_settings
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle
 from evo_cpg.studies.workshop import Workshop
 
@@ -29,7 +30,7 @@ _FILES = {
 def _declared(part: str) -> dict[str, Runs]:
     config, count = _FILES[part]
     return {
-        f"{part} {name}": Runs(config, tuple(Setting(name, dict(values)).overrides), count)
+        f"{part} {name}": Runs(config, tuple(as_overrides(values)), count)
         for name, values in read_settings(_FOLDER / f"{part}.yaml").items()
     }
 

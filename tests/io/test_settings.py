@@ -3,6 +3,7 @@
 import pytest
 
 from evo_cpg.io.errors import ConfigError
+from evo_cpg.io.load import as_overrides
 from evo_cpg.io.settings import combine, read_settings
 
 
@@ -15,7 +16,7 @@ def test_every_combination_has_a_name_and_its_values():
         "mutation_rate=0.5,seed=2",
     ]
     assert found[1].values == {"evolution.mutation_rate": 0.02, "seed": 2}
-    assert found[1].overrides == ["evolution.mutation_rate=0.02", "seed=2"]
+    assert as_overrides(found[1].values) == ["evolution.mutation_rate=0.02", "seed=2"]
 
 
 def test_keys_with_the_same_last_part_are_named_in_full():

@@ -17,13 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.io.models.refusals import ExchangeError, Refusal, Refusals, RefusedError
-from evo_cpg.io.models.urdf import (
-    is_urdf,
-    read_urdf,
-    read_xml,
-    restore_inertials,
-    set_inertials_aside,
-)
+from evo_cpg.io.models.urdf import read_urdf, read_xml, restore_inertials, set_inertials_aside
 from evo_cpg.system import command_for
 
 # Largest relative difference of values that count as equal, and number of digits that are written.
@@ -60,11 +54,6 @@ class Compiled(NamedTuple):
     def item(self, kind: str, number: int) -> "Item":
         """Return an element by its kind and number."""
         return Item(self, kind, number)
-
-    def enabled(self, flag: str) -> bool:
-        """Return whether an option flag, off by default, is enabled. False for an unknown flag."""
-        bit = getattr(self.mujoco.mjtEnableBit, f"mjENBL_{flag.upper()}", 0)
-        return bool(self.model.opt.enableflags & int(bit))
 
     def disabled(self, *flags: str) -> bool:
         """Return whether any of these flags, on by default, is disabled. Skip unknown flags."""
@@ -106,27 +95,22 @@ class Item(NamedTuple):
         name = None if code is None else mujoco.mj_id2name(model, code, self.number)
         if name:
             return f"{self.kind} {name!r}"
-        owner = self._owner()
-        if owner is None:
-            return f"{self.kind} number {self.number} (unnamed)"
-        return f"unnamed {self.kind} of {owner}"
-
-    def _owner(self) -> "Item | None":
-        """Return the element that an element without a name belongs to, or None."""
-        mujoco, model = self.compiled.mujoco, self.compiled.model
+        # Name the element that an element without a name belongs to.
         if self.kind in ("joint", "geom"):
             body = (model.jnt_bodyid if self.kind == "joint" else model.geom_bodyid)[self.number]
-            return self.compiled.item("body", int(body))
-        if self.kind == "pair":
+            owner = self.compiled.item("body", int(body))
+        elif self.kind == "pair":
             ends = int(model.pair_geom1[self.number]), int(model.pair_geom2[self.number])
-            return self.compiled.item("geom", max(ends, key=lambda geom: model.geom_bodyid[geom]))
-        if self.kind != "equality":
-            return None
-        word = mujoco.mjtObj(model.eq_objtype[self.number]).name.removeprefix("mjOBJ_").lower()
-        if word == "unknown":
-            # MuJoCo gives the kind of the connected elements only for bodies and sites.
-            word = mujoco.mjtEq(model.eq_type[self.number]).name.removeprefix("mjEQ_").lower()
-        return self.compiled.item(word, int(model.eq_obj1id[self.number]))
+            owner = self.compiled.item("geom", max(ends, key=lambda geom: model.geom_bodyid[geom]))
+        elif self.kind == "equality":
+            word = mujoco.mjtObj(model.eq_objtype[self.number]).name.removeprefix("mjOBJ_").lower()
+            if word == "unknown":
+                # MuJoCo gives the kind of the connected elements only for bodies and sites.
+                word = mujoco.mjtEq(model.eq_type[self.number]).name.removeprefix("mjEQ_").lower()
+            owner = self.compiled.item(word, int(model.eq_obj1id[self.number]))
+        else:
+            return f"{self.kind} number {self.number} (unnamed)"
+        return f"unnamed {self.kind} of {owner}"
 
     @property
     def line(self) -> int | None:
@@ -153,7 +137,15 @@ def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compile
     Raises:
         ExchangeError: MuJoCo is missing or cannot load the file, or not all of it is text.
     """
-    content = _content(path)
+    try:
+        # Reading a pipe or a device might never end.
+        if not (path.is_file() or path.is_dir()) and path.stat():
+            raise OSError(None, "is no ordinary file")
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise ExchangeError(f"{path}: no such file") from None
+    except OSError as error:
+        raise ExchangeError(f"{path}: cannot be read ({error.strerror})") from None
     try:
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
@@ -163,7 +155,9 @@ def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compile
     refusals = Refusals(path, drop)
     try:
         text = read_xml(content)
-        urdf = is_urdf(text)
+        # The first element says which kind of file it is. MuJoCo ignores case.
+        first = re.search(r"<([^\W\d][^\s/>]*)", text)
+        urdf = first is not None and first[1].lower() == "robot"
         with _collected_warnings(mujoco, refusals):
             if urdf:
                 given = read_urdf(text, path, refusals)
@@ -171,7 +165,14 @@ def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compile
             else:
                 spec = mujoco.MjSpec.from_file(os.fsdecode(path))
             if free:
-                _release(spec, path)
+                body = spec.worldbody.first_body()
+                if body is None:
+                    raise ExchangeError(f"{path}: it holds no body")
+                if all(joint.type != 0 for joint in body.joints):
+                    if body.joints:
+                        problem = f"the body {body.name!r} hangs on joints already"
+                        raise ExchangeError(f"{path}: --free: {problem}")
+                    body.add_freejoint()
             inertials = set_inertials_aside(spec, refusals) if urdf else {}
             model = spec.compile()
         bytes(model.names).decode()
@@ -190,18 +191,6 @@ def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compile
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return Compiled(mujoco, model, data, path, refusals, _lines(spec, path), urdf, tilt)
-
-
-def _release(spec: Any, path: Path) -> None:
-    """Let the first body of the file move freely."""
-    first = spec.worldbody.first_body()
-    if first is None:
-        raise ExchangeError(f"{path}: it holds no body")
-    if any(joint.type == 0 for joint in first.joints):
-        return
-    if first.joints:
-        raise ExchangeError(f"{path}: --free: the body {first.name!r} hangs on joints already")
-    first.add_freejoint()
 
 
 def _set_upright(mujoco: Any, model: Any) -> float:
@@ -269,23 +258,6 @@ def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
             if line and own and len(text) > 1:
                 lines[kind, each.id] = line
     return lines
-
-
-def _content(path: Path) -> bytes:
-    """Return the bytes of a file.
-
-    Raises:
-        ExchangeError: there is no such file, or it cannot be read.
-    """
-    try:
-        # Reading a pipe or a device might never end.
-        if not (path.is_file() or path.is_dir()) and path.stat():
-            raise OSError(None, "is no ordinary file")
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise ExchangeError(f"{path}: no such file") from None
-    except OSError as error:
-        raise ExchangeError(f"{path}: cannot be read ({error.strerror})") from None
 
 
 @contextlib.contextmanager

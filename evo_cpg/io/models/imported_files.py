@@ -1,9 +1,7 @@
 """Files of an imported experiment: a YAML file, and its meshes in a folder beside it."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +19,14 @@ def write_imported(imported: Imported, source: Path, output: Path, alone: bool) 
     data = imported.experiment["creature"] if alone else imported.experiment
     folder = output.with_name(f"{output.stem}_meshes")
     written: dict[str, bytes] = {}
-    for name, holder in _meshes(imported.experiment["creature"]):
+    bodies = imported.experiment["creature"]["bodies"]
+    holders = [
+        (body, i, x) for body in bodies for i, x in enumerate((body, *body.get("parts", ())))
+    ]
+    for body, i, holder in holders:
+        if not holder.get("shape") or holder["shape"]["type"] != "mesh":
+            continue
+        name = body["name"] + (f"_{i + 1}" if i else "")
         corners = np.array(holder["shape"]["vertices"])[np.array(holder["shape"]["faces"], int)]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -42,12 +47,7 @@ def write_imported(imported: Imported, source: Path, output: Path, alone: bool) 
         folder.mkdir(parents=True, exist_ok=True)
     for file, content in written.items():
         write_whole(folder / file, lambda handle, content=content: handle.write(content))
-    write_text(output, _head(imported, source) + to_yaml(data, flow=None))
-    return [output, *(folder / file for file in written)]
-
-
-def _head(imported: Imported, source: Path) -> str:
-    """Return comments that name the source and everything that is lost or changed."""
+    # Comments at the head name the source and everything that is lost or changed.
     lines = [f"Imported from {source.name}."]
     if imported.left_out:
         lines += ["Left out, without harm:", *(f"  {phrase}" for phrase in imported.left_out)]
@@ -56,12 +56,6 @@ def _head(imported: Imported, source: Path) -> str:
         lines += [f"  {sentence}" for sentence in imported.dropped]
     if imported.changed:
         lines += ["Changed:", *(f"  {sentence}" for sentence in imported.changed)]
-    return "".join(f"# {printed(line)}\n" for line in lines) + "\n"
-
-
-def _meshes(creature: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the names and the keys of the shapes that are meshes."""
-    for body in creature["bodies"]:
-        for i, holder in enumerate((body, *body.get("parts", ()))):
-            if holder.get("shape") and holder["shape"]["type"] == "mesh":
-                yield body["name"] + (f"_{i + 1}" if i else ""), holder
+    head = "".join(f"# {printed(line)}\n" for line in lines)
+    write_text(output, f"{head}\n{to_yaml(data, flow=None)}")
+    return [output, *(folder / file for file in written)]

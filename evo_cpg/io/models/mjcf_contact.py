@@ -14,6 +14,7 @@ have laws of their own.
 
 import itertools
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,16 @@ def read_ground(
     frictions = {g: tidy(float(model.geom_friction[g, 0])) for g in own}
     planes = [g for g in fixed if int(model.geom_type[g]) == compiled.mujoco.mjtGeom.mjGEOM_PLANE]
     touched = [g for g in planes if any(_friction(compiled, g, other) is not None for other in own)]
-    geom = _floor(compiled, touched, placed[0].centre)
+    # The ground is the most level plane below the root, the highest of equally level ones.
+    floors = []
+    for plane in touched:
+        normal, point = _level(compiled, plane)
+        if normal[2] > _STEEPEST:
+            arm = placed[0].centre - point
+            height = float(point[2] - normal[:2] @ arm[:2] / normal[2])
+            below = float(normal @ arm) >= 0
+            floors.append((below, round(float(normal[2]), 9), height, plane))
+    geom = max(floors, key=itemgetter(0, 1, 2))[-1] if floors else None
     if geom is None or compiled.disabled("contact", "constraint"):
         return None, list(fixed), frictions
     required = {g: _friction(compiled, geom, g) for g in own}
@@ -70,7 +80,15 @@ def read_ground(
         "dynamic_friction": friction,
         "friction_rule": rule,
     }
-    if floor := _plane(*_level(compiled, geom)):
+    normal, point = _level(compiled, geom)
+    floor: dict[str, float] = {}
+    height, slope = float(normal @ point / normal[2]), float(np.hypot(normal[0], normal[1]))
+    if tidy(height) and abs(height) > 1e-12:
+        floor["height"] = tidy(height)
+    if slope > 1e-9:
+        floor["slope_deg"] = tidy(float(np.rad2deg(np.arctan2(slope, normal[2]))))
+        floor["downhill_deg"] = tidy(float(np.rad2deg(np.arctan2(normal[1], normal[0]))))
+    if floor:
         keys["floor"] = {"type": "plane", **floor}
     if model.geom_condim[geom] > SLIDING:
         compiled.refusals.leave_out("condim above 3", str(compiled.item("geom", geom)))
@@ -82,36 +100,10 @@ def read_ground(
     return keys, [g for g in fixed if g not in touched], materials
 
 
-def _floor(compiled: Compiled, planes: Sequence[int], root: np.ndarray) -> int | None:
-    """Return the most level plane below the root, the highest of equally level ones, or None."""
-
-    def rank(geom: int) -> tuple[bool, float, float]:
-        normal, place = _level(compiled, geom)
-        below = float(normal @ (root - place)) >= 0
-        height = place[2] - normal[:2] @ (root - place)[:2] / normal[2]
-        return below, round(float(normal[2]), 9), float(height)
-
-    floors = [geom for geom in planes if _level(compiled, geom)[0][2] > _STEEPEST]
-    return max(floors, key=rank, default=None)
-
-
 def _level(compiled: Compiled, geom: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the normal of a plane and a point on it."""
     normal = np.array(compiled.data.geom_xmat[geom]).reshape(3, 3)[:, 2]
     return normal, np.array(compiled.data.geom_xpos[geom])
-
-
-def _plane(normal: np.ndarray, point: np.ndarray) -> dict[str, float]:
-    """Return the keys of a floor, none for a level one at height 0."""
-    floor: dict[str, float] = {}
-    height = float(normal @ point / normal[2])
-    if tidy(height) and abs(height) > 1e-12:
-        floor["height"] = tidy(height)
-    slope = float(np.hypot(normal[0], normal[1]))
-    if slope > 1e-9:
-        floor["slope_deg"] = tidy(float(np.rad2deg(np.arctan2(slope, normal[2]))))
-        floor["downhill_deg"] = tidy(float(np.rad2deg(np.arctan2(normal[1], normal[0]))))
-    return floor
 
 
 def _friction_keys(
@@ -141,7 +133,16 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
     meeting, rubs, apart, added = False, False, [], []
     partners: dict[str, int] = {body.name: 0 for body in placed if body.solids}
     for first, second in itertools.combinations(placed, 2):
-        frictions = _frictions(compiled, first, second)
+        pairs = [(a.geom, b.geom) for a in first.solids for b in second.solids]
+        frictions = [_friction(compiled, *pair) for pair in pairs]
+        joined = first.rigid.lead == second.rigid.parent or second.rigid.lead == first.rigid.parent
+        if joined and all(_pair(compiled, *pair) is None for pair in pairs):
+            # Neighbours touch only if a pair names them. In MuJoCo a fixed root and its neighbours
+            # may touch without a pair, and this contact is lost.
+            fixed = first.rigid.parent is None and not (first.rigid.free or first.rigid.joints)
+            if fixed and not compiled.urdf and any(x is not None for x in frictions):
+                compiled.refusals.leave_out(f"contact of {second.name!r} with the fixed root")
+            frictions = [None] * len(pairs)
         found = [friction for friction in frictions if friction is not None]
         names = [first.name, second.name]
         meeting, rubs = meeting or bool(found), rubs or any(found)
@@ -149,7 +150,7 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
             compiled.refusals.leave_out(
                 f"that not all shapes of {names[0]!r} and {names[1]!r} meet"
             )
-        if _joined(first, second):
+        if joined:
             added += [names] if found else []
         elif frictions:
             apart += [] if found else [names]
@@ -192,25 +193,6 @@ def read_color(compiled: Compiled, geom: int) -> str | None:
     if np.allclose(rgba, _GREY):
         return None
     return "#" + "".join(f"{round(255 * float(value)):02x}" for value in np.clip(rgba[:3], 0, 1))
-
-
-def _joined(first: Placed, second: Placed) -> bool:
-    """Return whether two bodies are neighbours at a joint."""
-    return first.rigid.lead == second.rigid.parent or second.rigid.lead == first.rigid.parent
-
-
-def _frictions(compiled: Compiled, first: Placed, second: Placed) -> list[float | None]:
-    """Return the friction of each shape on each of another body, or None if they do not touch."""
-    pairs = [(a.geom, b.geom) for a in first.solids for b in second.solids]
-    found = [_friction(compiled, *pair) for pair in pairs]
-    if not _joined(first, second) or any(_pair(compiled, *pair) is not None for pair in pairs):
-        return found
-    # Neighbours touch only if a pair names them. In MuJoCo a fixed root and its neighbours may
-    # touch without a pair, and this contact is lost.
-    fixed = first.rigid.parent is None and not (first.rigid.free or first.rigid.joints)
-    if fixed and not compiled.urdf and any(friction is not None for friction in found):
-        compiled.refusals.leave_out(f"contact of {second.name!r} with the fixed root")
-    return [None] * len(found)
 
 
 def _friction(compiled: Compiled, first: int, second: int) -> float | None:

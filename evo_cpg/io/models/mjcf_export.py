@@ -124,32 +124,24 @@ def mjcf_model(
                 add_motor(actuator, name, dof.actuator, axis=axis)
     add_tendons(root, actuator, creature)
     if angles is not None:
-        pose = _positions(creature, angles)
+        pose: dict[str, list[float]] = {}
+        values = iter(angles)
+        for body in (creature.bodies[i] for i in topological_order(creature)):
+            joint = creature.joint_of(body)
+            if joint is None:
+                continue
+            names, own = joint_names(body, joint), [next(values) for _ in joint.dofs]
+            if joint.kind == "ball":
+                turn = ball_quaternion(np.array(joint.axes, float).T, np.array(own))
+                pose[names[0]] = turn.tolist()
+            else:
+                pose |= {name: [x] for name, x in zip(names, own, strict=True)}
         # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.
         bends = [x for joint in place.iter("joint") for x in pose[joint.get("name", "")]]
         free = () if orientation is None else (*start, *orientation)
         keyframe = SubElement(root, "keyframe")
         SubElement(keyframe, "key", name=_START, qpos=number_text(*free, *bends))
     return root
-
-
-def _positions(creature: Creature, q: Sequence[float]) -> dict[str, list[float]]:
-    """Return MuJoCo's position of each joint, by its name.
-
-    ``q`` are the coordinates of its joints, in the order of its `Tree`.
-    """
-    found: dict[str, list[float]] = {}
-    values = iter(q)
-    for body in (creature.bodies[i] for i in topological_order(creature)):
-        joint = creature.joint_of(body)
-        if joint is None:
-            continue
-        names, own = joint_names(body, joint), [next(values) for _ in joint.dofs]
-        if joint.kind == "ball":
-            found[names[0]] = ball_quaternion(np.array(joint.axes, float).T, np.array(own)).tolist()
-        else:
-            found |= {name: [x] for name, x in zip(names, own, strict=True)}
-    return found
 
 
 def mjcf_text(model: Element) -> str:
@@ -168,9 +160,10 @@ def _add_bodies(
     children: dict[str, list[Body]] = {}
     for body in creature.bodies:
         children.setdefault(body.joint.parent if body.joint else "", []).append(body)
-
-    def add(outer: Element, body: Body, parent_anchor: tuple[float, float, float]) -> None:
-        """Add a body in its parent's MJCF frame, whose origin is ``parent_anchor`` in our frame."""
+    # Each body with the element around it, whose origin is ``parent_anchor`` in our frame of the
+    # parent. Children join this list while it is read.
+    bodies = [(place, children[""][0], (0.0, 0.0, 0.0))]
+    for outer, body, parent_anchor in bodies:
         joint = creature.joint_of(body)
         own_anchor = joint.child_anchor if joint else (0.0, 0.0, 0.0)
         element = SubElement(outer, "body", name=body.name)
@@ -212,10 +205,7 @@ def _add_bodies(
             if body.color:
                 red, green, blue = (int(body.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
                 geom.set("rgba", number_text(red, green, blue, 1.0))
-        for child in children.get(body.name, []):
-            add(element, child, own_anchor)
-
-    add(place, children[""][0], (0.0, 0.0, 0.0))
+        bodies += [(element, child, own_anchor) for child in children.get(body.name, [])]
 
 
 def _buoyancy(creature: Creature, body: Body, density: float) -> float:

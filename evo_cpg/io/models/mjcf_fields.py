@@ -191,11 +191,11 @@ OPTIONS_LEFT_OUT: dict[str, tuple[float, ...]] = {
 }
 
 
-def require_numbers(compiled: Compiled) -> None:
-    """Refuse elements with NaN or an infinite number, which no comparison would find.
+def refuse_elements(compiled: Compiled) -> None:
+    """Refuse elements that no creature has, and elements with a field of `REFUSED`.
 
     Raises:
-        ExchangeError: such elements exist, so that no other check is possible.
+        ExchangeError: elements hold NaN or an infinite number, so that no other check is possible.
     """
     for fields in (READ | READ_LIMITS, COMPUTED):
         for field, (kind, word, _) in fields.items():
@@ -208,23 +208,6 @@ def require_numbers(compiled: Compiled) -> None:
             for item, place in compiled.owners(kind, wrong):
                 item.refuse(f"its {word} holds {values[place]:g}", allowed, vital=True)
         compiled.refusals.check()
-
-
-def unusual_fields(compiled: Compiled, table: dict[str, Neutral]) -> Iterator[tuple[str, Item]]:
-    """Yield the attribute and the element of each value that differs from the table's."""
-    for field, (kind, word, values) in table.items():
-        found = getattr(compiled.model, field, None)
-        if found is None or not len(found):
-            continue
-        if word == "condim above 3":
-            found = np.maximum(found, values)
-        wrong = ~np.isclose(found, values, rtol=TOLERANCE, atol=0)
-        for item, _ in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
-            yield word, item
-
-
-def refuse_elements(compiled: Compiled) -> None:
-    """Refuse elements that no creature has."""
     model = compiled.model
     for count, kind in REFUSED_COUNTS.items():
         for number in range(int(getattr(model, count, 0))):
@@ -235,25 +218,39 @@ def refuse_elements(compiled: Compiled) -> None:
             compiled.item(kind, number).refuse("a creature cannot have it", f"no {kind}", vital)
     for body in np.flatnonzero(model.body_mocapid >= 0).tolist():
         compiled.item("body", body).refuse("it is a mocap body, moved from outside", "no mocap")
+    # Flags that are off by default. Older versions of MuJoCo do not know all of them.
     for flag in ("override", "sleep", "diagexact", "ipc", "speculative"):
-        if compiled.enabled(flag):
+        bit = getattr(compiled.mujoco.mjtEnableBit, f"mjENBL_{flag.upper()}", 0)
+        if model.opt.enableflags & int(bit):
             compiled.refusals.leave_out(f"flag {flag}")
     # Neighbours at a joint touch here only if a pair names them.
     if compiled.disabled("filterparent"):
         compiled.refusals.leave_out("flag filterparent")
+    for word, item in _unusual_fields(compiled, REFUSED):
+        item.refuse(f"it has {word}", f"no {word}")
 
 
 def leave_out_elements(compiled: Compiled) -> None:
-    """Name options with unusual values and elements without a part in the motion."""
+    """Name fields and options with unusual values, and elements without a part in the motion."""
+    for word, item in _unusual_fields(compiled, LEFT_OUT):
+        compiled.refusals.leave_out(word, str(item))
     for name, allowed in OPTIONS_LEFT_OUT.items():
         value = np.ravel(getattr(compiled.model.opt, name, allowed))
         if value[0] not in allowed:
             compiled.refusals.leave_out(f"option {name}")
     for count, kind in COUNTS.items():
-        for phrase in counted(int(getattr(compiled.model, count, 0)), kind):
-            compiled.refusals.leave_out(phrase)
+        if number := int(getattr(compiled.model, count, 0)):
+            compiled.refusals.leave_out(f"{number} {kind}{'s' if number > 1 else ''}")
 
 
-def counted(number: int, kind: str) -> list[str]:
-    """Return a phrase for a number of elements, or an empty list for none."""
-    return [f"{number} {kind}{'s' if number > 1 else ''}"] if number else []
+def _unusual_fields(compiled: Compiled, table: dict[str, Neutral]) -> Iterator[tuple[str, Item]]:
+    """Yield the attribute and the element of each value that differs from the table's."""
+    for field, (kind, word, values) in table.items():
+        found = getattr(compiled.model, field, None)
+        if found is None or not len(found):
+            continue
+        if word == "condim above 3":
+            found = np.maximum(found, values)
+        wrong = ~np.isclose(found, values, rtol=TOLERANCE, atol=0)
+        for item, _ in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
+            yield word, item

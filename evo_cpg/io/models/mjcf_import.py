@@ -38,17 +38,10 @@ from evo_cpg.io.models.mjcf_contact import (
     read_material,
     read_self_collision,
 )
-from evo_cpg.io.models.mjcf_fields import (
-    LEFT_OUT,
-    REFUSED,
-    leave_out_elements,
-    refuse_elements,
-    require_numbers,
-    unusual_fields,
-)
+from evo_cpg.io.models.mjcf_fields import leave_out_elements, refuse_elements
 from evo_cpg.io.models.mjcf_joints import read_joint, read_tendons, refuse_effects_on_free_root
 from evo_cpg.io.models.mjcf_motors import read_motors
-from evo_cpg.io.models.mjcf_shapes import Placed, Solid, body_keys, place_body
+from evo_cpg.io.models.mjcf_shapes import Placed, body_keys, place_body
 from evo_cpg.io.models.mjcf_world import experiment, facing_note, read_world
 from evo_cpg.io.models.refusals import ExchangeError, Refusal
 from evo_cpg.io.models.rigid import Rigid, rigid_bodies, scenery
@@ -111,10 +104,7 @@ def read_model(
     """
     compiled = compile_model(Path(path), drop, free)
     refusals = compiled.refusals
-    require_numbers(compiled)
     refuse_elements(compiled)
-    for word, item in unusual_fields(compiled, REFUSED):
-        item.refuse(f"it has {word}", f"no {word}")
     motors, tendon_motors = read_motors(compiled, motor_gain)
     rigids: list[Rigid] = []
     with refusals.collecting():
@@ -137,8 +127,6 @@ def read_model(
             refusals.leave_out("scenery", str(compiled.item("geom", geom)))
         elif owner in members and geom not in shown:
             refusals.leave_out("drawing", str(compiled.item("geom", geom)))
-    for word, item in unusual_fields(compiled, LEFT_OUT):
-        refusals.leave_out(word, str(item))
     leave_out_elements(compiled)
     joints = {body.name: body.rigid.joints for body in placed if body.rigid.joints}
     own = [joint for numbers in joints.values() for joint in numbers]
@@ -146,16 +134,29 @@ def read_model(
     refusals.check()
     if tendons:
         dofs = _dof_names(_checked_creature(compiled, creature), joints)
-        creature["tendons"] = [tendon.keys(dofs) for tendon in tendons]
+        creature["tendons"] = [
+            {"name": name, "joints": {dofs[joint]: x for joint, x in coefficients.items()}} | law
+            for name, coefficients, law in tendons
+        ]
     built = _checked_creature(compiled, creature)
     pulling = [tendon.law["actuator"] for tendon in tendons if "actuator" in tendon.law]
     root, every_motor = placed[0], [*motors.values(), *pulling]
+    centre = root.centre
+    if root.own_shape:
+        # The centre of a mesh is not the origin of its frame.
+        own_shape = _SHAPE.validate_python(root.solids[0].shape)
+        centre = centre + root.turn @ own_shape.build()[0][1]
+    clearance, floor = 0.0, (ground or {}).get("floor", {})
+    if ground and "slope_deg" not in floor:
+        # The animal starts at the height above level ground that it has in the neutral pose.
+        lowest = float(lowest_height(built.build()))
+        clearance = float(centre[2]) + lowest - floor.get("height", 0.0)
     data = experiment(
         # The name of the run has to be one that a folder can have.
         re.sub(r"[/\\]", "_", creature["name"]).lstrip(".") or "imported",
         creature,
         world,
-        _clearance(built, root, world),
+        clearance,
         bool(root.rigid.joints) or root.rigid.free,
         any("stiffness" in motor for motor in every_motor),
     )
@@ -166,7 +167,7 @@ def read_model(
         tuple(refusals.changed),
         joints,
         tuple(_warnings(compiled, root, bool(every_motor), built.build())),
-        tuple(_centre_of(root).tolist()),
+        tuple(centre.tolist()),
     )
 
 
@@ -184,7 +185,17 @@ def _creature_keys(
     materials: dict[Material, str] = {}
     bodies, volumes = [], []
     for own in placed:
-        shapes = _shapes(compiled, own)
+        shapes = []
+        for solid in own.solids:
+            try:
+                shapes.append(_SHAPE.validate_python(solid.shape).build()[0][0])
+            except ValidationError as error:
+                problem = error.errors()[0]
+                key = ".".join(map(str, problem["loc"][1:]))
+                said = problem["msg"].removeprefix("Value error, ")
+                compiled.item("geom", solid.geom).refuse(
+                    f"{key}: {problem['input']}: {said}"[:200], "sizes of a body"
+                )
         volumes.append(sum(float(shape.volume) for shape in shapes))
         entry = {"name": own.name} | _substance(compiled, own, shapes, materials, frictions)
         bodies.append(entry)
@@ -241,22 +252,6 @@ def _body_names(compiled: Compiled, rigids: Sequence[Rigid]) -> dict[int, str]:
     return names
 
 
-def _shapes(compiled: Compiled, body: Placed) -> list[Shape]:
-    """Return the shapes of a body. Refuse impossible ones."""
-    shapes = []
-    for solid in body.solids:
-        try:
-            shapes.append(_SHAPE.validate_python(solid.shape).build()[0][0])
-        except ValidationError as error:
-            problem = error.errors()[0]
-            key = ".".join(map(str, problem["loc"][1:]))
-            said = problem["msg"].removeprefix("Value error, ")
-            compiled.item("geom", solid.geom).refuse(
-                f"{key}: {problem['input']}: {said}"[:200], "sizes of a body"
-            )
-    return shapes
-
-
 def _substance(
     compiled: Compiled,
     own: Placed,
@@ -271,9 +266,18 @@ def _substance(
     mass, centre, inertia = mass_properties(compiled.model, compiled.data, own.rigid.members)
     centre, inertia = own.turn.T @ (centre - own.centre), own.turn.T @ inertia @ own.turn
     density = None
-    alone = len(shapes) == 1 and own.own_shape
-    if alone and _is_uniform(shapes[0], own.solids[0], (mass, centre, inertia)):
-        density = mass / float(shapes[0].volume)
+    alone = len(shapes) == 1 and own.own_shape and own.solids[0].shape["type"] != "mesh"
+    if alone and mass and shapes[0].volume:
+        # Does a uniform density of the shape give these mass properties?
+        (shape,) = shapes
+        middle = _SHAPE.validate_python(own.solids[0].shape).build()[0][1]
+        centred = np.abs(centre - middle).max() <= _UNIFORM * np.linalg.norm(shape.half_extents)
+        # Compare in the principal frame, where the moments of a thin rod do not hide one another.
+        moments, frame = np.linalg.eigh(np.asarray(shape.inertia_tensor(mass), float))
+        off = np.abs(frame.T @ inertia @ frame - np.diag(moments))
+        within = _UNIFORM * np.sqrt(np.outer(moments, moments)) + 1e-15 * moments.max()
+        if centred and (off <= within).all():
+            density = mass / float(shape.volume)
     named = []
     for solid in own.solids:
         made = read_material(frictions[solid.geom], _ANY_DENSITY if density is None else density)
@@ -297,23 +301,6 @@ def _substance(
         least = 1e-15 * float(np.trace(inertia))
         keys["inertia"] = [0.0 if abs(value) < least else tidy(value) for value in values]
     return keys
-
-
-def _is_uniform(shape: Shape, solid: Solid, found: tuple[float, np.ndarray, np.ndarray]) -> bool:
-    """Return whether a uniform density of the shape gives the mass properties, never for a mesh."""
-    mass, centre, inertia = found
-    if solid.shape["type"] == "mesh" or not mass or not shape.volume:
-        return False
-    expected = np.asarray(shape.inertia_tensor(mass), float)
-    middle = _SHAPE.validate_python(solid.shape).build()[0][1]
-    reach = float(np.linalg.norm(shape.half_extents))
-    if np.abs(centre - middle).max() > _UNIFORM * reach:
-        return False
-    # Compare in the principal frame, where the moments of a thin rod do not hide one another.
-    moments, frame = np.linalg.eigh(expected)
-    off = np.abs(frame.T @ inertia @ frame - np.diag(moments))
-    within = _UNIFORM * np.sqrt(np.outer(moments, moments)) + 1e-15 * moments.max()
-    return bool((off <= within).all())
 
 
 def _checked_creature(compiled: Compiled, keys: Mapping[str, Any]) -> CreatureConfig:
@@ -350,19 +337,3 @@ def _dof_names(config: CreatureConfig, joints: Mapping[str, tuple[int, ...]]) ->
         if len(numbers) == len(found.get(name, ()))
         for joint, dof in zip(numbers, found[name], strict=True)
     }
-
-
-def _clearance(config: CreatureConfig, root: Placed, world: Mapping[str, Any]) -> float:
-    """Return the height of the animal above level ground in the neutral pose, m, or 0."""
-    ground = world.get("ground")
-    if not ground or "slope_deg" in ground.get("floor", {}):
-        return 0.0
-    lowest = float(lowest_height(config.build()))
-    return float(_centre_of(root)[2]) + lowest - ground.get("floor", {}).get("height", 0.0)
-
-
-def _centre_of(root: Placed) -> np.ndarray:
-    """Return the centre of the root in the world, m. A mesh has another one than its frame."""
-    if not root.own_shape:
-        return root.centre
-    return root.centre + root.turn @ _SHAPE.validate_python(root.solids[0].shape).build()[0][1]

@@ -48,6 +48,13 @@ _UNLIMITED = 1e4
 # Largest distance of an axis from the joint's place, m, at which it counts as through it.
 _AT_PLACE = 1e-12
 
+# Directions that have a word in a configuration.
+_AXES = {
+    word: sign * axis
+    for name, axis in zip("xyz", np.eye(3), strict=True)
+    for sign, word in ((1.0, name), (-1.0, f"-{name}"))
+}
+
 # MuJoCo replaces the spring length -1 by the length in the neutral pose.
 _NEUTRAL = -1.0
 
@@ -113,13 +120,18 @@ def read_joint(
         return keys
     limits, rests = [], []
     for joint in joints:
-        limit, rest = _limits(compiled, joint), _rest(compiled, joint)
+        limit, address = _limits(compiled, joint), int(model.jnt_qposadr[joint])
+        sprung = model.jnt_stiffness[joint] and not compiled.disabled("spring", "passive")
+        # Here the spring's rest counts from the neutral pose.
+        rest = float(model.qpos_spring[address] - model.qpos0[address]) if sprung else 0.0
         if int(model.jnt_type[joint]) == kinds.mjJNT_BALL:
             keys["axes"] = "ball"
             limits.append(limit and tidy_vector(np.rad2deg(limit)))
             rests.append(0.0)
             continue
-        direction = _axis(own.direction(np.array(data.xaxis[joint])))
+        vector = tidy_vector(own.turn.T @ np.array(data.xaxis[joint]))
+        named = (word for word, axis in _AXES.items() if np.array_equal(vector, axis))
+        direction = next(named, vector)
         if int(model.jnt_type[joint]) == kinds.mjJNT_SLIDE:
             slide = {"slide": direction, "limits_m": limit and tidy_vector(np.array(limit))}
             axes.append(slide | ({"rest_m": tidy(rest)} if rest else {}))
@@ -192,26 +204,10 @@ def _limits(compiled: Compiled, joint: int) -> list[float] | None:
     return None if unlimited else [limit - neutral for limit in kept]
 
 
-def _rest(compiled: Compiled, joint: int) -> float:
-    """Return where the spring of a joint is relaxed, counted from the neutral pose."""
-    model = compiled.model
-    place = int(model.jnt_qposadr[joint])
-    sprung = model.jnt_stiffness[joint] and not compiled.disabled("spring", "passive")
-    return float(model.qpos_spring[place] - model.qpos0[place]) if sprung else 0.0
-
-
 def one_or_each(values: Iterable[Any]) -> Any:
     """Return the value that all axes have in common, or a list."""
     every = list(values)
     return every[0] if all(value == every[0] for value in every) else every
-
-
-def _axis(vector: list[float]) -> str | list[float]:
-    for name, unit in zip("xyz", np.eye(3), strict=True):
-        for sign, word in ((1.0, name), (-1.0, f"-{name}")):
-            if np.array_equal(vector, sign * unit):
-                return word
-    return vector
 
 
 def add_tendons(root: Element, actuator: Element, creature: Creature) -> None:
@@ -258,11 +254,6 @@ class ReadTendon(NamedTuple):
     coefficients: dict[int, float]
     law: dict[str, Any]
 
-    def keys(self, names: Mapping[int, str]) -> dict[str, Any]:
-        """Return its keys in the configuration, given the names of degrees of freedom by joint."""
-        joints = {names[joint]: value for joint, value in self.coefficients.items()}
-        return {"name": self.name, "joints": joints, **self.law}
-
 
 def read_tendons(
     compiled: Compiled,
@@ -275,14 +266,27 @@ def read_tendons(
     ``joints`` are those of the animal, ``driven`` those with a motor, and ``motors`` the motors of
     tendons, all by MuJoCo's numbers.
     """
-    tendons, taken = [], set(driven)
-    for number in range(compiled.model.ntendon):
+    model, tendons, taken = compiled.model, [], set(driven)
+    for number in range(model.ntendon):
         law, item = _law(compiled, number), compiled.item("tendon", number)
         if not law and number not in motors:
             compiled.refusals.leave_out("tendon without effect", str(item))
             continue
         with compiled.refusals.collecting():
-            coefficients = _coefficients(compiled, number, joints)
+            first, count = int(model.tendon_adr[number]), int(model.tendon_num[number])
+            coefficients: dict[int, float] = {}
+            for wrap in range(first, first + count):
+                joint = int(model.wrap_objid[wrap])
+                if int(model.wrap_type[wrap]) != compiled.mujoco.mjtWrap.mjWRAP_JOINT:
+                    raise item.refusal("it runs through sites", "fixed tendons, over joints")
+                if joint not in joints:
+                    problem = "it acts on a joint that is not part of the animal"
+                    raise item.refusal(problem, "its joints")
+                old = coefficients.get(joint, 0.0)
+                coefficients[joint] = tidy(old + float(model.wrap_prm[wrap]))
+            coefficients = {joint: value for joint, value in coefficients.items() if value}
+            if not coefficients:
+                raise item.refusal("all its coefficients are 0", "one that is not 0")
             if number in motors:
                 # The motor follows the command of a joint, as in `evo_cpg.creature.laws`.
                 free = [joint for joint in coefficients if joint not in taken]
@@ -297,29 +301,10 @@ def read_tendons(
                     )
             if law:
                 code = compiled.mujoco.mjtObj.mjOBJ_TENDON
-                given = compiled.mujoco.mj_id2name(compiled.model, code, number)
+                given = compiled.mujoco.mj_id2name(model, code, number)
                 name = printed(given or f"tendon{number + 1}")
                 tendons.append(ReadTendon(name, coefficients, law))
     return tendons
-
-
-def _coefficients(compiled: Compiled, number: int, joints: Container[int]) -> dict[int, float]:
-    """Return the coefficient of each joint of a tendon."""
-    model, item = compiled.model, compiled.item("tendon", number)
-    first, count = int(model.tendon_adr[number]), int(model.tendon_num[number])
-    coefficients: dict[int, float] = {}
-    for wrap in range(first, first + count):
-        joint = int(model.wrap_objid[wrap])
-        if int(model.wrap_type[wrap]) != compiled.mujoco.mjtWrap.mjWRAP_JOINT:
-            raise item.refusal("it runs through sites", "fixed tendons, over joints")
-        if joint not in joints:
-            raise item.refusal("it acts on a joint that is not part of the animal", "its joints")
-        old = coefficients.get(joint, 0.0)
-        coefficients[joint] = tidy(old + float(model.wrap_prm[wrap]))
-    coefficients = {joint: value for joint, value in coefficients.items() if value}
-    if not coefficients:
-        raise item.refusal("all its coefficients are 0", "one that is not 0")
-    return coefficients
 
 
 def _law(compiled: Compiled, number: int) -> dict[str, Any]:

@@ -25,7 +25,6 @@ import numpy as np
 from evo_cpg.creature.algebra.numerics import Triple
 from evo_cpg.creature.creature import Actuator, Muscle, TorqueMotor
 from evo_cpg.io.models.compiled import TOLERANCE, Compiled, tidy
-from evo_cpg.io.models.mjcf_fields import counted
 from evo_cpg.io.models.mjcf_shapes import number_text
 from evo_cpg.io.schema.section import LARGEST
 
@@ -81,42 +80,42 @@ def read_motors(
     """Return the keys of the motors, by joint and by tendon. Refused motors are recorded."""
     of_joints: dict[int, dict[str, Any]] = {}
     of_tendons: dict[int, dict[str, Any]] = {}
+    model, kinds = compiled.model, compiled.mujoco.mjtTrn
+    of_one_coordinate = compiled.mujoco.mjtJoint.mjJNT_HINGE, compiled.mujoco.mjtJoint.mjJNT_SLIDE
     if compiled.disabled("actuation"):
-        for phrase in counted(len(compiled.model.actuator_trnid), "actuator"):
-            compiled.refusals.leave_out(phrase)
+        if count := len(model.actuator_trnid):
+            compiled.refusals.leave_out(f"{count} actuator{'s' if count > 1 else ''}")
         return of_joints, of_tendons
-    for number in range(len(compiled.model.actuator_trnid)):
+    for number in range(len(model.actuator_trnid)):
         with compiled.refusals.collecting():
-            kind, target = _target(compiled, number)
+            item, group = compiled.item("actuator", number), int(model.actuator_group[number])
+            if 0 <= group < _GROUPS and model.opt.disableactuator >> group & 1:
+                problem = f"actuatorgroupdisable disables its group, {group}"
+                raise item.refusal(problem, "an enabled group")
+            transmission = int(model.actuator_trntype[number])
+            target = int(model.actuator_trnid[number, 0])
+            on_joint = transmission in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT)
+            if transmission == kinds.mjTRN_TENDON:
+                kind = "tendon"
+            elif on_joint and int(model.jnt_type[target]) in of_one_coordinate:
+                kind = "joint"
+            else:
+                raise item.refusal("it drives no hinge, slide or tendon", "joint= or tendon=")
             motors = of_joints if kind == "joint" else of_tendons
             if target in motors:
                 driven = compiled.item(kind, target)
-                compiled.item("actuator", number).refuse(
-                    f"it is the second actuator of {driven}", "one"
-                )
+                item.refuse(f"it is the second actuator of {driven}", "one")
                 continue
             motors[target] = _read_motor(compiled, number, kind, target, motor_gain)
-    if compiled.urdf:
-        of_joints |= _motors_of_efforts(compiled)
+    # The joints of a URDF that have an effort get torque motors.
+    for joint in range(model.njnt) if compiled.urdf else ():
+        effort = float(model.jnt_actfrcrange[joint, 1])
+        limited = model.jnt_actfrclimited[joint] and 0 < effort < LARGEST
+        if limited and int(model.jnt_type[joint]) in of_one_coordinate:
+            motor = {"type": "torque", "gear": tidy(effort), "torque_limit": tidy(effort)}
+            of_joints[joint] = motor
     _refuse_shared_limits(compiled, of_joints, of_tendons)
     return of_joints, of_tendons
-
-
-def _target(compiled: Compiled, number: int) -> tuple[str, int]:
-    """Return the kind and the number of what an actuator drives."""
-    mujoco, model, item = compiled.mujoco, compiled.model, compiled.item("actuator", number)
-    group = int(model.actuator_group[number])
-    if 0 <= group < _GROUPS and model.opt.disableactuator >> group & 1:
-        problem = f"actuatorgroupdisable disables its group, {group}"
-        raise item.refusal(problem, "an enabled group")
-    transmission, target = int(model.actuator_trntype[number]), int(model.actuator_trnid[number, 0])
-    if transmission == mujoco.mjtTrn.mjTRN_TENDON:
-        return "tendon", target
-    on_joint = transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    kinds = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
-    if on_joint and int(model.jnt_type[target]) in kinds:
-        return "joint", target
-    raise item.refusal("it drives no hinge, slide or tendon", "joint= or tendon=")
 
 
 def _read_motor(
@@ -130,7 +129,18 @@ def _read_motor(
     affine = int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_AFFINE
     if not affine:
         offset = stiffness = damping = 0.0
-    _require_simple(compiled, number, affine)
+    dynamics, kinds = int(model.actuator_dyntype[number]), mujoco.mjtDyn
+    filters = kinds.mjDYN_FILTER, kinds.mjDYN_FILTEREXACT
+    simple = (
+        (affine or int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_NONE)
+        and dynamics in (kinds.mjDYN_NONE, kinds.mjDYN_INTEGRATOR, *filters)
+        and int(model.actuator_gaintype[number]) == mujoco.mjtGain.mjGAIN_FIXED
+    )
+    if not simple:
+        raise item.refusal(
+            "its law is not linear",
+            "motor, position, velocity, intvelocity, or general with fixed gain and affine bias",
+        )
     if gear == 0 or strength == 0:
         raise item.refusal("its gear or gain is 0", "a gear and a gain other than 0")
     if stiffness < 0 or damping < 0:
@@ -139,10 +149,9 @@ def _read_motor(
     if offset and not servo:
         raise item.refusal("it has a constant force", "a bias of 0, or a stiffness")
     limit = _torque_limit(compiled, number, kind, target, not servo)
-    dynamics = int(model.actuator_dyntype[number])
-    if dynamics == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+    if dynamics == kinds.mjDYN_INTEGRATOR:
         compiled.refusals.leave_out("integration of the command", str(item))
-    elif dynamics != mujoco.mjtDyn.mjDYN_NONE:
+    elif dynamics != kinds.mjDYN_NONE:
         compiled.refusals.leave_out("time constant", str(item))
     if servo:
         for word, _ in _command_limits(compiled, number):
@@ -157,28 +166,6 @@ def _read_motor(
         # The servo's limit is the largest torque of the motor.
         raise item.refusal("it has no limits", "ctrlrange or forcerange")
     return {"gain": motor_gain, "torque_limit": limit}
-
-
-def _require_simple(compiled: Compiled, number: int, affine: bool) -> None:
-    """Refuse a motor whose force is no linear law of the angle and the rate.
-
-    Raises:
-        RefusedError: the motor has another law.
-    """
-    mujoco, model = compiled.mujoco, compiled.model
-    dynamics = mujoco.mjtDyn
-    known = dynamics.mjDYN_NONE, dynamics.mjDYN_FILTER, dynamics.mjDYN_FILTEREXACT
-    known = *known, dynamics.mjDYN_INTEGRATOR
-    simple = (
-        (affine or int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_NONE)
-        and int(model.actuator_dyntype[number]) in known
-        and int(model.actuator_gaintype[number]) == mujoco.mjtGain.mjGAIN_FIXED
-    )
-    if not simple:
-        raise compiled.item("actuator", number).refusal(
-            "its law is not linear",
-            "motor, position, velocity, intvelocity, or general with fixed gain and affine bias",
-        )
 
 
 def _torque_limit(
@@ -230,12 +217,13 @@ def _refuse_shared_limits(
         return
     largest: dict[int, float] = {}
     for tendon, motor in of_tendons.items():
-        force = _largest(motor)
+        # Without a limit the force may be infinite.
+        force = motor["torque_limit"] or np.inf
         first = int(model.tendon_adr[tendon])
         for wrap in range(first, first + int(model.tendon_num[tendon])):
             if int(model.wrap_type[wrap]) == compiled.mujoco.mjtWrap.mjWRAP_JOINT:
                 joint = int(model.wrap_objid[wrap])
-                own = _largest(of_joints[joint]) if joint in of_joints else 0.0
+                own = (of_joints[joint]["torque_limit"] or np.inf) if joint in of_joints else 0.0
                 lever = abs(float(model.wrap_prm[wrap]))
                 largest[joint] = largest.get(joint, own) + lever * force
     for joint, force in largest.items():
@@ -246,25 +234,6 @@ def _refuse_shared_limits(
                 "its actuatorfrcrange limits the force of a tendon's motor",
                 "a forcerange of the actuator",
             )
-
-
-def _largest(motor: dict[str, Any]) -> float:
-    """Return the largest force of a motor."""
-    limit = motor["torque_limit"]
-    return np.inf if limit is None else limit
-
-
-def _motors_of_efforts(compiled: Compiled) -> dict[int, dict[str, Any]]:
-    """Return torque motors for the joints of a URDF that have an effort."""
-    model = compiled.model
-    kinds = compiled.mujoco.mjtJoint.mjJNT_HINGE, compiled.mujoco.mjtJoint.mjJNT_SLIDE
-    motors = {}
-    for joint in range(model.njnt):
-        effort = float(model.jnt_actfrcrange[joint, 1])
-        limited = model.jnt_actfrclimited[joint] and 0 < effort < LARGEST
-        if limited and int(model.jnt_type[joint]) in kinds:
-            motors[joint] = {"type": "torque", "gear": tidy(effort), "torque_limit": tidy(effort)}
-    return motors
 
 
 def _command_limits(compiled: Compiled, number: int) -> list[tuple[str, np.ndarray]]:

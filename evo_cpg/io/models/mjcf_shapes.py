@@ -104,10 +104,6 @@ class Placed(NamedTuple):
         """Return coordinates in our frame of a point in the world."""
         return tidy_vector(self.turn.T @ (point - self.centre))
 
-    def direction(self, vector: np.ndarray) -> list[float]:
-        """Return components in our axes of a vector in the world's."""
-        return tidy_vector(self.turn.T @ vector)
-
 
 def add_meshes(root: Element, creature: Creature) -> None:
     """Add the assets of bodies that are meshes."""
@@ -152,8 +148,19 @@ def place_body(compiled: Compiled, rigid: Rigid, name: str) -> Placed:
     allows. A root without a shape along its axes has all its shapes as parts.
     """
     is_root, world = rigid.parent is None, np.eye(3)
-    solids = []
-    for geom in _chosen_geoms(compiled, rigid):
+    model, solids = compiled.model, []
+    every = [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] in rigid.members and not is_flat(compiled, geom)
+    ]
+    paired = {*map(int, model.pair_geom1), *map(int, model.pair_geom2)}
+    colliding = [
+        geom
+        for geom in every
+        if model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
+    ]
+    for geom in colliding or every:
         with compiled.refusals.collecting():
             outer = world if is_root else np.array(compiled.data.xmat[rigid.lead]).reshape(3, 3)
             solids.append(read_solid(compiled, geom, outer, is_root))
@@ -223,7 +230,10 @@ def read_solid(compiled: Compiled, geom: int, outer: np.ndarray, keeps_axes: boo
         return Solid(geom, shape, centre, outer, float((2 * size[0]) ** 3))
     if kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
         # MuJoCo's capsules lie along z, ours along x. Either end may be the front.
-        own = _shortest_turn(inner[:, 2] if inner[0, 2] >= 0 else -inner[:, 2])
+        x, y, z = inner[:, 2] if inner[0, 2] >= 0 else -inner[:, 2]
+        # The shortest rotation from x to that direction.
+        cross = np.array([[0, -y, -z], [y, 0, 0], [z, 0, 0]])
+        own = np.eye(3) + cross + cross @ cross / (1 + x)
         word = "capsule" if kind == kinds.mjGEOM_CAPSULE else "cylinder"
         shape = {"type": word, "radius": tidy(size[0]), "length": tidy(2 * size[1])}
         return Solid(geom, shape, centre, outer @ own, float(8 * size[0] ** 2 * size[1]))
@@ -241,23 +251,6 @@ def read_solid(compiled: Compiled, geom: int, outer: np.ndarray, keeps_axes: boo
     raise item.refusal(
         f"it is a {word} on the animal", "box, sphere, ellipsoid, capsule, cylinder, mesh"
     )
-
-
-def _chosen_geoms(compiled: Compiled, rigid: Rigid) -> list[int]:
-    """Return the colliding geoms of a body, or all if none collides."""
-    model = compiled.model
-    every = [
-        geom
-        for geom in range(model.ngeom)
-        if model.geom_bodyid[geom] in rigid.members and not is_flat(compiled, geom)
-    ]
-    paired = {*map(int, model.pair_geom1), *map(int, model.pair_geom2)}
-    solid = [
-        geom
-        for geom in every
-        if model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
-    ]
-    return solid or every
 
 
 def _read_mesh(compiled: Compiled, geom: int, axes: np.ndarray | None) -> Solid:
@@ -314,13 +307,6 @@ def _body_of(vertices: np.ndarray) -> tuple[dict[str, Any], int]:
     raise fault
 
 
-def _shortest_turn(direction: np.ndarray) -> np.ndarray:
-    """Return the shortest rotation from x to a unit vector that does not point backwards."""
-    x, y, z = direction
-    cross = np.array([[0, -y, -z], [y, 0, 0], [z, 0, 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + x)
-
-
 def number_text(*values: float) -> str:
     """Return numbers as the shortest text that reads back exactly."""
     # Adding 0 removes a negative zero.
@@ -370,7 +356,7 @@ def add_ground(root: Element, place: Element, ground: Ground, taken: list[str]) 
 
 
 def _solids(root: Element, name: str, part: GroundPart) -> list[dict[str, str]]:
-    """Return the attributes of the geoms that make up a part."""
+    """Return the attributes of the geoms that make up a part. Add the asset of a height field."""
     if isinstance(part, Plane):
         normal = np.array(part.normal) / np.linalg.norm(part.normal)
         return [
@@ -391,7 +377,22 @@ def _solids(root: Element, name: str, part: GroundPart) -> list[dict[str, str]]:
     if isinstance(part, Shore):
         return _shore(part)
     if isinstance(part, Relief):
-        return [_relief(root, name, part)]
+        heights = np.asarray(part.heights, float)
+        lowest, rise = float(heights.min()), float(np.ptp(heights))
+        half = part.spacing * (np.array(heights.shape) - 1) / 2
+        asset = root.find("asset")
+        if asset is None:
+            asset = Element("asset")
+            # The asset follows compiler, option and default.
+            root.insert(3, asset)
+        field = SubElement(asset, "hfield", name=name)
+        field.set("ncol", str(heights.shape[0]))
+        field.set("nrow", str(heights.shape[1]))
+        # MuJoCo scales heights to 0 to 1, and has the last row first, as on a map.
+        field.set("size", number_text(*half, rise or 1.0, _THICK))
+        field.set("elevation", number_text(*(heights.T[::-1] - lowest).ravel()))
+        middle = number_text(*(np.array(part.corner) + half), lowest)
+        return [{"type": "hfield", "hfield": name, "pos": middle}]
     raise ExchangeError(
         f"ground with a {type(part).__name__} cannot be written as MJCF. "
         "Allowed: Plane, Boulder, Block, Shore, Relief"
@@ -421,23 +422,3 @@ def _shore(part: Shore) -> list[dict[str, str]]:
             }
         )
     return slabs
-
-
-def _relief(root: Element, name: str, part: Relief) -> dict[str, str]:
-    """Add a height field with its heights as an asset, and return attributes of its geom."""
-    heights = np.asarray(part.heights, float)
-    lowest, rise = float(heights.min()), float(np.ptp(heights))
-    half = part.spacing * (np.array(heights.shape) - 1) / 2
-    asset = root.find("asset")
-    if asset is None:
-        asset = Element("asset")
-        # The asset follows compiler, option and default.
-        root.insert(3, asset)
-    field = SubElement(asset, "hfield", name=name)
-    field.set("ncol", str(heights.shape[0]))
-    field.set("nrow", str(heights.shape[1]))
-    # MuJoCo scales heights to 0 to 1, and has the last row first, as on a map.
-    field.set("size", number_text(*half, rise or 1.0, _THICK))
-    field.set("elevation", number_text(*(heights.T[::-1] - lowest).ravel()))
-    middle = np.array(part.corner) + half
-    return {"type": "hfield", "hfield": name, "pos": number_text(*middle, lowest)}

@@ -73,7 +73,8 @@ class Refusals:
     def leave_out(self, what: str, *elements: str) -> None:
         """Record something that is left out without harm, of some elements or of the model."""
         for element in elements or ("",):
-            owners = self.lost.setdefault((what, _kind(element)), [])
+            kind = element.removeprefix("unnamed ").partition(" ")[0]
+            owners = self.lost.setdefault((what, kind), [])
             owners += [element] * bool(element and element not in owners)
 
     def change(self, element: str, old_and_new: str) -> None:
@@ -131,7 +132,8 @@ def _sentences(refusals: Sequence[Refusal], most: int = _NAMED) -> list[str]:
     """Return a sentence for each fault of elements of a kind, of which ``most`` are named."""
     groups: dict[tuple[str, str], list[Refusal]] = {}
     for refusal in refusals:
-        groups.setdefault((_kind(refusal.element), refusal.problem), []).append(refusal)
+        kind = refusal.element.removeprefix("unnamed ").partition(" ")[0]
+        groups.setdefault((kind, refusal.problem), []).append(refusal)
     said = []
     for group in groups.values():
         named = ", ".join(refusal.element for refusal in group[:most])
@@ -140,8 +142,3 @@ def _sentences(refusals: Sequence[Refusal], most: int = _NAMED) -> list[str]:
         where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines)})" if lines else ""
         said.append(f"{named}{more}: {group[0].problem}{where}")
     return said
-
-
-def _kind(element: str) -> str:
-    """Return the kind of an element, from its name in messages."""
-    return element.removeprefix("unnamed ").partition(" ")[0]

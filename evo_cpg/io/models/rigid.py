@@ -74,7 +74,16 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
     for lead in leads:
         parent = int(above[lead])
         free = is_free(compiled, lead)
-        joints = () if free else _joints(compiled, lead)
+        first, count = int(model.body_jntadr[lead]), int(model.body_jntnum[lead])
+        joints = () if free else tuple(range(first, first + count))
+        ball = compiled.mujoco.mjtJoint.mjJNT_BALL
+        balls = [joint for joint in joints if int(model.jnt_type[joint]) == ball]
+        if count > 1 and balls:
+            for joint in balls:
+                compiled.item("joint", joint).refuse(
+                    "it shares its body with other joints", "a ball joint alone in its body"
+                )
+            joints = tuple(joint for joint in joints if joint not in balls)
         carrier = root if parent == WORLD else parent
         bodies.append(Rigid(lead, tuple(welded[lead]), carrier, joints, free))
     return bodies
@@ -85,21 +94,6 @@ def is_free(compiled: Compiled, body: int) -> bool:
     model = compiled.model
     first = int(model.body_jntadr[body])
     return first >= 0 and int(model.jnt_type[first]) == compiled.mujoco.mjtJoint.mjJNT_FREE
-
-
-def _joints(compiled: Compiled, body: int) -> tuple[int, ...]:
-    """Return the joints of a body. Refuse a ball beside other joints."""
-    model = compiled.model
-    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-    joints = range(first, first + count)
-    balls = [j for j in joints if int(model.jnt_type[j]) == compiled.mujoco.mjtJoint.mjJNT_BALL]
-    if count == 1 or not balls:
-        return tuple(joints)
-    for ball in balls:
-        compiled.item("joint", ball).refuse(
-            "it shares its body with other joints", "a ball joint alone in its body"
-        )
-    return tuple(joint for joint in joints if joint not in balls)
 
 
 def scenery(compiled: Compiled, bodies: list[Rigid]) -> list[int]:

@@ -111,12 +111,6 @@ def read_xml(content: bytes) -> str:
     return _SKIPPED.sub(lambda part: "\n" * part[0].count("\n"), text)
 
 
-def is_urdf(text: str) -> bool:
-    """Return whether the first element of an XML text is that of a URDF. MuJoCo ignores case."""
-    first = re.search(r"<([^\W\d][^\s/>]*)", text)
-    return first is not None and first[1].lower() == "robot"
-
-
 def read_urdf(text: str, path: Path, refusals: Refusals) -> Urdf:
     """Return a URDF that MuJoCo compiles with the right meshes and limits.
 
@@ -130,12 +124,20 @@ def read_urdf(text: str, path: Path, refusals: Refusals) -> Urdf:
         ValueError: the text is not XML.
     """
     text = text.encode(errors="surrogateescape").decode()
+    # With these handlers, prefixes are part of names, bound or not.
+    builder, parser = TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.data
     try:
-        robot = _parsed(_STRAY_AMPERSAND.sub("&amp;", text))
+        parser.Parse(_STRAY_AMPERSAND.sub("&amp;", text), True)
     except expat.ExpatError as error:
-        raise ValueError(f"it is not XML: {error}") from None
+        # MuJoCo reads the first element only.
+        if error.code != expat.errors.codes[expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT]:
+            raise ValueError(f"it is not XML: {error}") from None
+    robot = builder.close()
     _refuse_macros(robot, refusals)
     meshes: dict[str, bytes] = {}
+    has_collada = find_spec("collada") is not None
     for link in robot.findall("link"):
         if link.get("name") == "world" and link.find("inertial") is not None:
             # MuJoCo takes this link for the fixed world, so its mass has no effect.
@@ -148,7 +150,14 @@ def read_urdf(text: str, path: Path, refusals: Refusals) -> Urdf:
                 link.remove(drawn)
         for solid in link.findall("collision"):
             if not _is_readable(path, solid, meshes):
-                _refuse(path, solid, refusals)
+                mesh = solid.find("geometry/mesh")
+                name = "" if mesh is None else mesh.get("filename", "")
+                found = _found(path, name)
+                problem = "it is missing" if found is None else "it cannot be read"
+                if found is not None and found.suffix.lower() == ".dae" and not has_collada:
+                    problem = "it is a Collada file, and the package pycollada is not installed"
+                allowed = "a .stl, .obj or .msh file in a folder beside or above the URDF"
+                refusals.add(Refusal(f"mesh {name!r}", f"{problem}. Allowed: {allowed}"))
                 link.remove(solid)
     for joint in robot.findall("joint"):
         _prepare_joint(joint, refusals)
@@ -164,20 +173,6 @@ def read_urdf(text: str, path: Path, refusals: Refusals) -> Urdf:
             refusals.leave_out(f"compiler {key}")
     compiler.attrib |= {"strippath": "false", "fusestatic": "false", "discardvisual": "false"}
     return Urdf(ElementTree.tostring(robot, encoding="unicode"), meshes)
-
-
-def _parsed(text: str) -> Element:
-    """Return the first element of an XML text. Prefixes are part of names, bound or not."""
-    builder, parser = TreeBuilder(), expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
-    parser.CharacterDataHandler = builder.data
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError as error:
-        # MuJoCo reads the first element only.
-        if error.code != expat.errors.codes[expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT]:
-            raise
-    return builder.close()
 
 
 def _refuse_macros(robot: Element, refusals: Refusals) -> None:
@@ -198,19 +193,8 @@ def _refuse_macros(robot: Element, refusals: Refusals) -> None:
     refusals.check()
 
 
-def _refuse(path: Path, shape: Element, refusals: Refusals) -> None:
-    mesh = shape.find("geometry/mesh")
-    name = "" if mesh is None else mesh.get("filename", "")
-    found = _found(path, name)
-    problem = "it is missing" if found is None else "it cannot be read"
-    if found is not None and found.suffix.lower() == ".dae" and find_spec("collada") is None:
-        problem = "it is a Collada file, and the package pycollada is not installed"
-    allowed = "a .stl, .obj or .msh file in a folder beside or above the URDF"
-    refusals.add(Refusal(f"mesh {name!r}", f"{problem}. Allowed: {allowed}"))
-
-
 def _prepare_joint(joint: Element, refusals: Refusals) -> None:
-    """Refuse a joint that copies another one, and report which of its limits are lost."""
+    """Refuse a joint that copies another one, write its limits, and report which ones are lost."""
     name, kind = f"joint {joint.get('name', '')!r}", joint.get("type")
     for mimic in joint.findall("mimic"):
         # Refuse it here, because some versions of MuJoCo ignore it.
@@ -232,8 +216,20 @@ def _prepare_joint(joint: Element, refusals: Refusals) -> None:
         return
     if kind == "continuous" and (lower or upper):
         refusals.leave_out("unused limits", name)
-    if kind in ("revolute", "prismatic") and not _limit(joint, limit, (lower, upper), refusals):
-        return
+    if kind in ("revolute", "prismatic"):
+        given = limit.attrib.keys() & {"lower", "upper"}
+        if lower == upper == 0:
+            old, force = "" if given else "none, so ", limit.get("effort", "none")
+            refusals.change(name, f"limits {old}0 to 0 -> fixed; effort {force} -> no motor")
+            joint.set("type", "fixed")
+            return
+        if lower < upper:
+            limit.attrib |= {"lower": repr(lower), "upper": repr(upper)}
+        else:
+            problem = f"its limits are {lower:g} to {upper:g}"
+            refusals.add(Refusal(name, f"{problem}. Allowed: lower below upper, or 0 to 0"))
+            for key in given:
+                del limit.attrib[key]
     if velocity:
         refusals.leave_out("velocity limit", name)
     if joint.find("safety_controller") is not None:
@@ -241,26 +237,6 @@ def _prepare_joint(joint: Element, refusals: Refusals) -> None:
     if not 0 < effort < LARGEST:
         new = f"{-effort:g}" if -LARGEST < effort < 0 else "no motor"
         refusals.change(name, f"effort {limit.get('effort', 'none')} -> {new}")
-
-
-def _limit(joint: Element, limit: Element, values: tuple[float, float], refusals: Refusals) -> bool:
-    """Write both limits of a joint, and return whether it still moves."""
-    lower, upper = values
-    name = f"joint {joint.get('name', '')!r}"
-    if lower == upper == 0:
-        given = "" if limit.attrib.keys() & {"lower", "upper"} else "none, so "
-        effort = limit.get("effort", "none")
-        refusals.change(name, f"limits {given}0 to 0 -> fixed; effort {effort} -> no motor")
-        joint.set("type", "fixed")
-        return False
-    if lower < upper:
-        limit.attrib |= {"lower": repr(lower), "upper": repr(upper)}
-    else:
-        problem = f"its limits are {lower:g} to {upper:g}. Allowed: lower below upper, or 0 to 0"
-        refusals.add(Refusal(name, problem))
-        for key in limit.attrib.keys() & {"lower", "upper"}:
-            del limit.attrib[key]
-    return True
 
 
 def _is_readable(path: Path, shape: Element, meshes: dict[str, bytes]) -> bool:
@@ -371,8 +347,31 @@ def restore_inertials(
     mujoco.mj_kinematics(model, data)
     for lead in np.unique(model.body_weldid):
         members = [b for b in range(1, model.nbody) if model.body_weldid[b] == lead]
-        if members:
-            _make_possible(mujoco, model, data, members, refusals)
+        if not members:
+            continue
+        # Change the first link of the body so that the body has possible mass properties.
+        first = members[0]
+        name = f"body {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, first)!r}"
+        if not np.any(model.body_mass[members]):
+            model.body_mass[first] = _LEAST_MASS
+            refusals.change(name, f"mass 0 -> {_LEAST_MASS:g} kg, because a body needs a mass")
+        _, _, inertia = mass_properties(model, data, members)
+        old, axes = np.linalg.eigh(inertia)
+        largest = old[-1]
+        least = min(_LEAST_MOMENT, _THIN * largest) if largest > 0 else _LEAST_MOMENT
+        new = np.where(old > _ROUNDING * largest, old, least)
+        excess = new[2] - new[0] - new[1]
+        if excess > _EXCESS * (new[0] + new[1]):
+            # The shortest way to the plane on which the largest moment is the sum of the others.
+            new += excess / 3 * np.array([1.0, 1.0, -1.0])
+        if np.array_equal(old, new):
+            continue
+        before, after = (", ".join(f"{moment:.9g}" for moment in each) for each in (old, new))
+        refusals.change(name, f"principal moments of inertia {before} -> {after} kg m^2")
+        frame = np.array(data.ximat[first]).reshape(3, 3).T @ axes
+        own = np.diag(model.body_inertia[first]) + frame @ np.diag(new - old) @ frame.T
+        _set_inertia(mujoco, model, first, np.array(model.body_iquat[first]), own)
+        mujoco.mj_kinematics(model, data)
 
 
 def mass_properties(
@@ -399,40 +398,6 @@ def mass_properties(
         inertia += axes @ np.diag(model.body_inertia[member]) @ axes.T
         inertia += own_mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return mass, centre, inertia
-
-
-def possible_moments(moments: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    """Return the nearest principal moments, in ascending order, that a body can have."""
-    largest = moments[-1]
-    least = min(_LEAST_MOMENT, _THIN * largest) if largest > 0 else _LEAST_MOMENT
-    found = np.where(moments > _ROUNDING * largest, moments, least)
-    excess = found[2] - found[0] - found[1]
-    if excess > _EXCESS * (found[0] + found[1]):
-        # The shortest way to the plane on which the largest moment is the sum of the others.
-        found += excess / 3 * np.array([1.0, 1.0, -1.0])
-    return found
-
-
-def _make_possible(
-    mujoco: Any, model: Any, data: Any, members: Sequence[int], refusals: Refusals
-) -> None:
-    """Change the first link of a body so that the body has possible mass properties."""
-    lead = members[0]
-    name = f"body {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, lead)!r}"
-    if not np.any(model.body_mass[members]):
-        model.body_mass[lead] = _LEAST_MASS
-        refusals.change(name, f"mass 0 -> {_LEAST_MASS:g} kg, because a body needs a mass")
-    _, _, inertia = mass_properties(model, data, members)
-    old, axes = np.linalg.eigh(inertia)
-    new = possible_moments(old)
-    if np.array_equal(old, new):
-        return
-    before, after = (", ".join(f"{moment:.9g}" for moment in each) for each in (old, new))
-    refusals.change(name, f"principal moments of inertia {before} -> {after} kg m^2")
-    frame = np.array(data.ximat[lead]).reshape(3, 3).T @ axes
-    own = np.diag(model.body_inertia[lead]) + frame @ np.diag(new - old) @ frame.T
-    _set_inertia(mujoco, model, lead, np.array(model.body_iquat[lead]), own)
-    mujoco.mj_kinematics(model, data)
 
 
 def _set_inertia(

@@ -1,10 +1,8 @@
 """Sections of the nervous system, made from the settings classes of the controllers."""
 
-import typing
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 from pydantic import Tag
-from typing_extensions import override
 
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
@@ -18,11 +16,8 @@ from evo_cpg.io.schema.section import RATE, CustomConfig, Section, by_type, sect
 class _ControllerSection(Section):
     described: ClassVar[type]
     uses_senses: ClassVar[bool] = True
-
-    @property
-    def genome(self) -> str | None:
-        """Type of genetic algorithm for its genomes, ``real`` or ``bits``, or None for either."""
-        return "real"
+    # Type of genetic algorithm for its genomes, unless they are graded.
+    genome: ClassVar[Literal["real", "bits"]] = "real"
 
     def _settings(self) -> Any:
         fields = {name: value for name, value in self if name != "type"}
@@ -48,15 +43,7 @@ class _BrainCpgSection(_ControllerSection):
 
 class _PosturesSection(_ControllerSection):
     uses_senses: ClassVar[bool] = False
-
-    if typing.TYPE_CHECKING:
-        graded: bool
-
-    @property
-    @override
-    def genome(self) -> str | None:
-        # Graded genes are numbers, so both genetic algorithms can evolve them.
-        return None if self.graded else "bits"
+    genome: ClassVar[Literal["real", "bits"]] = "bits"
 
     def build(self, tree: Tree, control_step: float, **_: Any) -> Controller:
         """Build the controller (see `build_posture_controller`)."""

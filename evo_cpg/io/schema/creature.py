@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -88,8 +88,6 @@ class PartConfig(Section):
     color: Color | None = None
 
 
-_NO_ZERO_MASS = "mass: must be positive, except for a body without a shape and inertia"
-
 # Products of inertia in the order xy, xz, yz follow the moments.
 _Inertia = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
 
@@ -138,9 +136,35 @@ class BodyConfig(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "BodyConfig":
-        problem = self.entry.problem() or self._problem_of_mass()
-        if problem:
+        none = "is missing, and a body without a shape (shape: null) has no other"
+        if problem := self.entry.problem():
             raise ValueError(problem)
+        for name, needed in (("inertia", "mass"), ("centre_of_mass", "inertia")):
+            if getattr(self, name) is not None and getattr(self, needed) is None:
+                raise ValueError(f"{name}: needs {needed}, which is missing")
+        if self.mass is None:
+            if self.shape is None:
+                raise ValueError(f"mass: {none}")
+        elif self.mass == 0:
+            if self.shape is not None or self.inertia is not None:
+                raise ValueError(
+                    "mass: must be positive, except for a body without a shape and inertia"
+                )
+        elif self.inertia is None:
+            if self.shape is None and not self.parts:
+                raise ValueError(f"inertia: {none}")
+        else:
+            moments = np.linalg.eigvalsh(np.asarray(symmetric(self.inertia)))
+            words = ", ".join(f"{moment:.4g}" for moment in moments)
+            if moments[0] <= 0:
+                raise ValueError(
+                    f"inertia: its principal moments must be positive, got {words} kg m^2"
+                )
+            if moments[2] > (1 + _ROUNDING) * (moments[0] + moments[1]):
+                raise ValueError(
+                    "inertia: no body has such moments: the largest principal moment must not "
+                    f"exceed the sum of the others, got {words} kg m^2"
+                )
         if self.mirror and self.joint:
             offset = self.joint.at["xyz".index(self.mirror)]
             if offset < 0:
@@ -149,32 +173,6 @@ class BodyConfig(Section):
                     f"positive {self.mirror}, got {offset:g}"
                 )
         return self
-
-    def _problem_of_mass(self) -> str | None:
-        """Return a description of what is wrong with the mass, or None."""
-        for name, needed in (("inertia", "mass"), ("centre_of_mass", "inertia")):
-            if getattr(self, name) is not None and getattr(self, needed) is None:
-                return f"{name}: needs {needed}, which is missing"
-        if self.mass is None:
-            if self.shape is None:
-                return "mass: is missing, and a body without a shape (shape: null) has no other"
-            return None
-        if self.mass == 0:
-            return None if self.shape is None and self.inertia is None else _NO_ZERO_MASS
-        if self.inertia is None:
-            if self.shape is None and not self.parts:
-                return "inertia: is missing, and a body without a shape (shape: null) has no other"
-            return None
-        moments = np.linalg.eigvalsh(np.asarray(symmetric(self.inertia)))
-        words = ", ".join(f"{moment:.4g}" for moment in moments)
-        if moments[0] <= 0:
-            return f"inertia: its principal moments must be positive, got {words} kg m^2"
-        if moments[2] > (1 + _ROUNDING) * (moments[0] + moments[1]):
-            return (
-                "inertia: no body has such moments: the largest principal moment must not exceed "
-                f"the sum of the others, got {words} kg m^2"
-            )
-        return None
 
     @property
     def shapes(self) -> list[ShapeConfig]:
@@ -253,7 +251,8 @@ class CreatureConfig(Section):
         centres = {copy.name: np.zeros(3) for copy in everything}
         for copy in everything:
             if shape := self.bodies[copy.entry].shape:
-                centres[copy.name] = _mirrored(shape, copy).build()[0][1]
+                shape = shape.mirrored(copy.mirror) if copy.mirror else shape
+                centres[copy.name] = shape.build()[0][1]
         bodies, root_joint = [], None
         for copy in everything:
             entry = self.bodies[copy.entry]
@@ -312,7 +311,7 @@ class CreatureConfig(Section):
                 name: [
                     own
                     for copy in (everything if name == "all" else copies_named(name, everything))
-                    for own in self._names_of(copy)
+                    for own in self.names_of(copy)
                 ]
                 for pair in pairs
                 for name in pair
@@ -327,7 +326,7 @@ class CreatureConfig(Section):
 
         return SelfCollision(named(given.exclude), named(given.include))
 
-    def _names_of(self, copy: Copy) -> list[str]:
+    def names_of(self, copy: Copy) -> list[str]:
         """Return the names of a body and of its parts."""
         entry = self.bodies[copy.entry]
         lofts = (shape for shape in entry.shapes if isinstance(shape, LoftConfig))
@@ -338,15 +337,6 @@ class CreatureConfig(Section):
     def copies(self) -> list[Copy]:
         """Return all bodies that the entries stand for."""
         return copies([entry.entry for entry in self.bodies])
-
-    def entry_of(self, kind: Literal["bodies", "tendons"], number: int) -> int:
-        """Return the index of the entry of a body or tendon, given its index in the creature."""
-        everything = self.copies()
-        if kind == "bodies":
-            owners = [copy.entry for copy in everything for _ in self._names_of(copy)]
-        else:
-            owners = [i for i, given in enumerate(self.tendons) for _ in given.build(everything)]
-        return owners[number]
 
     def require_names(self) -> None:
         """Check that the names of bodies are unique, and that every name used exists.
@@ -364,7 +354,28 @@ class CreatureConfig(Section):
                     f"two bodies are called {copy.name!r}, the other one in "
                     f"creature.bodies.{first}. Every body needs a unique name",
                 )
-        for key, name in self._references():
+        # Names of bodies and materials that the creature refers to, with their keys.
+        references: list[tuple[Key, str]] = []
+        for i, entry in enumerate(self.bodies):
+            references.append((("bodies", i, "material"), entry.material))
+            for k, part in enumerate(entry.parts):
+                if part.material is not None:
+                    references.append((("bodies", i, "parts", k, "material"), part.material))
+            if entry.joint and not entry.hangs:
+                references.append((("bodies", i, "joint", "parent"), entry.joint.parent))
+        for kind in ("light_sensors", "depth_sensors", "sensors"):
+            for i, sensor in enumerate(getattr(self, kind)):
+                references += [((kind, i, key), getattr(sensor, key)) for key in sensor.body_keys]
+        if self.pressure_sensors != "all":
+            references += [
+                (("pressure_sensors", i), x) for i, x in enumerate(self.pressure_sensors)
+            ]
+        if isinstance(self.self_collision, SelfCollisionConfig):
+            for which, pairs in self.self_collision:
+                for i, k in itertools.product(range(len(pairs)), range(2)):
+                    if pairs[i][k] != "all":
+                        references.append((("self_collision", which, i, k), pairs[i][k]))
+        for key, name in references:
             valid = list(self.materials) if key[-1] == "material" else list(owners)
             # A name with placeholders stands for bodies, and is in no list of names.
             if name in valid or (key[-1] != "material" and copies_named(name, everything)):
@@ -383,35 +394,14 @@ class CreatureConfig(Section):
                     "name needs all placeholders of the tendon's name",
                 )
 
-    def _references(self) -> Iterator[tuple[Key, str]]:
-        """Yield the names of bodies and materials that the creature refers to, with their keys."""
-        for i, entry in enumerate(self.bodies):
-            yield ("bodies", i, "material"), entry.material
-            for k, part in enumerate(entry.parts):
-                if part.material is not None:
-                    yield ("bodies", i, "parts", k, "material"), part.material
-            if entry.joint and not entry.hangs:
-                yield ("bodies", i, "joint", "parent"), entry.joint.parent
-        for kind in ("light_sensors", "depth_sensors", "sensors"):
-            for i, sensor in enumerate(getattr(self, kind)):
-                for key in sensor.body_keys:
-                    yield (kind, i, key), getattr(sensor, key)
-        if self.pressure_sensors != "all":
-            for i, name in enumerate(self.pressure_sensors):
-                yield ("pressure_sensors", i), name
-        if isinstance(self.self_collision, SelfCollisionConfig):
-            for which, pairs in self.self_collision:
-                for i, k in itertools.product(range(len(pairs)), range(2)):
-                    if pairs[i][k] != "all":
-                        yield ("self_collision", which, i, k), pairs[i][k]
-
     def _bodies_of(self, copy: Copy, joint: Joint | None, centre: np.ndarray) -> list[Body]:
         """Return a body, then its further parts, each welded to it.
 
         ``centre`` is the centre of its shape in the frame of the configuration, m.
         """
         entry = self.bodies[copy.entry]
-        solids = [_mirrored(shape, copy).build() for shape in entry.shapes]
+        shapes = [x.mirrored(copy.mirror) if copy.mirror else x for x in entry.shapes]
+        solids = [shape.build() for shape in shapes]
         density, inertial = None, None
         if entry.mass is not None and entry.inertia is None and solids:
             pieces = [*(solid[0] for solid in solids), *(x for solid in solids for x in solid[1:])]
@@ -458,11 +448,6 @@ class CreatureConfig(Section):
                 )
             )
         return found
-
-
-def _mirrored(shape: ShapeConfig, copy: Copy) -> ShapeConfig:
-    """Return a shape for a copy of the body: reflected if the copy is mirrored."""
-    return shape.mirrored(copy.mirror) if copy.mirror else shape
 
 
 def _inertial(entry: BodyConfig, copy: Copy, centre: np.ndarray) -> Inertial:

@@ -78,18 +78,13 @@ class MapSection(Section):
     axes: Annotated[tuple[AxisConfig, ...], Field(max_length=6)] = ()
 
     @model_validator(mode="after")
-    def _check_map(self) -> "MapSection":
+    def _check_map_and_islands(self) -> "MapSection":
         names = [axis.name for axis in self.axes]
         if len(set(names)) < len(names):
             raise ValueError(f"axes: names must be unique, got {', '.join(names)}")
         cells = math.prod(axis.cells for axis in self.axes)
         if cells > _MOST_CELLS:
             raise ValueError(f"axes: a map has at most {_MOST_CELLS} cells, got {cells}")
-        return self
-
-    @model_validator(mode="after")
-    def _check_islands(self) -> "MapSection":
-        """Check that the population can be divided among the islands, if there are any."""
         islands: IslandsConfig | None = getattr(self, "islands", None)
         if not islands:
             return self

@@ -72,11 +72,6 @@ class SimulationConfig(Section):
     trials: TrialsConfig = 1
 
     @property
-    def situations(self) -> list[SituationConfig]:
-        """Situations of the trials, or empty if only a number of trials is given."""
-        return self.trials if isinstance(self.trials, list) else []
-
-    @property
     def steps(self) -> int:
         """Number of control steps."""
         return max(1, round(self.seconds * self.control_rate_hz))
@@ -183,7 +178,9 @@ class ExperimentConfig(Section):
                 f"runs: the seed of the last of {self.runs} runs must be less than {2**31}, got "
                 f"{self.seed + self.runs - 1}"
             )
-        genome, given = self.controller.genome, self.evolution.type
+        # Graded genes are numbers, so both genetic algorithms can evolve them.
+        graded = getattr(self.controller, "graded", False)
+        genome, given = None if graded else self.controller.genome, self.evolution.type
         # Strategies other than ``real`` and ``bits`` evolve both kinds of genome.
         if genome is not None and given in ("real", "bits") and given != genome:
             raise ValueError(

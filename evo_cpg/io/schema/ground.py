@@ -7,6 +7,7 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from evo_cpg.creature.algebra.numerics import Number, xp
 from evo_cpg.io.schema.section import (
+    DescribedSection,
     Direction,
     Finite,
     Fraction,
@@ -58,7 +59,7 @@ class PlaneConfig(Section):
         return Plane(normal, self.height * normal[2])
 
 
-class ShoreConfig(Section):
+class ShoreConfig(DescribedSection):
     """Level ground, a slope, and level ground at another height: land that runs into water.
 
     Attributes:
@@ -77,9 +78,7 @@ class ShoreConfig(Section):
     start_height: Finite = 0.0
     stop_height: Finite
 
-    def build(self) -> GroundPart:
-        """Build the floor."""
-        return self.into(Shore)
+    described = Shore
 
     @model_validator(mode="after")
     def _check(self) -> "ShoreConfig":
@@ -199,7 +198,7 @@ FloorConfig = Annotated[
 ]
 
 
-class BoulderConfig(Section):
+class BoulderConfig(DescribedSection):
     """A fixed sphere, on or partly in the floor.
 
     Attributes:
@@ -212,9 +211,7 @@ class BoulderConfig(Section):
     centre: Vector
     radius: Positive
 
-    def build(self) -> Obstacle:
-        """Build the obstacle."""
-        return self.into(Boulder)
+    described = Boulder
 
 
 class BlockConfig(Section):

@@ -153,39 +153,12 @@ class JointAxis(NamedTuple):
     limits: tuple[float, float] | None = None
     rest: float = 0.0
 
-    @classmethod
-    def of(cls, entry: Any) -> "JointAxis":
-        """Return the axis of an entry of ``axes``."""
-
-        def direction(given: Any) -> Triple:
-            return _AXES[given] if isinstance(given, str) else given
-
-        if isinstance(entry, JointAxis):
-            return entry
-        if isinstance(entry, TurnConfig):
-            return cls(Turn(), direction(entry.turn), entry.at)
-        if isinstance(entry, SlideConfig):
-            return cls(Slide(), direction(entry.slide), None, entry.limits_m, entry.rest_m)
-        return cls(Turn(), direction(entry))
-
     def mirrored(self, axis: MirrorAxis) -> "JointAxis":
         """Return the mirror image of the axis."""
         image = opposed if self.kind.rotation else reflected
         place = None if self.place is None else reflected(self.place, axis)
         direction = image(self.direction, axis)
         return self._replace(kind=self.kind.mirrored(), direction=direction, place=place)
-
-
-def _are_independent(axes: list[JointAxis], joint: Triple) -> bool:
-    """Return whether the axes move a body in independent ways. The joint's position is in m."""
-    arms = [np.subtract(axis.place, joint) if axis.place else np.zeros(3) for axis in axes]
-    # Positions in units of the farthest one, so that they count like directions.
-    size = max(np.linalg.norm(arms, axis=1).max(), np.finfo(float).tiny)
-    rows = [
-        axis.kind.motion_row(axis.direction, -arm / size)
-        for axis, arm in zip(axes, arms, strict=True)
-    ]
-    return bool(np.linalg.matrix_rank(np.array(rows), tol=1e-6) == len(axes))
 
 
 class JointConfig(Section):
@@ -241,53 +214,56 @@ class JointConfig(Section):
                     f"{name} gives {len(given)} {what} for {len(axes)} axes. "
                     f"Give one {what[:-1]} for all axes, or one for each"
                 )
-        for lower, upper in filter(None, self._each("limits_deg")):
+        for lower, upper in filter(None, self.each("limits_deg")):
             if not lower < upper:
                 raise ValueError(f"limits_deg: {lower:g} is not below {upper:g}")
         if ball:
-            self._check_ball()
-        for i, axis in enumerate(axes):
-            self._check_axis(i, axis)
-        if axes and not _are_independent(axes, self.child_at):
+            if np.any(self.rest_deg):
+                raise ValueError(
+                    "rest_deg: must be 0 for a ball, whose spring pulls to the neutral pose"
+                )
+            if isinstance(self.limits_deg, list):
+                raise ValueError("limits_deg: a ball has one pair, such as [0, 60], or null")
+            lower, upper = self.limits_deg or (0.0, _HALF_TURN)
+            if lower not in (0.0, -upper) or upper > _HALF_TURN:
+                raise ValueError(
+                    f"limits_deg: a ball has one largest angle, up to {_HALF_TURN:g} degrees. "
+                    f"Write [0, {min(max(abs(lower), abs(upper)), _HALF_TURN):g}], got "
+                    f"[{lower:g}, {upper:g}]"
+                )
+        for i, (axis, motor) in enumerate(zip(axes, self.each("actuator"), strict=True)):
+            rest = self.rest_deg[i] if isinstance(self.rest_deg, list) else 0.0
+            limits = self.limits_deg[i] if isinstance(self.limits_deg, list) else None
+            if axis.kind.unit == "m" and limits is not None:
+                raise ValueError(
+                    f"limits_deg: axis {i} slides. Write null for it, and its limits_m in axes"
+                )
+            if axis.kind.unit == "m" and rest != 0:
+                raise ValueError(
+                    f"rest_deg: axis {i} slides. Write 0 for it, and its rest_m in axes"
+                )
+            if isinstance(motor, MuscleConfig):
+                if axis.kind != Turn():
+                    raise ValueError(
+                        f"actuator: muscles turn one axis, and axis {i} {axis.kind.motion}. Give "
+                        "it a servo or a torque motor"
+                    )
+                if np.any(self.rest_deg):
+                    raise ValueError("rest_deg: must be 0 for a joint with muscles")
+        if not axes:
+            return self
+        arms = [np.subtract(x.place, self.child_at) if x.place else np.zeros(3) for x in axes]
+        # Positions in units of the farthest one, so that they count like directions.
+        size = max(np.linalg.norm(arms, axis=1).max(), np.finfo(float).tiny)
+        rows = [
+            axis.kind.motion_row(axis.direction, -arm / size)
+            for axis, arm in zip(axes, arms, strict=True)
+        ]
+        if np.linalg.matrix_rank(np.array(rows), tol=1e-6) != len(axes):
             raise ValueError("axes: must be linearly independent and not zero")
         return self
 
-    def _check_ball(self) -> None:
-        """Check the values of a ball joint."""
-        if np.any(self.rest_deg):
-            raise ValueError(
-                "rest_deg: must be 0 for a ball, whose spring pulls to the neutral pose"
-            )
-        if isinstance(self.limits_deg, list):
-            raise ValueError("limits_deg: a ball has one pair, such as [0, 60], or null")
-        lower, upper = self.limits_deg or (0.0, _HALF_TURN)
-        if lower not in (0.0, -upper) or upper > _HALF_TURN:
-            raise ValueError(
-                f"limits_deg: a ball has one largest angle, up to {_HALF_TURN:g} degrees. Write "
-                f"[0, {min(max(abs(lower), abs(upper)), _HALF_TURN):g}], got "
-                f"[{lower:g}, {upper:g}]"
-            )
-
-    def _check_axis(self, i: int, axis: JointAxis) -> None:
-        """Check values that only some kinds of axes may have."""
-        rest = self.rest_deg[i] if isinstance(self.rest_deg, list) else 0.0
-        limits = self.limits_deg[i] if isinstance(self.limits_deg, list) else None
-        if axis.kind.unit == "m" and limits is not None:
-            raise ValueError(
-                f"limits_deg: axis {i} slides. Write null for it, and its limits_m in axes"
-            )
-        if axis.kind.unit == "m" and rest != 0:
-            raise ValueError(f"rest_deg: axis {i} slides. Write 0 for it, and its rest_m in axes")
-        if isinstance(self.motors[i], MuscleConfig):
-            if axis.kind != Turn():
-                raise ValueError(
-                    f"actuator: muscles turn one axis, and axis {i} {axis.kind.motion}. Give it a "
-                    "servo or a torque motor"
-                )
-            if np.any(self.rest_deg):
-                raise ValueError("rest_deg: must be 0 for a joint with muscles")
-
-    def _each(self, name: str) -> list[Any]:
+    def each(self, name: str) -> list[Any]:
         """Return the value of each axis."""
         given = getattr(self, name)
         return given if isinstance(given, list) else [given] * len(self.every_axis)
@@ -297,18 +273,27 @@ class JointConfig(Section):
         """The axes, with the three components of a ball."""
         if self.axes == "ball":
             return [JointAxis(BallComponent(), _AXES[name]) for name in "xyz"]
-        return list(map(JointAxis.of, self.axes))
+        found: list[JointAxis] = []
+        for entry in self.axes:
+            if isinstance(entry, JointAxis):
+                # A mirrored joint holds axes already.
+                found.append(entry)
+                continue
+            written: list[Any] = [Turn(), entry]
+            if isinstance(entry, TurnConfig):
+                written[1:] = entry.turn, entry.at
+            elif isinstance(entry, SlideConfig):
+                written = [Slide(), entry.slide, None, entry.limits_m, entry.rest_m]
+            kind, given, *others = written
+            direction = _AXES[given] if isinstance(given, str) else given
+            found.append(JointAxis(kind, direction, *others))
+        return found
 
     @property
     def limits(self) -> list[tuple[float, float] | None]:
         """Limits of each angle, as pairs, degrees, or None for no limits and for slides."""
-        every = zip(self.every_axis, self._each("limits_deg"), strict=True)
+        every = zip(self.every_axis, self.each("limits_deg"), strict=True)
         return [None if axis.kind.unit == "m" else pair for axis, pair in every]
-
-    @property
-    def motors(self) -> list[Any]:
-        """Motor or muscles of each axis."""
-        return self._each("actuator")
 
     def turned(self, angle_deg: float) -> "JointConfig":
         """Return the joint, turned with its limb about the parent's vertical axis."""
@@ -340,7 +325,7 @@ class JointConfig(Section):
         """
         rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
         axes, limits, rest = self.every_axis, [], []
-        for axis, pair, angle in zip(axes, self.limits, self._each("rest_deg"), strict=True):
+        for axis, pair, angle in zip(axes, self.limits, self.each("rest_deg"), strict=True):
             if axis.kind.unit == "m":
                 limits.append(axis.limits or (-NO_LIMIT, NO_LIMIT))
                 rest.append(axis.rest)
@@ -348,7 +333,7 @@ class JointConfig(Section):
             rest.append(xp.deg2rad(angle))
             lower, upper = (-NO_LIMIT, NO_LIMIT) if pair is None else xp.deg2rad(xp.array(pair))
             limits.append((-upper if axis.kind.at_once else lower, upper))
-        motors = tuple(motor and motor.build() for motor in self.motors)
+        motors = tuple(motor and motor.build() for motor in self.each("actuator"))
         places = [axis.place and moved(axis.place, centre) for axis in axes]
         numbers = {name: getattr(self, name) for name in _NUMBERS if name != "rest_deg"}
         return Joint(

@@ -67,8 +67,7 @@ class Section(BaseModel):
         names = inspect.signature(kind).parameters
         return kind(**{name: value for name, value in self if name in names} | others)
 
-    def __str__(self) -> str:
-        return repr(self)
+    __str__ = BaseModel.__repr__
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
         """Yield the fields that differ from their defaults, with the length of a long list."""
@@ -80,11 +79,11 @@ class Section(BaseModel):
 
 
 class DescribedSection(Section):
-    """A section with the fields, the defaults and the description of a dataclass (`section_of`)."""
+    """A section with the fields of a dataclass (see `section_of`)."""
 
     described: ClassVar[type]
 
-    def build(self) -> Any:
+    def build(self, **_: Any) -> Any:
         """Build the dataclass. A null leaves its default."""
         given = {name: value for name, value in self if value is not None and name != "type"}
         return self.described(**given)
@@ -149,32 +148,29 @@ PrintedName = Annotated[
 ]
 
 
-def _as_read_again(options: dict[str, Any]) -> dict[str, Any]:
+def _as_read_again(value: Any, place: str = "") -> Any:
     """Return options as a run folder's ``config.yaml`` stores them, so that a run can resume.
 
     Raises:
         ValueError: a value would not be read back unchanged.
     """
-
-    def plain(value: Any, place: str) -> Any:
-        if value is None or isinstance(value, bool):
-            return value
-        for kind in (str, int, float):
-            if isinstance(value, kind):
-                return kind(value)
-        if isinstance(value, (list, tuple)):
-            return [plain(each, f"{place}.{i}") for i, each in enumerate(value)]
-        if isinstance(value, dict):
-            for key in value:
-                if not isinstance(key, str):
-                    raise ValueError(f"{place} has the key {key!r}. Allowed: text, such as '{key}'")
-            return {str(key): plain(each, f"{place}.{key}") for key, each in value.items()}
-        raise ValueError(
-            f"{place} is a {type(value).__name__}. Allowed: text, numbers, true, false, null, and "
-            "lists and mappings of these"
-        )
-
-    return {key: plain(value, key) for key, value in options.items()}
+    if value is None or isinstance(value, bool):
+        return value
+    for kind in (str, int, float):
+        if isinstance(value, kind):
+            return kind(value)
+    inside = f"{place}." if place else ""
+    if isinstance(value, (list, tuple)):
+        return [_as_read_again(each, f"{inside}{i}") for i, each in enumerate(value)]
+    if isinstance(value, dict):
+        for key in value:
+            if not isinstance(key, str):
+                raise ValueError(f"{place} has the key {key!r}. Allowed: text, such as '{key}'")
+        return {str(key): _as_read_again(each, f"{inside}{key}") for key, each in value.items()}
+    raise ValueError(
+        f"{place} is a {type(value).__name__}. Allowed: text, numbers, true, false, null, and "
+        "lists and mappings of these"
+    )
 
 
 # Constructor options of a user's own class.
@@ -195,7 +191,6 @@ class CustomConfig(Section):
     options: Options = Field(default_factory=dict)
 
     # Nothing is known about the needs of a user's own class. These values pass every check.
-    goal: ClassVar[None] = None
     needs_ground: ClassVar[bool] = False
     body_keys: ClassVar[tuple[str, ...]] = ()
     uses_senses: ClassVar[bool] = True

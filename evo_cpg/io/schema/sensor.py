@@ -1,11 +1,19 @@
 """Sections of sensors: eyes, depth gauges, and other sensors with a ``type``."""
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, Tag, model_validator
 
-from evo_cpg.io.schema.section import VIEW, CustomConfig, Positive, Section, Vector, by_type
-from evo_cpg.simulation.sensors import Sensor, VelocitySensor
+from evo_cpg.io.schema.section import (
+    VIEW,
+    CustomConfig,
+    DescribedSection,
+    Positive,
+    Section,
+    Vector,
+    by_type,
+)
+from evo_cpg.simulation.sensors import VelocitySensor
 
 
 class LightSensorConfig(Section):
@@ -49,7 +57,7 @@ class DepthSensorConfig(Section):
     body_keys: ClassVar[tuple[str, ...]] = ("body",)
 
 
-class VelocitySensorConfig(Section):
+class VelocitySensorConfig(DescribedSection):
     """Velocity of a body along its own axes.
 
     Attributes:
@@ -63,10 +71,7 @@ class VelocitySensorConfig(Section):
     full_scale: Positive = 1.0
 
     body_keys: ClassVar[tuple[str, ...]] = ("body",)
-
-    def build(self, **_: Any) -> Sensor:
-        """Build the sensor."""
-        return VelocitySensor(self.body, self.full_scale)
+    described = VelocitySensor
 
 
 SensorConfig = Annotated[

@@ -116,7 +116,16 @@ class CylinderConfig(SolidConfig):
     kind, size_key = Cylinder, "length"
 
 
-class MeshConfig(SolidConfig):
+class _CheckedSolid(SolidConfig):
+    """A kind of shape whose faults show when it is built."""
+
+    @model_validator(mode="after")
+    def _check(self: _Solid) -> _Solid:
+        self.build()
+        return self
+
+
+class MeshConfig(_CheckedSolid):
     """Convex polyhedron, in any frame.
 
     Attributes:
@@ -128,11 +137,6 @@ class MeshConfig(SolidConfig):
     type: Literal["mesh"]
     vertices: tuple[Vector, ...]
     faces: tuple[tuple[Index, Index, Index], ...]
-
-    @model_validator(mode="after")
-    def _check(self) -> "MeshConfig":
-        self.build()
-        return self
 
     @override
     def mirrored(self, axis: MirrorAxis) -> "MeshConfig":
@@ -160,7 +164,7 @@ class LoftSectionConfig(Section):
     height: NotNegative
 
 
-class LoftConfig(SolidConfig):
+class LoftConfig(_CheckedSolid):
     """Body through cross-sections along a spine, in any frame.
 
     Attributes:
@@ -172,11 +176,6 @@ class LoftConfig(SolidConfig):
     type: Literal["loft"]
     sections: Annotated[tuple[LoftSectionConfig, ...], Field(min_length=2, max_length=40)]
     corners: Annotated[int, Field(ge=4, le=24, multiple_of=2)] | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> "LoftConfig":
-        self.build()
-        return self
 
     @override
     def mirrored(self, axis: MirrorAxis) -> "LoftConfig":

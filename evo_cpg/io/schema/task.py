@@ -11,6 +11,7 @@ from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.schema.section import (
     CustomConfig,
+    DescribedSection,
     Direction,
     Finite,
     NotNegative,
@@ -85,17 +86,7 @@ class LightConfig(OpenSection):
 DEFAULT_LIGHT = LightConfig(distance=8.0, bearing_deg=30.0, elevation_deg=0.0)
 
 
-class _TaskSection(Section):
-    # Whether the task requires ground.
-    needs_ground: ClassVar[bool] = False
-
-    @property
-    def goal(self) -> LightConfig | None:
-        """Light that is the goal, for trials without their own light, or None without a goal."""
-        return None
-
-
-class ReachLightConfig(_TaskSection):
+class ReachLightConfig(Section):
     """Fitness of Iwadate 2010, eqs. 9 and 10, of normalised terms, with weights a > c > b.
 
     Attributes:
@@ -117,6 +108,9 @@ class ReachLightConfig(_TaskSection):
     energy_max: Positive | None = None
     final_seconds: Positive = 1.0
 
+    # Whether the task requires ground.
+    needs_ground: ClassVar[bool] = False
+
     @field_validator("light")
     @classmethod
     def _fill(cls, light: LightConfig) -> LightConfig:
@@ -131,11 +125,6 @@ class ReachLightConfig(_TaskSection):
             )
         return self
 
-    @property
-    def goal(self) -> LightConfig:
-        """Light that is the goal."""
-        return self.light
-
     def build(self, light: Triple | None, control_rate: float, **_: Any) -> Task:
         """Build the task.
 
@@ -149,7 +138,7 @@ class ReachLightConfig(_TaskSection):
         return self.into(ReachLight, light=light, final_steps=final_steps)
 
 
-class DistanceConfig(_TaskSection):
+class DistanceConfig(DescribedSection):
     """Fukui 2003: displacement from start to end, in any posture.
 
     Attributes:
@@ -160,12 +149,11 @@ class DistanceConfig(_TaskSection):
     type: Literal["distance"] = "distance"
     heading: Heading = "any"
 
-    def build(self, **_: Any) -> Task:
-        """Build the task (see `ReachLightConfig.build`)."""
-        return self.into(Distance)
+    needs_ground: ClassVar[bool] = False
+    described = Distance
 
 
-class WalkConfig(_TaskSection):
+class WalkConfig(Section):
     """Displacement minus penalties for tilting, bouncing and flight. Lengths are in torso lengths.
 
     Attributes:

@@ -1,6 +1,6 @@
 """Section of a fixed tendon."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from pydantic import Field, Tag, model_validator
@@ -73,41 +73,31 @@ class TendonConfig(Section):
 
     def build(self, bodies: Sequence[Copy]) -> list[Tendon]:
         """Build the tendon, or one for each value of the placeholders in its name."""
+        placeholder_names = placeholders(self.name)
+        values: list[dict[str, str]] = [] if placeholder_names else [{}]
+        for joint in self.joints if placeholder_names else ():
+            for copy in copies_named(body_and_axis(joint)[0], bodies):
+                marks = {mark: copy.marks[mark] for mark in placeholder_names if mark in copy.marks}
+                if placeholders(joint) >= placeholder_names and marks not in values:
+                    values.append(marks)
         lower, upper = self.limits or (-NO_LIMIT, NO_LIMIT)
         motor: Any = self.actuator
-        return [
-            self.into(
+        tendons = []
+        for marks in values:
+            joints: list[tuple[str, Number]] = []
+            for joint, coefficient in self.joints.items():
+                given, axis = body_and_axis(joint)
+                body = fill(given, marks)
+                names = [copy.name for copy in copies_named(body, bodies)]
+                joints += [(f"{name}.{axis}", coefficient) for name in names or [body]]
+            tendon = self.into(
                 Tendon,
                 name=fill(self.name, marks),
-                joints=tuple(self._joints(marks, bodies)),
+                joints=tuple(joints),
                 rest=self.resting,
                 lower=lower,
                 upper=upper,
                 actuator=motor and motor.build(),
             )
-            for marks in self._values(bodies)
-        ]
-
-    def _values(self, bodies: Sequence[Copy]) -> list[dict[str, str]]:
-        """Return the values of the placeholders in the name, one mapping for each tendon."""
-        placeholder_names = placeholders(self.name)
-        if not placeholder_names:
-            return [{}]
-        found: list[dict[str, str]] = []
-        for joint in self.joints:
-            for copy in copies_named(body_and_axis(joint)[0], bodies):
-                marks = {mark: copy.marks[mark] for mark in placeholder_names if mark in copy.marks}
-                if placeholders(joint) >= placeholder_names and marks not in found:
-                    found.append(marks)
-        return found
-
-    def _joints(
-        self, marks: dict[str, str], bodies: Sequence[Copy]
-    ) -> Iterator[tuple[str, Number]]:
-        """Yield name and coefficient of every spanned axis, with the placeholders filled."""
-        for joint, coefficient in self.joints.items():
-            given, axis = body_and_axis(joint)
-            body = fill(given, marks)
-            names = [copy.name for copy in copies_named(body, bodies)]
-            for name in names or [body]:
-                yield f"{name}.{axis}", coefficient
+            tendons.append(tendon)
+        return tendons

@@ -114,7 +114,26 @@ class WaterConfig(Section):
         Raises:
             KeyProblem: there is no slender chain for reactive thrust.
         """
-        forces: list[ForceLaw] = [self._build_drag(creature, tree, layout)]
+
+        def points(resolution: int) -> dict[str, Surface]:
+            surfaces = outer_surfaces(creature, resolution, self.sheltered, layout)
+            if self.points == "random":
+                rng = np.random.default_rng(self.points_seed)
+                surfaces = random_surfaces(surfaces, self.random_points, rng)
+            return {body.name: each for body, each in zip(creature.bodies, surfaces, strict=True)}
+
+        if self.points == "random":
+            form = skin = points(_DENSE_RESOLUTION)
+        else:
+            form, skin = points(self.form_resolution), points(self.skin_resolution)
+        forces, surfacing = list[ForceLaw](), self.surface is not None
+        if self.viscosity is not None:
+            about = self.viscosity, self.form_drag, surfacing, layout
+            forces.append(make_viscous_drag(creature, tree, form, skin, *about))
+        else:
+            assert self.law is not None and self.skin_drag is not None
+            patches = make_patches(tree, form, skin, self.law, surfacing, layout)
+            forces.append(Drag(self.form_drag, self.skin_drag, patches, self.law))
         inertia = np.zeros((6, 6, tree.body_count))
         if self.added_mass:
             inertia = added_inertia(creature, tree, self.density)
@@ -134,27 +153,6 @@ class WaterConfig(Section):
         if self.lift and (plates := make_plate_lift(creature, tree, not self.added_mass, layout)):
             forces.append(plates)
         return forces
-
-    def _build_drag(self, creature: Creature, tree: Tree, layout: PointLayout) -> ForceLaw:
-        def points(resolution: int) -> dict[str, Surface]:
-            surfaces = outer_surfaces(creature, resolution, self.sheltered, layout)
-            if self.points == "random":
-                rng = np.random.default_rng(self.points_seed)
-                surfaces = random_surfaces(surfaces, self.random_points, rng)
-            return {body.name: each for body, each in zip(creature.bodies, surfaces, strict=True)}
-
-        if self.points == "random":
-            form = skin = points(_DENSE_RESOLUTION)
-        else:
-            form, skin = points(self.form_resolution), points(self.skin_resolution)
-        surfacing = self.surface is not None
-        if self.viscosity is not None:
-            return make_viscous_drag(
-                creature, tree, form, skin, self.viscosity, self.form_drag, surfacing, layout
-            )
-        assert self.law is not None and self.skin_drag is not None
-        patches = make_patches(tree, form, skin, self.law, surfacing, layout)
-        return Drag(self.form_drag, self.skin_drag, patches, self.law)
 
     @model_validator(mode="before")
     @classmethod
