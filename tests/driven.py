@@ -8,12 +8,37 @@ import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.analysis.energy import Ledger, ledger
+from evo_cpg.creature.creature import (
+    NO_LIMIT,
+    Actuator,
+    Body,
+    Creature,
+    Joint,
+    Material,
+    TorqueMotor,
+)
+from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.tree import build_tree
 from evo_cpg.native.jax_internals import quick_jit
 from evo_cpg.physics.step.step import Effort, step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.simulation.observers import PhysicsSteps
+
+
+def wheels(*motors: TorqueMotor | Actuator | None, **given: float) -> tuple[World, float]:
+    """Return wheels on the centre of a hub, and the inertia that the first one sees alone."""
+    hub, rim, water = Box((0.2, 0.2, 0.2)), Box((0.3, 0.3, 0.02)), Material(1000.0)
+    centre, free = (0.0, 0.0, 0.0), ((-NO_LIMIT,), (NO_LIMIT,))
+    bodies = [Body("hub", hub, water)]
+    for i, motor in enumerate(motors):
+        joint = Joint("hub", centre, centre, ((0.0, 0.0, 1.0),), *free, actuator=motor, **given)
+        bodies.append(Body(f"wheel{i}", rim, water, joint))
+    creature = Creature("wheels", tuple(bodies))
+    inertias = [body.shape.inertia(body.mass)[2] for body in creature.bodies]
+    alone = 1 / (1 / inertias[0] + 1 / inertias[1]) + given.get("armature", 0.0)
+    return World(build_tree(creature), 0.0), float(alone)
 
 
 def moved(

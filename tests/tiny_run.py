@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import yaml
+
 import xla_flags
 
 REPOSITORY = Path(__file__).parents[1]
@@ -58,6 +60,17 @@ def program(
         )
     finally:
         signal.signal(signal.SIGINT, interrupt)
+
+
+def contents(folder: Path) -> dict[Path, bytes | None]:
+    """Return the bytes of every file below a folder, and None for its folders."""
+    return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+
+
+def own_config() -> dict:
+    """Return the contents of the configuration, which find its creature from any folder."""
+    config = yaml.safe_load(CONFIG.read_text())
+    return config | {"creature": str(REPOSITORY / "configs" / config["creature"])}
 
 
 def environment(compiled: Path) -> dict[str, str]:

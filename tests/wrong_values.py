@@ -23,7 +23,11 @@ creature:
 
 def small(changes: dict[str, object]) -> dict:
     """Return the small configuration with changed values at keys such as ``task.type``."""
-    data = yaml.safe_load(SMALL)
+    return with_changes(yaml.safe_load(SMALL), changes)
+
+
+def with_changes(data: dict, changes: dict[str, object]) -> dict:
+    """Change the values at some keys of a mapping, and return it."""
     for key, value in changes.items():
         *parents, last = (int(part) if part.isdigit() else part for part in key.split("."))
         place = data

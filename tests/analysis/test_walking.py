@@ -5,13 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.animals import (
-    ANIMALS,
-    animals_of,
-    reynolds_of_swimmers,
-    running_cost,
-    swimming_cost,
-)
+from evo_cpg.analysis.animals import reynolds_of_swimmers, running_cost, swimming_cost
 from evo_cpg.analysis.stride import froude_number, recovery, tripod_strength
 
 BEAT = np.linspace(0.0, 10 * 2 * np.pi, 10 * 720 + 1)
@@ -84,13 +78,3 @@ def test_reynolds_numbers_of_swimmers():
     np.testing.assert_allclose(found, [0.03 * 1e2**1.31, 0.4 * 1e6**1.02])
     meet = (0.4 / 0.03) ** (1 / 0.29)
     assert meet == pytest.approx(7500, rel=0.02)
-
-
-def test_ranges_of_animals_are_ordered_and_named():
-    for each in ANIMALS:
-        assert each.low <= each.high and each.animal
-    assert str(animals_of("wave_slip")[0]) == "0.5 to 0.8 fish (secondary source)"
-    running = "up to 0.2 running animals (Cavagna et al. 1977, secondary source)"
-    assert str(animals_of("recovery")[1]) == running
-    assert animals_of("recovery")[0].animal == "walking animals"
-    assert animals_of("nothing") == ()

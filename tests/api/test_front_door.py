@@ -85,11 +85,6 @@ def test_fitness_in_a_population_equals_fitness_alone(experiment, genomes, evalu
     np.testing.assert_allclose(evaluation.fitness, expected, rtol=1e-6)
 
 
-def test_zero_random_genomes_are_allowed(experiment):
-    assert experiment.random_genomes(0, 0).shape == (0, experiment.gene_count)
-    assert len(experiment.random_genomes(0)) == experiment.population
-
-
 @pytest.mark.parametrize("copied", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy])
 def test_a_used_experiment_can_be_pickled(experiment, genomes, evaluation, copied):
     experiment.record(0, genomes[0])
@@ -113,13 +108,9 @@ def test_results_can_be_pickled(experiment, genomes, evaluation):
     np.testing.assert_array_equal(again[3].reset(jax.random.key(0)).obs, state.obs)
     np.testing.assert_array_equal(again[4].obs, state.obs)
     assert again[5] == experiment.task
-
-
-def test_an_error_can_be_pickled():
     with pytest.raises(evo.ConfigError, match="nam: unknown key") as refused:
         evo.load({"nam": "x"})
-    again = pickle.loads(pickle.dumps(refused.value))
-    assert isinstance(again, evo.ConfigError) and str(again) == str(refused.value)
+    assert str(pickle.loads(pickle.dumps(refused.value))) == str(refused.value)
 
 
 def shell(*arguments: object) -> object:
@@ -323,6 +314,12 @@ def test_rewards_of_an_episode_add_up_to_the_fitness(experiment, genomes):
         (lambda e, g: e.fitness_function()(g[0, 1:]), r"shape \(135,\)"),
         (lambda e, g: e.record(0, g[0], 1), "from 0 to 0, got 1"),
         (lambda e, g: e.environment(trial=1), "from 0 to 0, got 1"),
+        (
+            lambda e, g: e.environment().step(
+                e.environment().reset(jax.random.key(0)), np.zeros(5)
+            ),
+            r"action must have the shape \(6,\), got \(5,\)",
+        ),
         (lambda e, g: e.environment("powers"), "'activations' or 'torques', got"),
         (lambda e, g: e.environment("torques"), "no joint has one"),
         (lambda e, g: e.environment("activations"), "no joint has muscles"),
@@ -334,12 +331,6 @@ def test_rewards_of_an_episode_add_up_to_the_fitness(experiment, genomes):
 def test_wrong_arguments_are_named(experiment, genomes, call, words):
     with pytest.raises((ValueError, TypeError, evo.ConfigError), match=words):
         call(experiment, genomes)
-
-
-def test_an_action_of_the_wrong_size_is_refused(experiment):
-    environment = experiment.environment()
-    with pytest.raises(ValueError, match=r"action must have the shape \(6,\), got \(5,\)"):
-        environment.step(environment.reset(jax.random.key(0)), jnp.zeros(5))
 
 
 def test_overrides_work_as_on_the_command_line():

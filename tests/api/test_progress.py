@@ -131,15 +131,6 @@ def test_the_thread_ends_if_the_work_fails():
     assert "heartbeat" not in {thread.name for thread in threading.enumerate()}
 
 
-def test_work_in_a_pipe_prints_lines_to_standard_error(impatient, capsys):
-    with module.working("rendering", counted=True) as work:
-        work.reached(3, 4)
-        time.sleep(0.8)
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err == "rendering: 3/4, 0 s, about 0 s to go\n"
-
-
 def test_steps_in_a_pipe_print_lines(impatient, capsys):
     with module.progress("generations", 3, 1, "compiling") as show:
         time.sleep(0.8)

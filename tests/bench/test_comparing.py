@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import rows
 from benchmarks.compare import compare
-from benchmarks.report import comparison, notes, page_tables, tables
+from benchmarks.report import comparison, notes, tables
 from benchmarks.rows import Row, RowsError
 
 MACHINE = {"processor": "abacus", "cores": 2, "float32_peak": 1e11, "quick": False}
@@ -93,25 +93,3 @@ def test_numbers_that_json_lacks_are_not_written(tmp_path):
     assert rows.finite(float("nan")) is None
     with pytest.raises(ValueError, match="JSON"):
         rows.save(tmp_path / "bench.json", MACHINE, [changed(ALONE, rate=float("nan"))])
-
-
-def test_page_tables_leave_out_empty_columns():
-    """Our rate has one row for all peers. A peer without a rate shows the reason."""
-    where = {"float32_peak": 2.5e11, "versions": {"jax": "1.2", "mujoco": "4.5", "brax": None}}
-    other = changed(BESIDE, peer="Brax", peer_rate=None, peer_error=None, ratio=None,
-                    ratio_spread=None, note="not installed")  # fmt: skip
-    ours, beside = page_tables([BESIDE, other], where)
-    assert ours.title == "Peak: 250 GFLOP/s; JAX 1.2, MuJoCo 4.5."
-    assert dict(zip(ours.head, *ours.rows, strict=True)) == {
-        "": "physics", "n": "200", "ours, steps/s": "2.5 M", "compile": "10 s",
-        "memory, MiB": "256", "error": "0.004", "of the peak": "30.0%",
-    }  # fmt: skip
-    assert [dict(zip(beside.head, row, strict=True)) for row in beside.rows] == [
-        {"": "physics", "n": "200", "beside": "MuJoCo", "theirs, steps/s": "50 k",
-         "error": "0.012", "ratio (quartiles)": "50x (49x to 51x)"},
-        {"": "physics", "n": "200", "beside": "Brax", "theirs, steps/s": "not installed",
-         "error": "", "ratio (quartiles)": ""},
-    ]  # fmt: skip
-    (mixed,) = page_tables([ALONE, TIMED], where)
-    assert mixed.head == ["", "n", "ours"]
-    assert [row[2] for row in mixed.rows] == ["10 M control steps/s", "20.00 s"]

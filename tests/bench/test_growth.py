@@ -10,7 +10,7 @@ from benchmarks import growth, large_creatures
 from benchmarks.machine import children_watched
 from benchmarks.plan import Plan
 from benchmarks.report import line, notes, page_tables, tables
-from benchmarks.rows import Build, Row, load, save
+from benchmarks.rows import Build, Row
 from benchmarks.worker import WorkerError
 
 MACHINE = {"processor": "abacus", "cores": 2, "float32_peak": 1e11, "versions": {}}
@@ -43,6 +43,7 @@ def test_tables_have_costs_and_exponents():
     }  # fmt: skip
     assert [each["engine"] for each in cells] == ["native"] * 3 + ["plain JAX"]
     assert exponents.rows == [["chains", "64", "10 to 40", "1.00", "1.50", "0.00"]]
+    assert notes(ROWS) == [f"large-creatures, 64, chain, 60 bodies: {REASON}"]
 
 
 def test_other_rows_have_no_tables_of_growth():
@@ -51,15 +52,6 @@ def test_other_rows_have_no_tables_of_growth():
     assert len(tables([other], MACHINE)) == 2
     assert len(tables([other, *ROWS], MACHINE)) == 4
     assert growth.tables(ROWS[:1])[1].rows == []
-
-
-def test_a_fallback_shows_its_reason():
-    assert notes(ROWS) == [f"large-creatures, 64, chain, 60 bodies: {REASON}"]
-
-
-def test_loaded_rows_equal_the_saved_rows(tmp_path):
-    save(tmp_path / "bench.json", MACHINE, ROWS)
-    assert load(tmp_path / "bench.json") == (MACHINE, ROWS)
 
 
 def test_a_process_that_dies_leaves_a_row(monkeypatch):

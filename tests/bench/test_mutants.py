@@ -38,14 +38,6 @@ def test_a_mutant_of_missing_code_is_refused():
 
 def test_every_layer_with_mathematics_has_mutants():
     layers = {Path(mutant.file).parts[0] for mutant in MUTANTS}
-    assert layers == {
-        "analysis",
-        "creature",
-        "physics",
-        "control",
-        "evolution",
-        "simulation",
-        "native",
-        "view",
-    }
+    expected = "analysis creature physics control evolution simulation native view"
+    assert layers == set(expected.split())
     assert len(MUTANTS) >= 60

@@ -2,7 +2,6 @@
 
 import html
 import json
-import math
 import re
 import shutil
 from pathlib import Path
@@ -13,12 +12,9 @@ from PIL import Image
 
 import chromium
 import evo_cpg as evo
-from evo_cpg.api import analyse as analysing
 from evo_cpg.api import paper_differences as module
 from evo_cpg.api.paper_differences import notes, paper_differences
-from evo_cpg.errors import Advice
 from evo_cpg.io.load import dump_config, load_config
-from evo_cpg.training.checkpoint import genes_digest
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.run_page import origin
 from evo_cpg.view.run_page.subject import PageSubject
@@ -117,14 +113,6 @@ def test_numbers_on_the_page_equal_the_measured_terms(walker):
     assert 0.1 < whole <= terms["airborne"] + 1e-3 and terms["airborne"] <= most
 
 
-@pytest.mark.slow
-def test_only_a_walker_has_footfalls(walker, swimmer):
-    on_land, in_water = page_of(walker), page_of(swimmer)
-    assert "Footfalls" in on_land and "Strouhal" not in on_land
-    assert "Footfalls" not in in_water
-    assert "CPG output" in in_water and "angle of the posture" in on_land
-
-
 @pytest.mark.parametrize("animal", ["swimmer", pytest.param("walker", marks=pytest.mark.slow)])
 def test_the_page_is_small_and_requests_nothing_from_the_network(animal, request):
     page = page_of(request.getfixturevalue(animal))
@@ -177,55 +165,6 @@ def test_html_of_a_run_is_escaped_in_a_named_page(cli, swimmer, tmp_path):
             tab.open(out)
             assert tab.run("window.broken === undefined")
             assert not tab.complaints
-
-
-def test_python_warns_of_a_changed_configuration(swimmer, tmp_path, monkeypatch):
-    run = tmp_path / "run"
-    shutil.copytree(swimmer, run)
-    monkeypatch.setattr(analysing, "page", lambda *given: "a page")
-    evo.analyse(run)
-    with (run / "config.yaml").open("a") as file:
-        file.write("# another world\n")
-    with pytest.warns(Advice, match=CHANGED):
-        evo.analyse(run)
-
-
-@pytest.mark.slow
-def test_the_page_shows_the_audit(cli, swimmer, tmp_path):
-    assert "It was not audited" in page_of(swimmer)
-    run = tmp_path / "run"
-    shutil.copytree(swimmer, run)
-    champion = RunFolder(run).load_champion()[0]
-    checks = [
-        {"question": "way kept", "measured": 0.3, "limit": 0.9, "least": True, "unit": "%",
-         "passed": False},
-        {"question": "speed", "measured": None, "limit": None, "least": False, "unit": "m/s",
-         "passed": None},
-    ]  # fmt: skip
-    audit = {"passed": False, "reasons": ["way kept: 30 %"], "checks": checks, "made": "today",
-             "run": champion.run, "generation": champion.generation,
-             "fitness": champion.fitness}  # fmt: skip
-    (run / "audit.json").write_text(json.dumps(audit))
-    (run / "analysis.html").unlink()
-    cli.passes("analyse", run)
-    page = page_of(run)
-    assert "does not pass" in page and "belongs to another champion" not in page
-    rows = rows_of(page, "audit")
-    assert rows["way kept"][:2] == ["30 %", "at least 90 %"]
-    assert rows["speed"][0] == "diverged"
-
-
-@pytest.mark.slow
-def test_the_half_step_result_is_shown_for_its_champion_only(swimmer, tmp_path):
-    run = tmp_path / "run"
-    shutil.copytree(swimmer, run)
-    genes = RunFolder(run).load_champion()[0].genes
-    for digest, expected in ((genes_digest(genes), True), (genes_digest(genes + 1), False)):
-        kept = {"measured": 0.87, "least": 0.9, "passed": False, "genes_sha256": digest}
-        RunFolder(run).update_meta(half_step=kept)
-        (run / "analysis.html").unlink()
-        page = evo.analyse(run).page.read_text(encoding="utf-8")
-        assert ("At half the physics step it keeps 87 %" in page) == expected
 
 
 def test_the_page_lists_differences_from_the_paper(swimmer):
@@ -380,26 +319,13 @@ def differs(one: np.ndarray, other: np.ndarray) -> bool:
     return float((np.abs(one - other).max(-1) > 12).mean()) > 1e-3
 
 
-def test_numbers_have_three_digits():
-    from evo_cpg.view.run_page.html import number
-
-    assert number(0.12345) == "0.123" and number(11120.0) == "11120"
-    assert number(math.nan) == "\N{EN DASH}" and number(-2.0) == "\N{MINUS SIGN}2"
-
-
-@pytest.mark.parametrize("refined", [None, "2026-11-26", [{"from": 2.5, "to": 3.0}, {}]])
-def test_the_page_says_how_to_repeat_a_refinement(refined):
+def test_the_page_says_how_to_repeat_a_refinement():
     """Entries of an unexpected form, as older programs wrote them, are ignored."""
-    done = {
-        "finished": "2026-11-26T12:00:00+0000",
-        "command": ["refine", "/home/me/runs/eel", "--rounds", "2"],
-    }
-    meta = {} if refined is None else {"refined": refined}
-    if isinstance(refined, list):
-        meta["refined"] = [done | refined[0], *refined[1:]]
+    command = ["refine", "/home/me/runs/eel", "--rounds", "2"]
+    done = {"finished": "2026-11-26T12:00:00+0000", "command": command, "from": 2.5, "to": 3.0}
     nothing = PageSubject._make([None] * len(PageSubject._fields))
-    subject = nothing._replace(folder="eel", meta=meta, config="name: eel")
-    shown = origin.repetition(subject)
-    assert ("repeat only the evolution" in shown) == isinstance(refined, list)
-    assert ("evo-cpg refine eel --rounds 2" in shown) == isinstance(refined, list)
-    assert ("2.5 to 3" in shown) == isinstance(refined, list)
+    words = "repeat only the evolution", "evo-cpg refine eel --rounds 2", "2.5 to 3"
+    for meta in ({}, {"refined": "2026-11-26"}, {"refined": [done, {}]}):
+        subject = nothing._replace(folder="eel", meta=meta, config="name: eel")
+        shown = origin.repetition(subject)
+        assert [each in shown for each in words] == [meta.get("refined", [])[:1] == [done]] * 3

@@ -193,22 +193,16 @@ def test_the_verdict_says_not_confirmed(capsys):
     assert capsys.readouterr().out == f"run: {words}\n"
 
 
-def test_the_verdict_names_unused_eyes_and_short_displacements(capsys):
-    sees, blind, still = (
-        judged(
-            Check("way", "", displacement),
-            *(Check(key, "", kept) for key, kept in fractions.items()),
-        )
-        for displacement, fractions in (
-            (2.0, {"half_step": 1.0, "blind": 0.3}),
-            (2.0, {"half_step": 1.0, "blind": 0.83}),
-            (0.004, {}),
-        )
-    )
-    show_verdict(Path("run"), [sees], "the champion")
-    assert capsys.readouterr() == ("run: the champion passes its audit\n", "")
-    show_verdict(Path("run"), [blind], "the champion")
-    assert "does not use its eyes" in capsys.readouterr().err
-    show_verdict(Path("run"), [sees, still], "")
-    words = "displacement 0.004 m: too short to compare variations with"
-    assert capsys.readouterr().err == f"run: run 0: {words}\n"
+@pytest.mark.parametrize(
+    ("way", "kept", "out", "complaint"),
+    [
+        (2.0, {"half_step": 1.0, "blind": 0.3}, "run: the champion passes its audit\n", ""),
+        (2.0, {"half_step": 1.0, "blind": 0.83}, "passes", "does not use its eyes"),
+        (0.004, {}, "passes", "displacement 0.004 m: too short to compare variations with"),
+    ],
+)
+def test_the_verdict_names_unused_eyes_and_short_displacements(capsys, way, kept, out, complaint):
+    checks = Check("way", "", way), *(Check(key, "", fraction) for key, fraction in kept.items())
+    show_verdict(Path("run"), [judged(*checks)], "the champion")
+    told = capsys.readouterr()
+    assert out in told.out and complaint in told.err and bool(complaint) == bool(told.err)

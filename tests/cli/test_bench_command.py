@@ -45,13 +45,6 @@ def test_an_error_is_one_line(cli, monkeypatch, tmp_path, arguments, words):
     assert all(word in complaint for word in words), complaint
 
 
-def test_a_file_without_a_benchmark_is_refused(cli, tmp_path):
-    other = tmp_path / "other.json"
-    other.write_text("{}")
-    complaint = cli.refuses(*QUICK, "--compare", other)
-    assert f"--compare: {other} has the format None, not 2" in complaint
-
-
 def test_measured_rows_are_kept_if_the_next_case_fails(cli, monkeypatch, tmp_path):
     """Each row is printed to standard error and written to the file at once."""
     kept, seen = tmp_path / "bench.json", []

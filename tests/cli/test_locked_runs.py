@@ -10,11 +10,7 @@ from evo_cpg.api.sweep import claim, new_plan
 from evo_cpg.io.settings import Setting
 from evo_cpg.locks import LockedError, locked
 from evo_cpg.training.run_folder import RunFolder
-from tiny_run import CONFIG, PAIR, TINY
-
-
-def contents(folder):
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+from tiny_run import CONFIG, PAIR, TINY, contents
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from evo_cpg.training.run_folder import RunFolder
-from tiny_run import CONFIG, REPOSITORY
+from tiny_run import own_config
 
 # The example in the documentation of `Controller`, and a race along x.
 MODULE = """
@@ -83,10 +83,7 @@ SETTINGS = (
 
 def race(folder: Path, task: dict[str, Any]) -> Path:
     """Write a configuration and, next to it, the module."""
-    config = yaml.safe_load(CONFIG.read_text())
-    config["creature"] = str(REPOSITORY / "configs" / config["creature"])
-    config["controller"] = {"type": "my_animal:SineController"}
-    config["task"] = task
+    config = own_config() | {"controller": {"type": "my_animal:SineController"}, "task": task}
     mine = folder / "mine"
     mine.mkdir()
     (mine / "my_animal.py").write_text(MODULE)

@@ -93,41 +93,32 @@ def made_of(bearings: list[float], left: list[float]) -> Probe:
     return Probe(situations, np.full(count, 5.0), np.array(left), np.zeros(count), alive, paths)
 
 
-@pytest.mark.parametrize(
-    ("left", "words"),
-    [
-        ([0.1, 0.1, 0.1, 0.1], ""),
-        ([0.9, 0.9, 0.1, 0.1], ""),
-        ([0.9, 0.9, 0.9, 0.1], "it misses most lights: it reaches 1 of 4, all of them on the left"),
-        (
-            [0.1, 0.9, 0.9, 0.9],
-            "it misses most lights: it reaches 1 of 4, all of them on the right",
-        ),
-        ([0.9, 0.9, 0.9, np.nan], "it misses most lights: it reaches 0 of 4"),
-    ],
-)
-def test_missing_most_lights_is_a_warning(left, words):
-    assert Probed("", made_of([-60, -20, 20, 60], left), None, 0.2, True).remark == words
+LIGHT = (-60, -20, 20, 60)
+MISSED = "it misses most lights: it reaches"
+UNUSED = "it does not use its eyes: blinded, it keeps"
 
 
 @pytest.mark.parametrize(
-    ("left", "words"),
+    ("bearings", "left", "blind", "words"),
     [
-        ([0.25, 0.25], "it does not use its eyes: blinded, it keeps 83% of its displacement"),
-        ([0.1, 0.1], "it does not use its eyes: blinded, it keeps 100% of its displacement"),
-        ([0.9, 0.3], ""),
-        ([2.0, np.nan], ""),
+        (LIGHT, [0.1, 0.1, 0.1, 0.1], None, ""),
+        (LIGHT, [0.9, 0.9, 0.1, 0.1], None, ""),
+        (LIGHT, [0.9, 0.9, 0.9, 0.1], None, f"{MISSED} 1 of 4, all of them on the left"),
+        (LIGHT, [0.1, 0.9, 0.9, 0.9], None, f"{MISSED} 1 of 4, all of them on the right"),
+        (LIGHT, [0.9, 0.9, 0.9, np.nan], None, f"{MISSED} 0 of 4"),
+        ([-30, 30], [0.1, 0.1], [0.25, 0.25], f"{UNUSED} 83% of its displacement"),
+        ([-30, 30], [0.1, 0.1], [0.1, 0.1], f"{UNUSED} 100% of its displacement"),
+        ([-30, 30], [0.1, 0.1], [0.9, 0.3], ""),
+        ([-30, 30], [0.1, 0.1], [2.0, np.nan], ""),
+        ([-30, 30], [1.0, 1.1], [1.0, 1.1], "nothing can be compared"),
     ],
 )
-def test_unused_eyes_are_a_warning(left, words):
-    seeing, blind = made_of([-30, 30], [0.1, 0.1]), made_of([-30, 30], left)
-    found = Probed("", blind, seeing, 0.2, True).remark
-    assert found.startswith(words) and bool(found) == bool(words)
-
-
-def test_an_animal_without_displacement_cannot_be_compared():
-    lost = made_of([-30, 30], [1.0, 1.1])
-    assert "nothing can be compared" in Probed("", lost, lost, 0.2, True).remark
+def test_missed_lights_and_unused_eyes_are_warnings(bearings, left, blind, words):
+    """An animal without displacement cannot be compared with a blinded one."""
+    seeing = made_of(bearings, left)
+    given = (seeing, None) if blind is None else (made_of(bearings, blind), seeing)
+    found = Probed("", *given, 0.2, True).remark
+    assert words in found and bool(found) == bool(words)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,10 @@
 """`evo-cpg reproduce`: make the parts of a study, interrupt them and continue."""
 
-import contextlib
 import json
 import shutil
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from evo_cpg.api import machine, sweep
 from evo_cpg.cli import repeat as reproduce
@@ -14,7 +12,6 @@ from evo_cpg.cli.repeat import default_folder, make
 from evo_cpg.errors import UsageError
 from evo_cpg.files import OutputError
 from evo_cpg.studies import NAMES, find_study, provenance, workshop
-from evo_cpg.studies.parts import pictures_part, stills
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle, percent
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -125,24 +122,19 @@ def test_a_continued_study_equals_an_uninterrupted_one(made, tmp_path, monkeypat
     assert first.splitlines()[:5] == second.splitlines()[:5]
 
 
-def test_runs_with_other_rules_are_refused_and_other_limits_are_not(made, tmp_path):
+def test_runs_of_another_configuration_are_refused(made, tmp_path):
     """A limit of the audit does not affect the evolution, unless it is a rule."""
     folder = tmp_path / "other"
     shutil.copytree(made, folder)
-    for changes, taken in ((["audit.overlap=0.02"], True), (["audit.disqualify=[speed]"], False)):
-        runs = {**TWIN.runs, "few": Runs(CONFIG, (*SHORT, *changes), 2)}
-        with contextlib.nullcontext() if taken else pytest.raises(RunFolderError, match="few was"):
-            make(TWIN._replace(runs=runs), ["ends"], folder, False, False, 2)
 
+    def changed(*changes: str) -> Study:
+        return TWIN._replace(runs={**TWIN.runs, "few": Runs(CONFIG, (*SHORT, *changes), 2)})
 
-def test_runs_of_another_configuration_are_refused(made, tmp_path):
-    folder = tmp_path / "other"
-    shutil.copytree(made, folder)
-    runs = {**TWIN.runs, "few": Runs(CONFIG, (*SHORT, "seed=7"), 2)}
-    other = TWIN._replace(runs=runs)
-    with pytest.raises(RunFolderError, match="few was made with another configuration"):
-        make(other, ["ends"], folder, False, False, 2)
-    make(other, ["ends"], folder, False, True, 2)
+    make(changed("audit.overlap=0.02"), ["ends"], folder, False, False, 2)
+    for change in ("audit.disqualify=[speed]", "seed=7"):
+        with pytest.raises(RunFolderError, match="few was made with another configuration"):
+            make(changed(change), ["ends"], folder, False, False, 2)
+    make(changed("seed=7"), ["ends"], folder, False, True, 2)
     assert provenance.read(folder)["ends"]["runs"]["few"]["seeds"] == [7, 8]
     assert (folder / "ends.md").read_text() != (made / "ends.md").read_text()
 
@@ -161,33 +153,6 @@ def test_quick_results_are_marked_and_kept_apart(made, tmp_path):
     assert record["runs"]["few"]["generations"] == 2
     with pytest.raises(RunFolderError, match="holds quick results"):
         make(TWIN, ["ends"], folder, False, False, 2)
-
-
-@pytest.mark.slow
-def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
-    """Picture and table have a row for each run, without numbers if a run has no champion."""
-    folder = tmp_path / "drawn"
-    shutil.copytree(made, folder)
-
-    pictures = pictures_part("moments", {"a few": "few", "many": "many"}, {"one": "few"})
-    drawn = TWIN._replace(parts={"pictures": pictures})
-    monkeypatch.setattr("evo_cpg.studies.parts._SIZE", (64, 36))
-    make(drawn, ["pictures"], folder, False, False, 2)
-    record = provenance.read(folder)["pictures"]
-    assert set(record["files"]) == {"pictures.md", "pictures.png", "pictures_few.png"}
-    with Image.open(folder / "pictures.png") as picture:
-        # The picture has a heading above each moment.
-        assert picture.size == (3 * 64 + 2 * 24, 2 * 36 + 4 + 40)
-    best = RunFolder(folder / "runs" / "few").load().champion
-    row = f"| a few | {best.run} | {best.generation} | {best.fitness:.3f} | "
-    lines = (folder / "pictures.md").read_text().splitlines()
-    (line,) = [line for line in lines if line.startswith("| a few")]
-    assert line.startswith(row) and line.endswith(" m to the light | 0.0, 0.2, 0.5 |")
-
-    shop = Workshop(drawn, folder, False, 2)
-    dead = shop.checkpoint("few")._replace(records=(None, None))
-    monkeypatch.setattr(Workshop, "checkpoint", lambda self, name: dead)
-    assert stills(shop, {"x": "few"}).rows == [["x", "no champion"]]
 
 
 def test_measurements_are_kept_until_champions_or_the_program_change(made, tmp_path, monkeypatch):
@@ -224,14 +189,6 @@ def test_errors_suggest_the_nearest_study_or_part(tmp_path):
         Workshop(TWIN, tmp_path / "file" / "in", False, 2).claim()
     with pytest.raises(RunFolderError, match="few has no finished generation"):
         Workshop(TWIN, tmp_path, False, 2).checkpoint("few")
-
-
-def test_the_list_has_all_studies_and_parts(capsys):
-    reproduce.reproduce(None, [], None, False, True, False, None)
-    shown = capsys.readouterr().out
-    assert all(name in shown for name in NAMES)
-    for part in find_study("fukui2003").parts:
-        assert part in shown
 
 
 def test_files_go_next_to_the_pages_of_a_clone(monkeypatch, tmp_path):

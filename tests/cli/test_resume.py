@@ -17,7 +17,7 @@ import yaml
 import evo_cpg as evo
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.train import TIMING_COLUMNS
-from tiny_run import CONFIG, GENERATIONS, LONG
+from tiny_run import CONFIG, GENERATIONS, LONG, contents
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
@@ -117,10 +117,6 @@ def test_resume_of_a_finished_run_prints_how_to_continue(finished_run, cli, tmp_
     assert f"`evo-cpg resume {folder}` ({GENERATIONS} generations are done)" in err
     code, _, err = cli("resume", folder, "--generations", MORE)
     assert code == 0 and len(rows(folder)) == MORE
-
-
-def contents(folder: Path) -> dict[Path, bytes]:
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 MORE = GENERATIONS + 1

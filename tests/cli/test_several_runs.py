@@ -6,9 +6,7 @@ import shutil
 import pytest
 
 import evo_cpg as evo
-from evo_cpg.api import runs
 from evo_cpg.training.run_folder import RunFolder
-from pictures import ink
 from tiny_run import CONFIG, PAIR
 
 NOISY = (
@@ -58,39 +56,14 @@ def test_resume_chooses_a_champion_that_is_not_yet_chosen(noisy_run, cli, tmp_pa
     ]
 
 
-@pytest.mark.slow
-def test_the_champion_of_any_run_is_filmed(noisy_run, cli, tmp_path):
-    kept, _, _ = RunFolder(noisy_run).load_champion()
-    picture = tmp_path / "other.png"
-    options = ("--run", 1 - kept.run, "--size", "64x48", "-o", picture)
-    code, out, err = cli("render", noisy_run, *options)
-    assert (code, out) == (0, f"{picture}\n"), err
-    assert ink(picture) > 0.01
-
-
-def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path, monkeypatch):
+def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path):
     kept, _, _ = RunFolder(noisy_run).load_champion()
     other = 1 - kept.run
-    motion_of, plotted = runs.motion_of, []
-
-    def seen(opened, trial):
-        plotted.append(opened.champion.run)
-        return motion_of(opened, trial)
-
-    monkeypatch.setattr(runs, "motion_of", seen)
     code, out, err = cli("plot", noisy_run, "--run", other, "-o", tmp_path)
     drawn = [f"joint_signals_run{other}.png", f"path_run{other}.png"]
-    assert code == 0 and plotted == [other], err
+    assert code == 0, err
     assert out.splitlines() == [str(tmp_path / name) for name in ("fitness.png", *drawn)]
     assert "has 2 run(s)" in cli.refuses("plot", noisy_run, "--run", 2, "-o", tmp_path)
-
-
-@pytest.mark.slow
-def test_the_lineage_of_a_noisy_run_ends_with_its_champion(noisy_run, cli, tmp_path):
-    picture = tmp_path / "lineage.png"
-    options = ("--lineage", "auto", "--size", "64x48", "--seconds", "0.2", "-o", picture)
-    code, out, err = cli("render", noisy_run, *options)
-    assert (code, out) == (0, f"{picture}\n"), err
 
 
 def test_resume_refuses_another_number_of_runs(noisy_run, cli, tmp_path):

@@ -17,10 +17,10 @@ from evo_cpg.io.load import as_overrides
 from evo_cpg.io.settings import combine
 from evo_cpg.training import devices, train
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-from evo_cpg.training.train import TIMING_COLUMNS
 from evo_cpg.view import search_plots
 from pictures import ink
 from tiny_run import CONFIG, PAIR
+from trials import untimed
 
 SHORT = (*PAIR, "simulation.seconds=0.3333", "evolution.generations=3", "runs=2")
 GRID = ("evolution.mutation_rate=0.02,0.3",)
@@ -41,10 +41,6 @@ def sweep(folder, *, grid=GRID, settings=None, given=SHORT, only=()):
 def table(path):
     with path.open() as file:
         return list(csv.DictReader(file))
-
-
-def untimed(rows):
-    return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
 
 
 @pytest.fixture(scope="module")
@@ -191,13 +187,8 @@ def test_a_run_of_a_sweep_can_be_verified(swept):
         ({"grid": ("seed=[1",)}, "is not a list of values"),
         ({"grid": ("name=!!int x",)}, "'!!int x' is not a list of values"),
         ({"grid": ("seed=[],",)}, "is not a list of values"),
-        ({"grid": ("seed=1,1",)}, "two settings would be called 'seed=1'"),
         ({"grid": ("seed=1", "seed=2")}, "seed is given twice"),
         ({"grid": ("seed=1,2",), "given": ("seed=3",)}, "seed is given twice"),
-        (
-            {"grid": ("evolution.sigma=4,8", "evolution={type: real},{type: random}"), "given": ()},
-            r"evolution would replace evolution\.sigma",
-        ),
         ({"only": ("there",)}, r"no setting 'there'\. Allowed: mutation_rate=0.02, mutation_rate"),
     ],
 )
@@ -249,7 +240,6 @@ def test_a_changed_configuration_is_refused(tmp_path):
     ("change", "words"),
     [
         ({"config": 3}, "wrong type"),
-        ({"overrides": [3]}, "wrong type"),
         ({"settings": {"a": []}}, "wrong type"),
         *(
             ({"settings": {name: {}}}, "is not allowed as the name of a setting")

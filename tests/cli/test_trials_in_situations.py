@@ -1,15 +1,9 @@
 """A run with three situations: training, verification, plots and films of any of them."""
 
-import numpy as np
 import pytest
 import yaml
 
-from evo_cpg.cli.draw import plot
 from evo_cpg.cli.options import View
-from evo_cpg.io import run
-from evo_cpg.training import devices
-from evo_cpg.training.evaluate import Replay
-from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.camera import CAMERAS
 from pictures import ink
 from tiny_run import CONFIG, PAIR
@@ -54,26 +48,6 @@ def test_each_camera_has_its_own_file(situated_run, cli):
     assert (code, out) == (0, f"{situated_run / 'videos' / 'champion_trial1_top.mp4'}\n"), err
     err = cli.refuses("render", situated_run, "--camera", "front")
     assert "'front' is not one of 'follow', 'side', 'top'" in " ".join(err.split())
-
-
-def test_only_trials_after_the_first_are_replayed(situated_run, tmp_path, monkeypatch):
-    champion, kept, _ = RunFolder(situated_run).load_champion()
-    assert kept is not None
-    assert kept.goal == pytest.approx((4, -8 * np.sin(np.pi / 3), 0))
-    replayed = []
-
-    def compile_replay(experiment, devices, recorded, full):
-        def replay(individual):
-            replayed.append((individual.fitness, recorded))
-            return Replay(champion.fitness, champion.terms, {}, kept)
-
-        return replay
-
-    monkeypatch.setattr(run, "compile_replay", compile_replay)
-    monkeypatch.setattr(devices, "use_cores", lambda count=None: 2)
-    for trial in (0, 2):
-        plot(situated_run, tmp_path, trial=trial)
-    assert replayed == [(champion.fitness, 2)]
 
 
 @pytest.mark.parametrize("command", ["render", "plot"])

@@ -8,7 +8,7 @@ import pytest
 
 from evo_cpg.cli.evolve import watch
 from evo_cpg.training.run_folder import RunFolder
-from tiny_run import CONFIG, LONG, PAIR
+from tiny_run import CONFIG, LONG, PAIR, contents
 
 
 @pytest.fixture(scope="module")
@@ -16,14 +16,6 @@ def run(cli, tmp_path_factory):
     folder = tmp_path_factory.mktemp("watched") / "run"
     cli.passes("train", CONFIG, *PAIR, "evolution.generations=3", "--out", folder)
     return folder
-
-
-def contents(folder) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
 
 
 def test_a_finished_run_is_printed_and_unchanged(cli, run):

@@ -36,23 +36,6 @@ def test_brain_equals_its_equations_written_out(hidden, temperature):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
 
 
-def test_batch_equals_single_and_vmap():
-    brain = Brain((94, 16, 7), 1.0)
-    genes = jax.random.uniform(jax.random.key(0), (brain.gene_count, 5), float, -2, 2)
-    inputs = jax.random.uniform(jax.random.key(1), (94, 5), float, -1, 1)
-
-    @jax.jit
-    def outputs(genes, inputs):
-        return think(brain, decode_weights(brain, genes), inputs)
-
-    batched = outputs(genes, inputs)
-    mapped = jax.vmap(outputs, in_axes=-1, out_axes=-1)(genes, inputs)
-    np.testing.assert_allclose(mapped, batched, rtol=0, atol=1e-14)
-    for k in range(2):
-        single = outputs(genes[:, k], inputs[:, k])
-        np.testing.assert_allclose(single, batched[:, k], rtol=0, atol=1e-14)
-
-
 @pytest.mark.parametrize(
     ("genes", "inputs", "words"),
     [

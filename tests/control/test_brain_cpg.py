@@ -268,13 +268,6 @@ def test_gradient_flows_through_brain_and_cord(chain):
     assert jax.jit(jax.grad(late_signal))(0.0) == pytest.approx(float(difference), rel=1e-6)
 
 
-def test_largest_amplitude_counts_steering_and_feedback():
-    settings = BrainCpgSettings(
-        cpg=CpgSettings(max_tonic_input=2.0, constant_input=0.5), steering_range=0.25
-    )
-    assert max_amplitude(settings) == 3.0
-
-
 def test_creature_without_joints_is_refused(grow):
     with pytest.raises(ValueError, match="a creature with at least one joint"):
         build_brain_cpg(grow({"stone": (None, "")}), 1, 1)

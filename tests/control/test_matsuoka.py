@@ -392,23 +392,6 @@ def storm(network, tonic_inputs, gains):
     return jax.lax.scan(hold, start, (tonic_inputs, gains))[1]
 
 
-def test_batch_equals_single_and_vmap(chain):
-    network = build_network(chain(4, "xyz"), CpgSettings(time_scale=0.25))
-    rng = np.random.default_rng(2)
-    u = jnp.asarray(rng.uniform(0, 1, (2, 9, 5)))
-    b = jnp.asarray(rng.uniform(1, 10, (9, 5)))
-    state = initial_state(network, (5,), float)
-    batched = simulate(network, state, u, b, 1 / 60, 60)
-    mapped = jax.vmap(
-        lambda s, u, b: simulate(network, s, u, b, 1 / 60, 60), in_axes=-1, out_axes=-1
-    )(state, u, b)
-    np.testing.assert_allclose(mapped, batched, rtol=0, atol=1e-13)
-    one = initial_state(network, (), float)
-    for k in range(2):
-        single = simulate(network, one, u[..., k], b[..., k], 1 / 60, 60)
-        np.testing.assert_allclose(single, batched[..., k], rtol=0, atol=1e-13)
-
-
 def test_single_precision_keeps_its_type_and_agrees_with_double(chain):
     network = build_network(chain(10, "z"), CpgSettings())
     ends = {}
@@ -418,19 +401,6 @@ def test_single_precision_keeps_its_type_and_agrees_with_double(chain):
         ends[dtype] = simulate(network, state, jnp.ones((2, 9), dtype), gain, 1 / 60, 600)
         assert ends[dtype].dtype == dtype
     np.testing.assert_allclose(ends[jnp.float32], ends[jnp.float64], rtol=0, atol=2e-5)
-
-
-def test_gradient_equals_the_central_difference(chain):
-    network = build_network(chain(4, "z"), CpgSettings(time_scale=0.25))
-
-    @jax.jit
-    def late_signal(u):
-        state = initial_state(network, (), float)
-        return simulate(network, state, u * jnp.ones((2, 3)), jnp.full(3, 5.0), 1 / 60, 120)[-1, 2]
-
-    step = 1e-5
-    difference = (late_signal(0.8 + step) - late_signal(0.8 - step)) / (2 * step)
-    assert jax.jit(jax.grad(late_signal))(0.8) == pytest.approx(float(difference), rel=1e-7)
 
 
 @pytest.mark.parametrize(

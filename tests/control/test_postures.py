@@ -239,15 +239,6 @@ def test_postures_repeat_up_to_the_largest_step_number(pendulum):
     np.testing.assert_array_equal(found, steps * 3 // 50 % 8)
 
 
-def test_batch_equals_single_and_vmap(quadruped):
-    genes = quadruped.random_genes(jax.random.key(2), (3,), float)
-    batched = act_for(quadruped, genes, 170).target_angle
-    mapped = jax.vmap(lambda one: act_for(quadruped, one, 170).target_angle, -1, -1)(genes)
-    np.testing.assert_array_equal(mapped, batched)
-    single = act_for(quadruped, genes[:, 1], 170).target_angle
-    np.testing.assert_array_equal(single, batched[..., 1])
-
-
 @pytest.mark.parametrize("wide", [True, False])
 def test_single_precision_is_kept(quadruped, wide):
     with jax.enable_x64(wide):

@@ -157,11 +157,6 @@ def test_limit_stiffness_uses_the_effective_inertia():
     np.testing.assert_allclose(tree.limit_damping[1], half * rate, rtol=1e-12)
 
 
-def test_index_of_a_body():
-    assert creature(body("a"), body("b", "a")).body_index("b") == 1
-    assert creature(body("b", "a"), body("a")).root_index == 1
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_lowest_height_equals_the_lowest_surface_point(seed):
     """Compare random shapes and rotations with a fine quadrature of the surfaces."""

@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 import yaml
 
-from evo_cpg.io.file_schema import documented_attributes, file_schema
+from evo_cpg.io.file_schema import file_schema
 from evo_cpg.io.load import dump_config, load_config
 from evo_cpg.io.shipped import shipped, shipped_names
 from tiny_run import REPOSITORY
@@ -107,32 +107,10 @@ def test_reference_lists_every_key_of_every_section():
 def test_reference_lists_values_units_and_defaults():
     text = configuration_tables.every_key()
     for row in (
-        "| `field_of_view_deg` | number above 0, up to 360 | degrees | `180` | full opening",
         "| `size` | 3 numbers above 0 | m | **required** | edges along x, y and z |",
         "| `mutated_genes` | 2 whole numbers from 1 to 1000000 |  | `[2, 30]` | fewest and most",
-        "| `restitution_rule` | `multiply`, `average`, `geometric`, `min` or `max` |",
-        "| `type` | `hills` |  | **required** |",
         "| `type` | `real` |  | `real` |",
-        "| `surface` | number | m | none | height of",
-        "### `simulation.trials.N.light`, `task.light`",
         "### `creature.sensors.N`, `world.forces.N`, `controller`, `task`: `type: my_module:MyCl",
     ):
         assert row in text, row
     assert "1000000000000" not in text and "Config" not in text.replace("(config-", "")
-
-
-def test_attributes_are_read_from_a_docstring():
-    about, attributes = documented_attributes(
-        """A section.
-
-        Attributes:
-            a: one line.
-            b: a line: and
-                another.
-
-        Raises:
-            ValueError: c: not one.
-        """
-    )
-    assert about == "A section."
-    assert attributes == {"a": "one line.", "b": "a line: and another."}

@@ -30,8 +30,6 @@ THICK = "; ".join(VISCOUS)
 # The key is that of the last setting unless given.
 MISTAKES = [
     (CONFIG, "creature.materials.body.density=1", "", "1000"),
-    (CONFIG, "creature.materials.body.density=7.8", "", "7800"),
-    (CONFIG, "creature.materials.body.density=1e6", "", "1000"),
     (WALKER, "creature.materials.body.density=1.05", "", "1050"),
     (CONFIG, "creature.materials.body.density=2700", "", "sinks"),
     (CONFIG, "creature.bodies.0.mass=0.1; creature.bodies.1.mass=0.2", "", "rises"),
@@ -42,13 +40,11 @@ MISTAKES = [
         "armature",
     ),
     (CONFIG, "creature.bodies.1.joint.child_at=[-0.11, 0, 0]", "", "folded"),
-    (CONFIG, "creature.bodies.1.joint.at=[0.11, 0, 0]", "joint.child_at", "folded"),
     (INSECT, "creature.bodies.1.joint.child_at=[0, 0.1, 0]", "", "folded"),
     (CONFIG, "world.water.density=1.025", "", "1025"),
     (CONFIG, "world.water.density=80", "", "Water"),
     (CONFIG, f"{THICK}; world.water.viscosity=1", "", "0.001"),
     (CONFIG, "creature.bodies.0.shape.size=[200, 100, 100]", "", "30"),
-    (CONFIG, "creature.bodies.0.shape.size=[0.0002, 0.0001, 0.0001]", "", "0.001"),
     (CONFIG, "creature.bodies.0.shape={type: sphere, radius: 10}", "radius", "median"),
     (CONFIG, "creature.bodies.0.shape.size=[0.002, 0.001, 0.001]", "joint.parent", "float32"),
     (
@@ -65,49 +61,24 @@ MISTAKES = [
         "neutral",
     ),
     (CONFIG, "creature.bodies.1.joint.limits_deg=[-1.05, 1.05]", "", "60.2"),
-    (CONFIG, "creature.bodies.1.joint.limits_deg=[-0.4, 1.2]", "", "68.8"),
     (WALKER, "creature.bodies.1.joint.limits_deg=[-2292, 2292]", "", "40"),
     (CONFIG, "world.gravity=981", "", "9.81"),
     (INSECT, "creature.bodies.2.joint.rotation_deg=[0, 1.05, 1.5708]", "", "60, 90"),
-    (CONFIG, "simulation.start_heading_deg=3.14", "", "180"),
     (CONFIG, "task.light.bearing_deg=0.524", "", "30"),
     (CONFIG, "task.light.bearing_deg=1719", "", "twice"),
-    (
-        CONFIG,
-        "simulation.trials=[{light: {bearing_deg: -0.7854}}, {start_heading_deg: 1.571}]",
-        "bearing_deg",
-        "-45",
-    ),
-    (WALKER, "world.ground.floor={type: plane, slope_deg: 0.2618}", "slope_deg", "15"),
-    (
-        WALKER,
-        "world.ground.obstacles=[{type: block, centre: [3, 0, 0], size: [1, 1, 1], "
-        "heading_deg: 0.7854}]",
-        "heading_deg",
-        "45",
-    ),
     (CONFIG, "creature.light_sensors.0.field_of_view_deg=3.1416", "", "180"),
     (CONFIG, "controller.max_rate=286", "", "4.992"),
     (CONFIG, "creature.bodies.1.joint.at=[-0.2, 0, 0]", "", "'head'"),
     (CONFIG, f"{PARTS}; creature.bodies.1.joint.at=[-0.2, 0, 0]", "", "0.1, 0.09, 0.05"),
-    (CONFIG, "creature.bodies.1.joint.child_at=[0.11, 0.2, 0]", "", "'segment1'"),
     (CONFIG, "creature.light_sensors.0.position=[1, 0, 0]", "", "'head'"),
     (SHORE, "creature.depth_sensors=[{body: head, position: [0, 0, -50]}]", "position", "'head'"),
     (CONFIG, "world.water=null", "world.ground", "327"),
     (CONFIG, "world={ground: {}}", "world.water", "null"),
-    (
-        CONFIG,
-        "world={ground: {floor: {type: shore, stop: 3, stop_height: -1}}}",
-        "world.water",
-        "null",
-    ),
     (CONFIG, "task={type: walk}; creature.light_sensors=[]", "task.type", "ground"),
     (CONFIG, "creature.light_sensors=[]", "", "eye"),
-    (CONFIG, "creature.light_sensors=[]; task={}", "creature.light_sensors", "eye"),
     (LEGS, "task={type: reach_light}", "task.type", "senses"),
     (CONFIG, "creature.bodies.1.joint.actuator=null", "", "motor"),
     (CONFIG, "simulation.trials=5", "", "5"),
-    (CONFIG, "simulation.trials=[{}, {}]", "", "2"),
 ]
 
 
@@ -145,12 +116,9 @@ def test_every_rule_has_a_mistake():
     [
         # Small angles that match no common angle in radians.
         (CONFIG, ["task.light.bearing_deg=1", "simulation.start_heading_deg=3"]),
-        (CONFIG, ["task.light.bearing_deg=0.9"]),
-        (WALKER, ["world.ground.floor={type: plane, slope_deg: 2.5}"]),
         # Stiff joints, also of a file in radians, and one beside joints that turn farther.
         (CONFIG, ["creature.bodies.1.joint.limits_deg=[-2, 2]"]),
         (CONFIG, ["creature.bodies.1.joint.limits_deg=[-2.00535, 2.00535]"]),
-        (WALKER, ["creature.bodies.1.joint.limits_deg=[-2.5, 2.5]"]),
         # Bodies of foam on land, and a density without effect.
         (LEGS, ["creature.materials.body.density=5"]),
         (
@@ -177,7 +145,6 @@ def test_every_rule_has_a_mistake():
         (CONFIG, ["world.gravity=0", "world.water=null"]),
         # Ground under water, if the key `water` is present.
         (CONFIG, ["world.water={}", "world.ground={}"]),
-        (CONFIG, ["world={ground: {}, water: null}"]),
         (CONFIG, ["world={ground: {}}", "world.water.surface=1"]),
         # A sensor of the user's own in place of eyes, and a task without a light.
         (CONFIG, ["creature.light_sensors=[]", "creature.sensors=[{type: 'mine:Eye'}]"]),

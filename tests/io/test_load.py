@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from evo_cpg.creature.creature import NO_LIMIT, neutral_pose
 from evo_cpg.evolution.genetics import BitGenetics
 from evo_cpg.io.build import build_experiment
-from evo_cpg.io.errors import ConfigError, nearest
+from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.load import check_config, dump_config, load_config
 from evo_cpg.io.schema.joint import JointConfig
 from evo_cpg.physics.water.added_mass import AddedMass
@@ -210,7 +210,6 @@ def test_axes_may_be_negative():
     [
         ("", "empty"),
         ("- a\n- b\n", "mapping"),
-        ("just words", "mapping"),
         ("a: [1, 2\nb: 3\n", "line 2, column 2: not valid YAML"),
         ("a: 1\n\tb: 2\n", "only spaces"),
         ("a: 1\nb:\n  c: 1\n  d: 2\n  c: 3\n", "line 5, column 3: not valid YAML: the key 'c'"),
@@ -220,8 +219,6 @@ def test_axes_may_be_negative():
         ("a: !!python/object:os.system {}", "line 1, column 4"),
         ("a:\n- {b: !!timestamp nope}", "line 2, column 7: not valid YAML: 'nope'"),
         ("a: !!int foo", "'foo'"),
-        ("a: !!int ''", "line 1, column 4"),
-        ("a: !!bool foo", "'foo'"),
         ("a: " + "7" * 5000, f"{'7' * 56}..."),
         ("creature:\n  color: #ffffff\n", "line 2: color"),
     ],
@@ -273,14 +270,11 @@ def test_numbers_may_be_written_with_an_exponent(tmp_path, text):
     ("override", "word"),
     [
         ("seed", "key.path=value"),
-        ("=3", "key.path=value"),
         ("seed=[1", "seed: '[1' is not YAML"),
         ("name=!!int x", "name: '!!int x' is not YAML"),
         ("creature.bodies.1.name={side}_fin", "not YAML"),
         ("creature.bodies.7.repeat=2", "no 7"),
         ("creature.bodies.head.repeat=2", "0 to 1"),
-        ("creature.bodies.-1.repeat=2", "0 to 1"),
-        ("creature.bodies.2=x", "0 to 1"),
         ("name.first=x", "no first"),
         ("world.watter=null", "'water'"),
         ("creature=nobody.yaml", "no such file"),
@@ -333,23 +327,6 @@ def test_null_leaves_skin_drag_and_law_to_the_viscosity():
     assert plain is not None and (plain.skin_drag, plain.law) == (0.02, "normal")
 
 
-def test_overrides_apply_in_order_and_reach_everything():
-    config = load_config(
-        CONFIG,
-        [
-            "creature.bodies.1.repeat=2",
-            "world.water=null",
-            "task.light.distance=3",
-            "seed=1",
-            "seed=2",
-        ],
-    )
-    assert [entry.repeat for entry in config.creature.bodies] == [1, 2]
-    assert config.world.water is None
-    assert config.task.light.distance == 3
-    assert config.seed == 2
-
-
 def test_an_override_may_replace_the_creature(tmp_path):
     animal = yaml.safe_load((REPOSITORY / "configs/creatures/swimmer10.yaml").read_text())
     (tmp_path / "other.yaml").write_text(yaml.safe_dump(animal | {"name": "other"}))
@@ -381,11 +358,6 @@ def test_a_config_may_change_keys_of_a_creature_file(tmp_path):
     for name in ("\0", "a" * 300):
         with pytest.raises(ConfigError):
             changed(file=name)
-
-
-@given(st.text(max_size=12), st.lists(st.text(min_size=1, max_size=12), min_size=1, max_size=6))
-def test_hint_lists_all_valid_words(word, valid):
-    assert nearest(word, valid).endswith(f"valid here: {', '.join(sorted(valid))}")
 
 
 JUNK = st.recursive(

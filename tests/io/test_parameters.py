@@ -210,11 +210,6 @@ def test_lengths_of_a_chain_in_viscous_water_have_values_but_no_derivative():
     parametrise(worm, path, ["creature.materials.flesh.density", "world.water.viscosity"])
 
 
-def test_duplicate_parameter_is_rejected():
-    with pytest.raises(ConfigError, match="gravity: is given twice"):
-        parametrise(swimmer(), CONFIG, ["world.gravity", "world.gravity"])
-
-
 def test_invalid_values_are_rejected():
     parameters = parametrise(swimmer(), CONFIG, ["world.water.form_drag"])
     with pytest.raises(ConfigError, match=r"form_drag.*greater than or equal to 0"):

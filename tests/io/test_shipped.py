@@ -5,20 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg.api.experiment import load
 from evo_cpg.io import shipped as module
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.load import load_config
-from evo_cpg.io.shipped import (
-    copy_shipped,
-    find_config,
-    shipped,
-    shipped_folder,
-    shipped_name,
-    shipped_names,
-)
+from evo_cpg.io.shipped import copy_shipped, find_config, shipped, shipped_folder, shipped_names
 from evo_cpg.io.trust import VARIABLE
-from tiny_run import CONFIG, REPOSITORY
+from tiny_run import REPOSITORY
 
 CONFIGS = REPOSITORY / "configs"
 
@@ -119,21 +111,6 @@ def test_similar_names_and_files_are_named(find, name, word):
     Path("mine.yaml").touch()
     with pytest.raises(ConfigError, match=f"^{name}: .*{word}"):
         find(name)
-
-
-def test_load_accepts_a_shipped_name():
-    experiment = load("hexapod", {"seed": 3})
-    assert experiment.name == "hexapod" and experiment.config.seed == 3
-    assert experiment.source == CONFIGS / "hexapod.yaml"
-    with pytest.raises(ConfigError, match="did you mean 'hexapod'"):
-        load("hexapot")
-
-
-def test_shipped_name_of_a_file(tmp_path):
-    assert shipped_name(CONFIG) == "iwadate2010_swimmer"
-    assert shipped_name(CONFIGS / "creatures" / "hexapod.yaml") is None
-    assert shipped_name(tmp_path / "hexapod.yaml") is None
-    assert shipped_name(CONFIGS / "configuration") is None
 
 
 @pytest.mark.parametrize("name", shipped_names())

@@ -158,18 +158,10 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
     [
         (["simulation.start_pose=setled"], "", "'settled'"),
         (["world.water={surface: 0, density: 900}", SETTLED], "simulation.start_pose", "sinks"),
-        (["simulation.trials=[]"], "", "at least 1"),
         (["simulation.trials={}"], "", "list"),
-        (["simulation.trials=[3]"], "simulation.trials.0", "section"),
         (["simulation.trials=[{}, {strat: [1, 2]}]"], "simulation.trials.1.strat", "'start'"),
         (["simulation.trials=[{light: {bearing: 3}}]"], "0.light.bearing", "_deg"),
-        (["simulation.trials=[{light: {distance: -1}}]"], "0.light.distance", "-1"),
         (["simulation.trials=[{light: {distance: '5'}}]"], "0.light", "a number"),
-        (
-            ["simulation.trials=[{light: {at: [0, 0, 1], bearing_deg: 0}}]"],
-            "0.light",
-            "bearing_deg",
-        ),
         (["task.light.at=[0, 0, 1]"], "task.light", "distance, bearing_deg"),
         (
             ["task={type: distance}", "simulation.trials=[{}, {light: {distance: 3}}]"],
@@ -178,7 +170,6 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
         ),
         (["simulation.trials=[{light: {distance: 10000}}]"], "0.light", "1000 times"),
         (["task.light={at: [9e9, 0, 0]}"], "task.light", "9e+09"),
-        (["task.light={at: [0, 0, 0]}"], "task.light", "starts"),
         (
             ["world.ground={}", "simulation.trials=[{}, {light: {elevation_deg: -60}}]"],
             "1.light",
@@ -187,14 +178,8 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
         (["world.ground={}", "task.light={at: [1, 0, -0.5]}"], "task.light", "0.5 m deep"),
         (["world.ground={}", STONE, "task.light={at: [4, 0, 2]}"], "task.light", "1 m deep"),
         (["world.ground={}", STONE, "simulation.trials=[{}, {start: [4, 0]}]"], "1.start", "stand"),
-        (
-            ["world.ground={}", STONE, "simulation.trials=[{}]", "simulation.start=[4, 0]"],
-            "simulation.start",
-            "stand",
-        ),
         (["simulation.start=[0, -1e5]"], "simulation.start", "float32"),
         (["simulation.trials=[{}, {start: [5e5, 5e6]}]"], "1.start", "float32"),
-        (["world.ground={floor: {height: 3e4}}"], "world.ground.floor", "float32"),
     ],
 )
 def test_invalid_situations_and_lights_are_rejected(overrides, key, word):

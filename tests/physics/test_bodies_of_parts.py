@@ -18,7 +18,6 @@ from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree, spatial_inertia
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.io.schema.creature import CreatureConfig
-from evo_cpg.native.engine import Engine, using
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
 from evo_cpg.physics.step.equations import body_equations, central_inertia
 from evo_cpg.physics.step.step import step
@@ -172,30 +171,6 @@ def test_steps_of_parts_equal_steps_of_numbers():
     for one, same in zip(*map(jax.tree.leaves, found), strict=True):
         assert np.isfinite(one).all()
         np.testing.assert_allclose(one, same, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_native_steps_of_parts_equal_those_of_jax():
-    """Ten steps in float32 on the ground, at the surface of water."""
-    creature = built()
-    world = in_water(creature, surface=0.1, added_mass=True)
-    world = dataclasses.replace(
-        world, contact_model=make_contact_model(creature, world.tree, Ground())
-    )
-    state = random_state(world.tree, np.random.default_rng(0), (8,), speed=0.2)
-    state = dataclasses.replace(state, position=state.position.at[2].set(0.2))
-    state = jax.tree.map(lambda x: x.astype(jnp.float32), state)
-    found = []
-    for name in ("native", "jax"):
-        with jax.enable_x64(False), using(Engine(name)):
-            run = jax.jit(lambda s: step(world, s, jnp.zeros_like(s.q), 1 / 240)[0])
-            now = state
-            for _ in range(10):
-                now = run(now)
-            found.append(jax.tree.leaves(now))
-    for one, same in zip(*found, strict=True):
-        assert np.isfinite(one).all()
-        np.testing.assert_allclose(one, same, rtol=1e-3, atol=1e-3)
 
 
 def test_water_on_parts_is_the_sum_over_shapes():

@@ -1,21 +1,13 @@
 """Dry friction of joints against closed forms: slowing, sticking, sliding, lost energy."""
 
-import dataclasses
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import hinge
-from evo_cpg.creature.creature import NO_LIMIT, Body, Creature, Material, TorqueMotor
-from evo_cpg.creature.shapes import Box
-from evo_cpg.creature.tree import build_tree
-from evo_cpg.native.jax_internals import quick_jit
-from evo_cpg.physics.step.step import step
+import driven
+from evo_cpg.creature.creature import TorqueMotor
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.joint_torque import MotorCommand
-from evo_cpg.physics.tree.state import resting_state
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -24,34 +16,14 @@ LOSS = 0.4
 
 
 def wheel(armature: float = 0.0) -> tuple[World, float]:
-    """Return a wheel on the centre of a free hub, and the inertia that its motor sees, kg m^2."""
-    material, hub, rim = Material(1000.0), Box((0.2, 0.2, 0.2)), Box((0.3, 0.3, 0.02))
-    given = {"armature": armature, "actuator": TorqueMotor(), "friction_loss": LOSS}
-    joint = hinge("hub", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), limit=NO_LIMIT, **given)
-    bodies = Body("hub", hub, material), Body("wheel", rim, material, joint)
-    inertias = [body.shape.inertia(body.mass)[2, 2] for body in bodies]
-    alone = 1 / (1 / inertias[0] + 1 / inertias[1])
-    return World(build_tree(Creature("wheel", bodies)), 0.0), float(alone + armature)
+    """Return a wheel with dry friction, and the inertia that its motor sees, kg m^2."""
+    return driven.wheels(TorqueMotor(), armature=armature, friction_loss=LOSS)
 
 
 def moved(world: World, torque: float, rate: float, count: int):
     """Return angles and rates of a motion under a constant torque."""
     command = MotorCommand(jnp.zeros(1), torque=jnp.array([torque]))
-
-    @quick_jit
-    def motion(state):
-        def advance(carry, _):
-            s, warmstart = carry
-            s, effort = step(world, s, command, H, warmstart)
-            return (s, effort.warmstart), (s.q[0], s.qd[0])
-
-        first = step(world, state, command, H)
-        rest = (first[0], first[1].warmstart)
-        return (first[0].q[0], first[0].qd[0]), jax.lax.scan(advance, rest, None, count - 1)[1]
-
-    start = dataclasses.replace(resting_state(world.tree, (), jnp.float64), qd=jnp.array([rate]))
-    first, rest = jax.tree.map(np.atleast_1d, motion(start))
-    return [np.concatenate(pair) for pair in zip(first, rest, strict=True)]
+    return (column[:, 0] for column in driven.moved(world, command, count, H, rate=rate)[:2])
 
 
 @pytest.mark.parametrize("armature", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])

@@ -4,7 +4,6 @@ MuJoCo solves the same equations in other coordinates. Pendulums have closed for
 """
 
 import dataclasses
-import functools
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +30,6 @@ from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.io.models.mujoco_state import dof_order, load_state
-from evo_cpg.native.engine import Engine, using
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
 from evo_cpg.physics.contact.pairs import make_pairs
 from evo_cpg.physics.step.step import step
@@ -216,21 +214,20 @@ def on_ground(creature: Creature) -> World:
     return World(tree, GRAVITY, contact_model=make_contact_model(creature, tree, Ground()))
 
 
-def walking(world: World, steps: int, dtype=jnp.float64):
+def walking(world: World, steps: int):
     """Return a function of kicks of the legs for the motion, and y of all bodies, steps first.
 
     Each step adds a part of the kick to the rates of the legs, rad/s.
     """
     tree = world.tree
     own = np.array([name.startswith(("fore", "hind")) for name in tree.dof_names], float)
-    start = resting_state(tree, (1,), dtype, (0.0, 0.0, 0.26))
+    start = resting_state(tree, (1,), jnp.float64, (0.0, 0.0, 0.26))
 
     def motion(kick):
         def advance(state, index):
             swing = own * kick * jnp.sin(0.1 * index + np.arange(len(own)) - len(own))
             kin = kinematics(tree, state)
-            pushed = jnp.asarray(swing, dtype)[:, None]
-            moved = dataclasses.replace(state, qd=state.qd + pushed)
+            moved = dataclasses.replace(state, qd=state.qd + swing[:, None])
             state, _ = step(world, moved, jnp.zeros_like(state.q), 1 / 240)
             return state, (state, kin.origin[1])
 
@@ -239,27 +236,14 @@ def walking(world: World, steps: int, dtype=jnp.float64):
     return motion
 
 
-@functools.cache
-def planar_in_water():
-    """Return the motion of the animal that hangs on the world, in float64 on plain JAX."""
-    with jax.enable_x64(True):
-        return jax.tree.map(np.asarray, walked(in_water(planar(hangs=True)), 40))
-
-
-def walked(world: World, steps: int, dtype=jnp.float64, engine: str = "jax"):
-    """Return the motion under kicks of 0.3 rad/s (`walking`)."""
-    with using(Engine(engine)):
-        return quick_jit(walking(world, steps, dtype))(jnp.asarray(0.3, dtype))
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("medium", [in_water, on_ground], ids=["water", "ground"])
 def test_planar_animals_move_like_free_ones_in_a_plane(medium):
     """A free animal of this symmetry stays in its plane. Both solve the same equations."""
-    in_plane = planar_in_water() if medium is in_water else walked(medium(planar(True)), 40)
     (planar_states, across), (free_states, _) = (
-        jax.tree.map(np.asarray, motion) for motion in (in_plane, walked(medium(planar(False)), 40))
+        jax.tree.map(np.asarray, quick_jit(walking(medium(planar(hangs)), 40))(0.3))
+        for hangs in (True, False)
     )
     for name in ("position", "velocity", "orientation"):
         ours, theirs = (getattr(states, name) for states in (planar_states, free_states))
@@ -267,15 +251,6 @@ def test_planar_animals_move_like_free_ones_in_a_plane(medium):
     np.testing.assert_allclose(planar_states.q[:, 3:], free_states.q, rtol=0, atol=1e-7)
     assert np.ptp(planar_states.q, axis=0).min() > 1e-4
     assert not across.any()
-
-
-@pytest.mark.slow
-def test_native_code_moves_a_planar_animal_like_jax():
-    """The native code rounds in float32."""
-    plain, _ = planar_in_water()
-    native, _ = walked(in_water(planar(hangs=True)), 40, jnp.float32, "native")
-    np.testing.assert_allclose(native.q, plain.q, rtol=0, atol=1e-5)
-    np.testing.assert_allclose(native.position, plain.position, rtol=0, atol=1e-5)
 
 
 @pytest.mark.slow

@@ -7,16 +7,8 @@ import pytest
 
 import driven
 from creatures import box_chain
-from evo_cpg.creature.creature import (
-    NO_LIMIT,
-    Actuator,
-    Body,
-    Creature,
-    Joint,
-    Material,
-    TorqueMotor,
-)
-from evo_cpg.creature.shapes import Box
+from driven import wheels
+from evo_cpg.creature.creature import Actuator, TorqueMotor
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
@@ -26,20 +18,6 @@ from evo_cpg.physics.tree.state import resting_state
 pytestmark = pytest.mark.usefixtures("x64")
 
 H = 1 / 120
-WATER = Material(1000.0)
-
-
-def wheels(*motors: TorqueMotor | Actuator | None) -> tuple[World, float]:
-    """Return wheels on the centre of a hub, and the inertia that the first one sees alone."""
-    hub, rim = Box((0.2, 0.2, 0.2)), Box((0.3, 0.3, 0.02))
-    centre, free = (0.0, 0.0, 0.0), ((-NO_LIMIT,), (NO_LIMIT,))
-    bodies = [Body("hub", hub, WATER)]
-    for i, motor in enumerate(motors):
-        joint = Joint("hub", centre, centre, ((0.0, 0.0, 1.0),), *free, actuator=motor)
-        bodies.append(Body(f"wheel{i}", rim, WATER, joint))
-    creature = Creature("wheels", tuple(bodies))
-    inertias = [body.shape.inertia(body.mass)[2, 2] for body in creature.bodies]
-    return World(build_tree(creature), 0.0), float(1 / (1 / inertias[0] + 1 / inertias[1]))
 
 
 def moved(world: World, torque, count: int, rate: float = 0.0):

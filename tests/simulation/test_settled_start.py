@@ -27,13 +27,9 @@ from evo_cpg.simulation.plans import Programs
 from evo_cpg.simulation.settle import NoRestError, Settling
 from evo_cpg.simulation.situation import Situation
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 H = 1 / 240
-
-
-@pytest.fixture(autouse=True)
-def double_precision():
-    with jax.enable_x64(True):
-        yield
 
 
 def alone(shape, density: float) -> Creature:

@@ -120,17 +120,6 @@ def test_evolving_several_runs_equals_evolving_each_alone(pair, tmp_path):
         np.testing.assert_allclose(champion.genes, expected.genes, rtol=1e-5)
 
 
-def test_the_folder_keeps_the_champion_of_every_run_and_shows_the_best(pair):
-    folder, done = pair
-    fitness = [champion.fitness for champion in done.champions]
-    kept, _, _ = folder.load_champion()
-    assert kept.run == int(np.argmax(fitness)) and kept.fitness == max(fitness)
-    loaded = folder.load()
-    assert [champion.fitness for champion in loaded.champions] == fitness
-    assert loaded.scales == done.scales and len(done.scales["energy"]) == 2
-    assert folder.metrics.read_text().startswith("generation,run,best,")
-
-
 def test_a_resumed_noisy_run_equals_an_uninterrupted_one(noisy_pair, tmp_path):
     _, done = noisy_pair
     evolve(NOISY._replace(generations=1), tmp_path / "run")

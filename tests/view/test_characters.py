@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from evo_cpg.io.build import build_creature
 from evo_cpg.io.load import load_config
 from evo_cpg.io.shipped import shipped, shipped_names
 from evo_cpg.view.fins import Fin, fins
-from evo_cpg.view.meshes import drawn_eyes, pieces, surfaces
+from evo_cpg.view.meshes import drawn_eyes, pieces
 from evo_cpg.view.skin import Draped, skins
 
 
@@ -90,36 +89,6 @@ def test_fins_are_closed_and_stay_within_their_plates(name):
         np.testing.assert_allclose(beyond.max(), 1, atol=1e-6)
 
 
-def test_an_arm_narrows_from_plate_to_plate_to_a_round_tip():
-    animal = creature("starfish")
-    found = {animal.bodies[i].name: fin for i, fin in fins(animal).items()}
-    row = [found[f"arm2_{number}"] for number in (1, 2, 3)]
-    assert (row[0].start, row[-1].end) == (0, pytest.approx(1))
-    for one, two in itertools.pairwise(row):
-        assert one.end == two.start
-    widths = [float(fin.section(np.array([fin.end]))[1][0]) for fin in row]
-    assert 1 > widths[0] > widths[1] > 10 * widths[2]
-
-
-def test_a_tail_fin_is_a_notched_fan_and_a_flipper_is_swept_back():
-    tail = fins(creature("fish"))[creature("fish").body_index("caudal_fin")]
-    assert tail.root == pytest.approx(0.010 / 0.045, rel=0.05)
-    points = np.asarray(tail.mesh().points)
-    rear = points[points[:, 0] < -0.0249]
-    assert np.abs(rear[:, 2]).min() > 0.9 * 0.045
-    turtle = creature("turtle")
-    left, right = (
-        np.asarray(surfaces(turtle)[turtle.body_index(f"{side}_flipper")].points)
-        for side in ("left", "right")
-    )
-    tip = left[left[:, 1] > 0.97 * 0.2]
-    assert tip[:, 0].max() < 0
-    # Both sides are mirror images.
-    mirrored = left * [1, -1, 1]
-    gaps = np.linalg.norm(mirrored[:, None] - right, axis=-1).min(1)
-    assert gaps.max() < 1e-6
-
-
 @pytest.mark.parametrize(("height", "swims"), [(-0.2, False), (0.0, True)])
 def test_a_plate_that_lies_on_the_ground_is_a_foot(height, swims):
     animal = creature("turtle")
@@ -131,20 +100,6 @@ def test_a_plate_that_lies_on_the_ground_is_a_foot(height, swims):
     animal = dataclasses.replace(animal, bodies=tuple(bodies))
     assert (lowest_height(animal, neutral_pose(animal)) >= -0.2) == swims
     assert [i in fins(animal) for i in paddles] == [swims, swims]
-
-
-def test_a_shell_is_a_closed_ellipsoid_with_seams_and_a_flat_belly():
-    turtle = creature("turtle")
-    mesh = surfaces(turtle)[turtle.body_index("shell")]
-    assert outwards(mesh)
-    half = np.asarray(turtle.bodies[turtle.body_index("shell")].shape.half_extents)
-    far = np.linalg.norm(np.asarray(mesh.points) / half, axis=1)
-    top = np.asarray(mesh.points)[:, 2] > 0.001
-    assert 0.96 < far[top].min() < 0.98 and far[top].max() == pytest.approx(1)
-    assert mesh.bounds[4] == pytest.approx(-0.6 * 0.11)
-    # Seams are dark, and the belly is pale.
-    light = np.asarray(mesh["rgb"]).mean(1)
-    assert light[top].min() < 0.6 * np.median(light[top]) < light[~top].mean()
 
 
 def test_a_blind_animal_has_eyes_at_its_front():

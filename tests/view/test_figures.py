@@ -20,20 +20,8 @@ from evo_cpg.view.answer_plots import (
     sensitivity_figure,
 )
 from evo_cpg.view.figure import new_figure, save_figure
-from evo_cpg.view.plots import (
-    _crests,
-    fit_figure,
-    fitness_figure,
-    joint_signals_figure,
-    path_figure,
-)
-from evo_cpg.view.search_plots import (
-    Curves,
-    champions_figure,
-    generations_figure,
-    map_figure,
-    sweep_figure,
-)
+from evo_cpg.view.plots import _crests, fitness_figure, joint_signals_figure, path_figure
+from evo_cpg.view.search_plots import Curves, generations_figure, map_figure, sweep_figure
 from pictures import ink
 
 
@@ -192,27 +180,6 @@ def test_a_path_names_its_dots_and_the_origin_of_the_distance(recording, goal, o
     assert later.lines[0].get_ydata().max() == pytest.approx(recording.distance.max())
 
 
-def test_the_best_so_far_is_visible_below_an_equal_line():
-    """The lower one of two equal lines is wider."""
-    equal = np.array([1.0, 2.0, 2.0])
-    columns = {"generation": np.arange(3), "best": equal, "best_so_far": equal, "mean": equal - 1}
-    figure = fitness_figure(columns | {"diverged": np.zeros(3)})
-    (axes,) = figure.axes
-    below, above, _ = axes.get_lines()
-    assert (below.get_label(), above.get_label()) == ("best so far", "best of the generation")
-    assert below.get_linewidth() > 3 * above.get_linewidth()
-
-
-def test_generations_are_counted_in_round_numbers():
-    steps = set()
-    for count in (7, 13, 20, 60, 130, 200, 1000):
-        columns = {name: np.arange(float(count)) for name in ("generation", "best", "mean")}
-        figure = fitness_figure(columns | {"diverged": np.zeros(count)})
-        ticks = figure.axes[0].get_xticks()
-        steps.add(f"{ticks[1] - ticks[0]:g}".rstrip("0"))
-    assert steps <= {"1", "2", "5"}
-
-
 def test_fitness_of_several_runs_is_their_median():
     """Each run is a thin line. Values that are not finite are left out. Diverged ones add up."""
     generation, run = np.tile(np.arange(4), 3), np.repeat(np.arange(3), 4)
@@ -249,13 +216,6 @@ def test_generations_have_a_line_and_a_band_for_each_setting():
         assert words in shown.get_legend().get_title().get_text()
 
 
-def test_a_pair_of_groups_has_one_colour_and_the_second_is_filled():
-    dots = champions_figure({"a": ([1], [2]), "b": ([3], [4])}, ("x (m)", "y")).axes[0].collections
-    assert [dot.get_offsets().tolist() for dot in dots] == [[[1, 2]], [[3, 4]]]
-    assert (dots[0].get_edgecolor() == dots[1].get_edgecolor()).all()
-    assert [len(dot.get_facecolor()) for dot in dots] == [0, 1]
-
-
 @pytest.mark.parametrize("count", [2, 9])
 def test_a_sweep_shows_each_setting_in_its_colour(count):
     """Settings without a champion keep their row."""
@@ -273,15 +233,6 @@ def test_a_sweep_shows_each_setting_in_its_colour(count):
     assert median.get_xdata().tolist() == [4.0, 4.0]
 
 
-def test_a_fit_shows_data_and_model_with_their_units():
-    time, data = np.arange(3.0), np.array([[1.0, 4.0], [2.0, 5.0], [3.0, 6.0]])
-    rows = fit_figure(time, ("tail.z", "x"), data, data + 0.5).axes
-    assert [axes.get_ylabel() for axes in rows] == ["tail.z (rad)", "x (m)"]
-    recorded, fitted = rows[1].get_lines()
-    assert recorded.get_ydata().tolist() == [4, 5, 6]
-    assert fitted.get_ydata().tolist() == [4.5, 5.5, 6.5]
-
-
 def test_sensitivities_are_bars_and_unconfirmed_ones_are_grey():
     """A bar is the elasticity, or the simulated change if the derivative is not confirmed.
 
@@ -296,8 +247,6 @@ def test_sensitivities_are_bars_and_unconfirmed_ones_are_grey():
     axes = sensitivity_figure(rows, "speed", "mine").axes[0]
     assert rows_of(axes) == ["up = 2", "down = 2", "doubtful = 2"]
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([1.0, -1.0, 1.0])
-    shown = [tuple(round(255 * part) for part in bar.get_facecolor()[:3]) for bar in axes.patches]
-    assert shown == [(0, 0x72, 0xB2), (0xD5, 0x5E, 0), (0xD1, 0xD5, 0xDB)]
     assert axes.get_xlabel().startswith("change of the speed (%)")
 
 
@@ -309,38 +258,15 @@ def a_ledger() -> Ledger:
     return Ledger(**{name: np.full(shape[name], 0.01) for name in Ledger._fields})
 
 
-def diverging_paths(*programs: str) -> dict[str, np.ndarray]:
-    """Paths that separate, by program."""
-    ahead = np.linspace(0, 1, STEPS)
-    return {
-        name: np.stack([ahead, 0.2 * i * ahead**2, 0 * ahead]) for i, name in enumerate(programs)
-    }
-
-
 def test_an_audit_has_a_panel_of_paths_only_with_mujoco():
-    """If MuJoCo was not run, the energy fills the whole row."""
     kept = [Check("half_step", "way kept at half the step", 0.97, 0.9, True, "%")]
-    with_, without = (
-        audit_figure(a_ledger(), 1 / 240, kept, paths, "animal: audit")
-        for paths in (diverging_paths("evo_cpg", "MuJoCo"), {})
-    )
-    energy, from_above = "Sources and sinks of energy", "Paths of the root, from above"
-    assert [axes.get_title() for axes in with_.axes] == [energy, from_above, ""]
-    assert [axes.get_title() for axes in without.axes] == [energy, ""]
-    for figure in (with_, without):
-        figure.draw_without_rendering()
-    wide = [figure.axes[0].get_position().width for figure in (with_, without)]
-    assert wide[0] < 0.6 and wide[1] > 0.8
-    fractions = without.axes[1]
-    assert rows_of(fractions) == ["way kept at half the step"]
-    assert fractions.patches[0].get_width() == pytest.approx(97)
-    assert [text.get_text().strip() for text in fractions.texts] == ["> 90"]
-    # A walker with a brain has up to three paths from MuJoCo, each in its own colour.
-    hard = "MuJoCo, hard contacts"
-    paths = diverging_paths("evo_cpg", "MuJoCo", hard, f"{hard}, own senses")
-    lines = audit_figure(a_ledger(), 1 / 240, [], paths, "animal: audit").axes[1].get_lines()
-    drawn = {line.get_label(): line.get_color() for line in lines if line.get_label() in paths}
-    assert list(drawn) == list(paths) and len(set(drawn.values())) == 4
+    path = np.zeros((3, STEPS))
+    for paths, panels in (({"evo_cpg": path, "MuJoCo": path + 1}, 3), ({}, 2)):
+        figure = audit_figure(a_ledger(), 1 / 240, kept, paths, "animal: audit")
+        assert len(figure.axes) == panels
+        fractions = figure.axes[-1]
+        assert rows_of(fractions) == ["way kept at half the step"]
+        assert fractions.patches[0].get_width() == pytest.approx(97)
 
 
 AXES = (
@@ -396,17 +322,6 @@ def test_a_probe_fills_the_lights_that_were_reached():
     assert tuple(stars[0].get_markerfacecolor()) == tuple(stars[0].get_markeredgecolor())
     assert [text.get_text() for text in axes.texts] == ["+18\u00b0", "\u221218\u00b0"]
     assert [round(patch.radius, 3) for patch in axes.patches] == [0.632, 0.632]
-
-
-def test_numbers_on_axes_over_decades_are_plain():
-    panel = MeasurePanel("cost of transport", [0.1, 2.0, 70.0], decades=True)
-    figure = lab_figure(["size"], [[0.1], [1.0], [10.0]], [panel], "eel")
-    figure.canvas.draw()
-    (axes,) = figure.axes
-    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
-    words = [tick.get_text() for tick in (*axes.get_xticklabels(), *axes.get_yticklabels())]
-    assert {"0.1", "1", "10"} <= set(words)
-    assert not any("$" in word for word in words)
 
 
 def test_line_of_a_phase_breaks_where_it_wraps_around():

@@ -21,6 +21,7 @@ from evo_cpg.view.run_page.charts import chart, footfall_figure
 from evo_cpg.view.run_page.html import join, long_table, table, tag
 from evo_cpg.view.run_page.viewer_data import RATE, thinned, viewer_data
 from evo_cpg.view.scene import Panel, sample
+from pictures import contrast
 
 
 def decoded(made: dict, number: int, kind: str) -> np.ndarray:
@@ -138,27 +139,14 @@ def test_a_chart_has_the_colours_of_the_page_and_its_time_range():
     assert 0.05 < float(attributes["left"]) < 0.3 and 0.9 < float(attributes["right"]) <= 1.0
 
 
-def contrast(one: str, two: str) -> float:
-    """Return the contrast of two colours (WCAG 2.2)."""
-
-    def luminance(color: str) -> float:
-        parts = np.array(to_rgb(color))
-        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
-        return float(linear @ [0.2126, 0.7152, 0.0722])
-
-    dark, light = sorted((luminance(one), luminance(two)))
-    return (light + 0.05) / (dark + 0.05)
-
-
 def test_lines_and_dots_of_charts_are_seen_on_white_and_dark_paper():
     css = resources.files("evo_cpg.view.run_page").joinpath("page.css").read_text(encoding="utf-8")
     papers = set(re.findall(r"--paper: (#\w+)", css))
     assert len(papers) == 2
     made = chart(path_figure(synthetic.swim(3.0), 0), "path")
     colors = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", made))
-    grid = {"#e5e7eb", "#cccccc"}
     assert len(colors) > 20
-    for color in colors - grid:
-        assert min(contrast(color, paper) for paper in papers) > 1.9, color
-    for shade in BLUES(np.linspace(0, 1, 12)):
-        assert min(contrast(to_hex(shade), paper) for paper in papers) > 1.9
+    grid = {"#e5e7eb", "#cccccc"}
+    for color in [*(colors - grid), *map(to_hex, BLUES(np.linspace(0, 1, 12)))]:
+        behind = 255 * np.array(to_rgb(color))
+        assert min(contrast(behind, paper) for paper in papers) > 1.9, color

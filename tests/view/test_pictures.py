@@ -16,12 +16,11 @@ from evo_cpg.creature.creature import (
     neutral_pose,
 )
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
-from evo_cpg.files import OutputError
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Block, Boulder, Plane
 from evo_cpg.view.meshes import eye_meshes, head_index, shape_mesh
-from evo_cpg.view.output import SettingError, oversampling
-from evo_cpg.view.preview import obstacles_near, preview, water_note
+from evo_cpg.view.output import oversampling
+from evo_cpg.view.preview import obstacles_near, preview
 from polyhedra import ball_mesh, tetrahedron, wedge
 
 
@@ -128,53 +127,6 @@ def test_a_preview_under_water_is_blue(tmp_path):
     assert seen(ground=True).mean() < 0.15
     assert seen(ground=True, surface=np.inf).mean() > 0.8
     assert seen(surface=2.0).mean() > 0.8
-
-
-@pytest.mark.slow
-def test_a_preview_shows_the_surface_of_the_water(tmp_path):
-    """The surface ends at land that rises out of it, and tints bodies below it."""
-    creature = synthetic.swimmer()
-
-    def picture(**where):
-        path = preview(creature, tmp_path / "x.png", (480, 270), **where)
-        return synthetic.read(path).astype(int)
-
-    dry, half, low = picture(), picture(surface=0.0), picture(surface=-0.5)
-    assert blue(low)[150:].mean() > 0.7 > 0.1 > blue(dry)[150:].mean()
-    warm = [((each[..., 0] - each[..., 2]) > 60).sum() for each in (low, half, dry)]
-    # Bodies above the water keep their colours.
-    assert warm[2] > warm[0] > 1.2 * warm[1] > 0
-    # A slope falls to the left of the picture, where the animal looks. Half of it is land.
-    centres, turns = neutral_pose(creature)
-    slope = Ground(floor=Plane((0.3, 0.0, 0.954)))
-    pose = centres + np.array([0, 0, 0.8]), turns
-    shore = blue(picture(ground=slope, pose=pose, surface=0.3))
-    assert shore[100:, :120].mean() > 0.8 > 0.2 > shore[:160, -120:].mean()
-    # Water under level ground is invisible.
-    buried = picture(ground=Ground(floor=Plane(height=-0.2)), surface=-0.3)
-    assert blue(buried).mean() < 0.05
-
-
-@pytest.mark.parametrize(
-    ("surface", "words"),
-    [
-        (np.inf, "water everywhere"),
-        (1.5, "0.5 m under water"),
-        (1.0, "0 m under water"),
-        (0.25, "partly under water"),
-        (-0.25, "0.25 m above the water"),
-    ],
-)
-def test_a_preview_describes_the_water(surface, words):
-    assert water_note(surface, np.array([[0.0, 0, 0], [0, 0, 1.0]])) == words
-
-
-def test_a_preview_of_wrong_kind_or_size_is_refused(tmp_path):
-    with pytest.raises(OutputError, match=r"Use \.png"):
-        preview(synthetic.swimmer(), tmp_path / "body.mp4")
-    for size, words in (((4, 4), "4 x 4 pixels, .* 16 x 16"), ((8193, 200), "8192 x 8192")):
-        with pytest.raises(SettingError, match=words):
-            preview(synthetic.swimmer(), tmp_path / "body.png", size=size)
 
 
 def test_a_small_preview_has_no_words(tmp_path):

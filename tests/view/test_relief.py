@@ -11,8 +11,7 @@ from evo_cpg.physics.contact.terrain import Block, Boulder, Plane, Relief, Shore
 from evo_cpg.view.camera import hidden, project
 from evo_cpg.view.look import SHORE
 from evo_cpg.view.scene import Panel, sample, scene_of, surface_is_seen
-from evo_cpg.view.scenery import add_particles
-from evo_cpg.view.stage import Stage, camera_path
+from evo_cpg.view.stage import camera_path
 from evo_cpg.view.terrain import add_obstacles, heights, make_terrain, obstacle_mesh, obstacle_top
 from evo_cpg.view.water import Ripples
 from films import film
@@ -129,17 +128,6 @@ def test_buried_obstacles_are_not_drawn():
     assert 2 * np.pi * 0.99 < seen.area < 2 * np.pi * (1 + deep)
 
 
-def test_unknown_floors_and_obstacles_are_refused():
-    place, boulder = np.zeros((1, 2)), Boulder((0.0, 0.0, 0.0), 1.0)
-    for call, words in (
-        (lambda: heights(boulder, place), r"Boulder .*: Plane, Shore, Relief"),
-        (lambda: obstacle_mesh(Plane()), r"Plane .*: Boulder, Block"),
-        (lambda: obstacle_top(Plane(), place), r"Plane .*: Boulder, Block"),
-    ):
-        with pytest.raises(TypeError, match=words):
-            call()
-
-
 def test_ripples_repeat_and_move_like_waves():
     ripples = Ripples(2.0)
     still, later = ripples.slopes(0.0), ripples.slopes(0.1)
@@ -233,19 +221,6 @@ def test_only_bodies_under_water_are_tinted(creature, wading, tmp_path):
         assert (np.abs(change).max() < 12) == (not tinted)
 
 
-def test_ripples_move_with_time(creature, wading, tmp_path):
-    """Two stills of one pose, half a second apart, differ only in the ripples."""
-    later = wading._replace(time=wading.time + 0.5)
-    one, two = (
-        still(creature, motion, tmp_path, ground=Ground(floor=SHORE_BESIDE), surface=0.0)
-        for motion in (wading, later)
-    )
-    changed = np.abs(one - two).max(-1) > 6
-    assert 0.02 < changed.mean() < 0.7
-    again = still(creature, wading, tmp_path, ground=Ground(floor=SHORE_BESIDE), surface=0.0)
-    assert np.array_equal(one, again)
-
-
 @pytest.mark.parametrize(("surface", "seen"), [(-0.3, True), (0.2, True), (0.45, False)])
 def test_the_surface_is_shown_if_something_rises_out_of_it(creature, surface, seen):
     """The walker's back is at about 0.58 - 0.3 m, and the ridge next to it at 0.4 m."""
@@ -278,27 +253,6 @@ def test_ground_with_relief_hides_what_is_behind_it(creature, tmp_path):
     assert count[1] < 0.35 * count[0]
 
 
-def test_shading_shows_the_relief(creature, tmp_path):
-    """The brightness varies more on hills than on level ground."""
-    walk = synthetic.walk(6)
-    level = Ground(floor=Shore("x", 90.0, 91.0, 0.0, 0.1))
-    tones = []
-    for ground in (level, Ground(floor=bumps(height=0.3))):
-        walk = synthetic.over(synthetic.walk(6), lambda p, g=ground: heights(g.floor, p))
-        light = still(creature, walk, tmp_path, world="land", ground=ground).mean(-1)[90:150]
-        tones.append(light.std())
-    assert tones[1] > 1.15 * tones[0]
-
-
-def test_ground_nearly_level_looks_like_level_ground(creature, tmp_path):
-    """Ground with a shore far away is drawn as a mesh, with the same things in the same places."""
-    walk = synthetic.walk(6)
-    far = Ground(floor=Shore("x", 90.0, 91.0, 0.0, 0.1))
-    one, two = (still(creature, walk, tmp_path, world="land", ground=g) for g in (Ground(), far))
-    assert np.abs(one - two).mean() < 12
-    assert not np.array_equal(one, two)
-
-
 def test_the_camera_rises_over_a_wall_that_hides_the_animal(creature):
     walk = synthetic.walk(6)
     wall = Block((1.5, -1.0, 0.0), (6.0, 0.1, 0.55))
@@ -324,14 +278,3 @@ def test_the_camera_is_above_the_surface_of_a_diver(creature, ground):
     scene, path = seen(creature, rising, ground, 0.0)
     assert scene.surface == 0.0
     assert path.position[:, 2].min() > 0.1
-
-
-def test_no_specks_in_the_air(creature, wading):
-    scene, path = seen(creature, wading, Ground(floor=SHORE_BESIDE), 0.0)
-    stage = Stage(pv.Plotter(off_screen=True), scene, path)
-    add_particles(stage)
-    points = np.concatenate([mesh.points for mesh in stage.plotter.meshes])
-    stage.plotter.close()
-    assert len(points) > 100
-    assert (points[:, 2] < 0).all()
-    assert (points[:, 2] > stage.ground.height(points[:, :2]) - 1e-6).all()

@@ -11,10 +11,9 @@ from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane, Relief
 from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import CameraPath, between, overview, project
-from evo_cpg.view.captions import Words, placed_tags, wrapped, written
-from evo_cpg.view.ghosts import coarse
+from evo_cpg.view.captions import placed_tags, wrapped
 from evo_cpg.view.lanes import course_of, in_lanes, tank_of
-from evo_cpg.view.legible import font, lettering
+from evo_cpg.view.legible import font
 from evo_cpg.view.look import STYLES
 from evo_cpg.view.output import picture_of
 from evo_cpg.view.scene import Clip, Panel, Staging, moved_aside, sample, scene_of
@@ -106,32 +105,12 @@ def test_ghosts_are_drawn_in_their_places():
         assert changed[row, column] == seen, step
 
 
-def test_a_coarse_body_has_the_size_of_its_shape():
-    shape = WALKER.bodies[0].shape
-    points, faces = coarse(shape)
-    np.testing.assert_allclose(np.abs(points).max(0), shape.half_extents, rtol=1e-6)
-    assert len(points) == 8 and len(faces) == 12
-
-
 def test_a_take_dissolves_into_the_next():
     ends = [take(), take(crowd=beside(1.0))]
     (first, _), (_, second) = spans([1.0, 1.0])[0], spans([1.0, 1.0])[1]
     before, middle, after = drawn(ends, first + 20, 30, second - 20)
     assert np.abs(after - before).max() > 40
     assert np.abs(middle - before).max() > 4 and np.abs(middle - after).max() > 4
-
-
-def test_words_appear_and_leave():
-    words = Words("Nobody taught it to walk.", "title", 0.2, 0.8)
-
-    def seen(time):
-        picture = np.full((SIZE[1], SIZE[0], 3), 100, np.uint8)
-        with lettering(picture) as draw:
-            written(draw, words, time, STYLES["water"], SIZE)
-        return np.abs(picture.astype(int) - 100)
-
-    assert [seen(time).max() > 60 for time in (0.1, 0.5, 0.9)] == [False, True, False]
-    assert not seen(0.5)[: SIZE[1] // 2].any()  # the first row is the lowest
 
 
 def test_a_long_title_is_broken_between_words():

@@ -7,13 +7,9 @@ import pytest
 
 from evo_cpg.creature.algebra import linear
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 BATCH = (4, 5)
-
-
-@pytest.fixture(autouse=True)
-def double_precision():
-    with jax.enable_x64(True):
-        yield
 
 
 def draw(*shape: int) -> jax.Array:

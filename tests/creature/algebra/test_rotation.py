@@ -15,13 +15,9 @@ from evo_cpg.creature.algebra.rotation import (
     quaternion_to_matrix,
 )
 
+pytestmark = pytest.mark.usefixtures("x64")
+
 COUNT = 50
-
-
-@pytest.fixture(autouse=True)
-def double_precision():
-    with jax.enable_x64(True):
-        yield
 
 
 def turns(seed: int) -> Rotation:

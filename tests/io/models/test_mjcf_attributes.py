@@ -207,13 +207,8 @@ def test_attributes_of_newer_versions_are_refused(read, field, given, word):
 LEFT_OUT = {
     "joint margin": (model(joint='margin="5"'), "margin of joint 'h'"),
     "joint solreflimit": (model(joint='solreflimit="0.1 1"'), "solreflimit of joint 'h'"),
-    "joint solimplimit": (model(joint='solimplimit="0.5 0.6"'), "solimplimit of joint 'h'"),
-    "joint solreffriction": (model(joint='solreffriction="0.1 1"'), "solreffriction of joint 'h'"),
-    "joint solimpfriction": (model(joint='solimpfriction=".5 .6"'), "solimpfriction of joint 'h'"),
     "geom margin": (model(geom='margin="0.01"'), "margin of geom 'g'"),
-    "geom gap": (model(geom='gap="0.01"'), "gap of geom 'g'"),
     "geom solref": (model(geom='solref="0.1 1"'), "solref of geom 'g'"),
-    "geom solimp": (model(geom='solimp="0.5 0.6"'), "solimp of geom 'g'"),
     "geom solmix": (model(geom='solmix="2"'), "solmix of geom 'g'"),
     "geom condim": (model(geom='condim="6"'), "condim above 3 of geom 'g'"),
     "thin medium": (model(option='density="1.2"'), "drag of the medium (density 1.2)"),
@@ -221,8 +216,6 @@ LEFT_OUT = {
     "wind": (model(option='wind="1 0 0"'), "option wind"),
     "integrator": (model(option='integrator="RK4"'), "option integrator"),
     "cone": (model(option='cone="elliptic"'), "option cone"),
-    "impratio": (model(option='impratio="10"'), "option impratio"),
-    "noslip_iterations": (model(option='noslip_iterations="3"'), "option noslip_iterations"),
     "flag override": (model(flag='override="enable"', option='o_margin="0.1"'), "flag override"),
     "flag sleep": (model(flag='sleep="enable"'), "flag sleep"),
     "flag filterparent": (model(flag='filterparent="disable"'), "flag filterparent"),
@@ -245,10 +238,8 @@ LEFT_OUT = {
         "drawing of geom 'd'",
     ),
     "site": (model(within="<site/>"), "1 site"),
-    "camera": (model(within="<camera/>"), "1 camera"),
     "light": (model(within="<light/>"), "1 light"),
     "sensor": (model(top='<sensor><jointpos joint="h"/></sensor>'), "1 sensor"),
-    "keyframe": (model(top='<keyframe><key time="1"/></keyframe>'), "1 keyframe"),
 }
 
 

@@ -137,17 +137,6 @@ def test_an_animal_in_water_is_not_airborne(swimmer):
 
 
 @pytest.mark.slow
-def test_mujocos_animal_in_water_is_not_airborne():
-    """The animal floats a metre above the floor of a pool 3 m deep."""
-    pool = ["world.ground={}", "world.water.surface=3", "simulation.start_clearance=1"]
-    experiment, _, steps = trial(CONFIG, *PAIR, *pool, "simulation.seconds=0.2")
-    own = own_opinion(experiment.simulation, steps)
-    commanded = second_opinion(experiment.simulation, experiment.creature, steps)
-    assert (own.airborne, commanded.airborne) == (0.0, 0.0)
-    assert not np.any(steps.contact_force)
-
-
-@pytest.mark.slow
 def test_the_controller_uses_the_senses_of_mujocos_animal(swimmer):
     """A controller that corrects angles reduces an initial error. Recorded commands do not."""
     experiment, genes, steps = swimmer

@@ -121,12 +121,6 @@ def test_urdf_accelerations_equal_mujocos(robot):
     assert largest_difference(robot, states=10) < 1e-10
 
 
-def test_the_base_of_a_urdf_can_be_released(robot):
-    found = read_model(robot, free=True)
-    assert creature_of(found).root_joint is None
-    assert found.warnings == ()
-
-
 def test_an_unreadable_mesh_is_refused_or_dropped(robot, monkeypatch):
     robot.write_text(ROBOT.replace("upper.stl", "upper.dae"))
     with pytest.raises(ExchangeError, match=r"mesh 'package://arm/meshes/upper.dae': it is missi"):
@@ -195,9 +189,7 @@ def moments(xx, yy, zz):
         # A thin plate, rounded when it was printed.
         ([moments(8.53333e-07, 8.53333e-07, 1.706667e-06)], 0.5, (8.53333e-7,) * 2, ()),
         ([moments(1, 1, 2.003)], 0.5, (1.001, 1.001, 2.002), ("1, 1, 2.003 -> 1.001",)),
-        ([moments(1, 5, 1)], 0.5, (2, 4, 2), ("1, 1, 5 -> 2, 2, 4",)),
         ([moments(0, 0, 0)], 0.5, (1e-9,) * 3, ("0, 0, 0 -> 1e-09",)),
-        ([moments(0, 1e-8, 1e-8)], 0.5, (1e-11, 1e-8, 1e-8), ("0, 1e-08, 1e-08 -> 1e-11",)),
         (
             [('mass value="0.5"', 'mass value="0"'), moments(0, 0, 0)],
             *(1e-6, (1e-9,) * 3, ("mass 0 -> 1e-06 kg", "0, 0, 0 -> 1e-09")),
@@ -232,7 +224,6 @@ def test_links_without_inertial_weigh_nothing(pair):
     [
         ('lower="-1" upper="1" effort="3"', (-1, 1), ()),
         ('upper="0.8" effort="3"', (0, 0.8), ()),
-        ('lower="-0.8" effort="3"', (-0.8, 0), ()),
         ('lower="0" upper="0.0" effort="3"', None, ("limits 0 to 0 -> fixed; effort 3",)),
         ('effort="3"', None, ("limits none, so 0 to 0 -> fixed; effort 3 -> no mot",)),
         ('lower="-1e16" upper="1e16" effort="3"', (-1e6, 1e6), ("limits -1e+16 to 1e+16 -> none",)),
@@ -265,7 +256,6 @@ def test_limits_and_efforts_stay_or_are_named(pair, limit, limits, said):
         ('mass value="0.5"', 'mass value="-1"', "body 'b': its mass is -1 kg. Allowed: 0 or more"),
         (*moments(-1, 1, 1), "body 'b': its moments of inertia are -1, 1, 1 kg m"),
         ('lower="-1"', 'lower="2"', "joint 'j': its limits are 2 to 1. Allowed: lower below upper"),
-        ('lower="-1"', 'lower="1"', "joint 'j': its limits are 1 to 1. Allowed: lower below upper"),
         ('link name="b"', 'link name="${b}"', r"link '${b}': '${b}' is an expression of xacro"),
         ('size="0.2', 'size="$(arg size)', "link 'a', link 'b': '$(arg size) 0.1 0.1'"),
         ("</robot>", "<xacro:leg/></robot>", "element <xacro:leg>: it is a macro of xacro. Allow"),

@@ -171,47 +171,6 @@ def test_the_swimmer_of_the_paper_is_drawn_tried_and_trained(drawn):
         assert "<h1>animal</h1>" in answer.read().decode()
 
 
-def test_a_four_legged_animal_is_drawn_trained_and_opened_again(drawn, tmp_path):
-    for name, x in (("fore", 0.7), ("hind", -0.7)):
-        drawn.add("part", "side", x, 0.5, "body")
-        drawn.fill("name", f"{name}thigh")
-        # A leg points down from the right side.
-        for label, value in {"x": "0", "y": "90", "z": "0"}.items():
-            drawn.fill(f"rotation_deg {label}", value)
-        drawn.click("#mirror")
-        drawn.add("part", "side", 0.9, 0, f"right_{name}thigh")
-        drawn.fill("name", f"{{side}}_{name}shin")
-        for label, value in {"x": "0.075", "y": "0", "z": "0"}.items():
-            drawn.fill(f"at {label}", value)
-            drawn.fill(f"rotation_deg {label}", "0")
-        drawn.check("axis z")
-    drawn.click("#select-world")
-    drawn.check("water")
-    drawn.check("ground")
-    drawn.fill("task", "walk")
-    config = drawn.document.data
-    names = [entry["name"] for entry in config["creature"]["bodies"]]
-    limbs = ["{side}_forethigh", "{side}_foreshin", "{side}_hindthigh", "{side}_hindshin"]
-    assert names == ["body", *limbs]
-    assert drawn.page.run("View.names.length") == 9
-    assert [each for each in problems(config, drawn.document.path) if each.kind == "error"] == []
-    drawn.click("#save")
-    saved = drawn.document.texts
-    drawn.page.click("#train")
-    drawn.page.run("document.getElementById('answer').value = '1'")
-    drawn.page.click("#yes")
-    drawn.page.wait(FINISHED)
-    assert (tmp_path / "runs/animal/champion.npz").exists()
-    # Another program and browser find the same text.
-    with opened(Document.open(drawn.document.path), tmp_path / "another profile") as again:
-        assert again.page.run("document.getElementById('text').textContent") == saved.main
-        assert again.page.run("View.names.length") == 9
-        assert again.document.texts == saved and not again.document.is_changed
-    while drawn.document.can_undo:
-        drawn.click("#undo")
-    assert drawn.page.run("View.names") == ["body"]
-
-
 def test_sections_of_a_loft_are_moved_and_scaled_with_the_mouse(drawn):
     drawn.part("body")
     drawn.fill("shape", "loft")
