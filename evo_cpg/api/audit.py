@@ -321,7 +321,7 @@ def compile_first_look(
         measures the displacement with fresh noise.
     """
     own = experiment.simulation
-    simulations = [conditions.finer(own, 2)]
+    simulations = [dataclasses.replace(own, substeps=2 * own.substeps)]
     if not own.noise.silent:
         simulations.insert(0, own)
     places = [Variation("", (simulation,), draws_of(own)) for simulation in simulations]
@@ -381,24 +381,30 @@ def _variations(
     `CHANCE`.
     """
     simulation = experiment.simulation
-    draws = draws_of(simulation)
+    draws, noise = draws_of(simulation), simulation.noise
+    # In every draw, the angles of the joints and the root's roll and pitch start differently.
+    angles = {"joint_angle": max(noise.joint_angle, _SHAKE), "tilt": max(noise.tilt, _SHAKE)}
+    shaken = dataclasses.replace(simulation, noise=dataclasses.replace(noise, **angles))
+    half, quarter = (
+        dataclasses.replace(simulation, substeps=times * simulation.substeps) for times in (2, 4)
+    )
     found = {
         CHANCE: Variation("new draws of the noise", (simulation,), draws)
         if draws > 1
-        else Variation("other poses", (conditions.shaken(simulation, _SHAKE),), _DRAWS),
-        "half_step": Variation("half the step", (conditions.finer(simulation, 2),), draws),
-        "quarter_step": Variation(
-            "a quarter of the step", (conditions.finer(simulation, 4),), draws
-        ),
+        else Variation("other poses", (shaken,), _DRAWS),
+        "half_step": Variation("half the step", (half,), draws),
+        "quarter_step": Variation("a quarter of the step", (quarter,), draws),
         "limp_way": Variation("limp motors", (conditions.limp(simulation),), draws),
         "precision": Variation("float64", (simulation,), double=True),
     }
     more_and_less = (1 + _CHANGE, 1 - _CHANGE)
     if simulation.world.contact_model is not None:
-        sims = tuple(conditions.with_friction(simulation, x) for x in more_and_less)
+        worlds = (simulation.world.with_friction(x) for x in more_and_less)
+        sims = tuple(dataclasses.replace(simulation, world=world) for world in worlds)
         found["friction"] = Variation("friction 10 % up and down", sims, draws)
     if simulation.world.water is not None:
-        sims = tuple(conditions.with_drag(simulation, x) for x in more_and_less)
+        worlds = (simulation.world.with_drag(x) for x in more_and_less)
+        sims = tuple(dataclasses.replace(simulation, world=world) for world in worlds)
         found["drag"] = Variation("drag 10 % up and down", sims, draws)
         settings = config.world.water
         assert settings is not None

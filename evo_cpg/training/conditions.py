@@ -124,42 +124,6 @@ def compile_variation(
     return of
 
 
-def finer(simulation: Simulation, times: int) -> Simulation:
-    """Return the simulation with each physics step divided into several."""
-    return dataclasses.replace(simulation, substeps=times * simulation.substeps)
-
-
-def with_friction(simulation: Simulation, factor: float) -> Simulation:
-    """Return the simulation with the ground's static and dynamic friction scaled.
-
-    Raises:
-        ValueError: there is no ground.
-    """
-    return dataclasses.replace(simulation, world=simulation.world.with_friction(factor))
-
-
-def with_drag(simulation: Simulation, factor: float) -> Simulation:
-    """Return the simulation with the water's form drag and skin drag scaled.
-
-    Raises:
-        ValueError: there is no water.
-    """
-    return dataclasses.replace(simulation, world=simulation.world.with_drag(factor))
-
-
-def shaken(simulation: Simulation, angle: float) -> Simulation:
-    """Return the simulation with a slightly different initial pose in every draw.
-
-    ``angle`` (rad) is the standard deviation of every joint angle, and of the root's roll and
-    pitch.
-    """
-    own = simulation.noise
-    noise = dataclasses.replace(
-        own, joint_angle=max(own.joint_angle, angle), tilt=max(own.tilt, angle)
-    )
-    return dataclasses.replace(simulation, noise=noise)
-
-
 def limp(simulation: Simulation) -> Simulation:
     """Return the simulation with motors that exert no torque, and relaxed muscles."""
     tree = simulation.world.tree

@@ -43,15 +43,7 @@ from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.tasks import Distance
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.conditions import (
-    Variation,
-    Varied,
-    compile_variation,
-    finer,
-    limp,
-    with_drag,
-    with_friction,
-)
+from evo_cpg.training.conditions import Variation, Varied, compile_variation, limp
 from trials import SineController, experiment
 
 # Gains of 5 % a step, and a push of 2 cm/s.
@@ -144,7 +136,8 @@ def test_unaccounted_energy_vanishes_with_the_step(swimming):
     made, _ = swimming
     errors = []
     for times in (1, 4):
-        simulation = finer(made.simulation, times)
+        own = made.simulation
+        simulation = dataclasses.replace(own, substeps=times * own.substeps)
         with jax.enable_x64(True):
             genes = jnp.asarray(champion().genes, jnp.float64)[:, None]
             steps = jax.device_get(
@@ -498,8 +491,9 @@ def test_each_recorded_step_begins_where_the_previous_ended(honest, swimming):
 @pytest.mark.slow
 def test_friction_and_drag_change_the_displacement(honest, swimming):
     """Two simulations that differ in numbers share a program. Each gives its own result."""
-    for (made, _), change in ((honest, with_friction), (swimming, with_drag)):
-        sims = tuple(change(made.simulation, factor) for factor in (1.0, 0.5))
+    for (made, _), change in ((honest, World.with_friction), (swimming, World.with_drag)):
+        worlds = (change(made.simulation.world, factor) for factor in (1.0, 0.5))
+        sims = tuple(dataclasses.replace(made.simulation, world=world) for world in worlds)
         both = compile_variation(made, Variation("", sims))(champion())
         own = compile_variation(made, Variation("", (made.simulation,)))(champion())
         assert both.displacement[0] == pytest.approx(float(own.displacement[0]), rel=1e-3, abs=1e-4)
@@ -512,7 +506,8 @@ def test_noisy_displacements_are_means_over_equal_fresh_draws(swimming):
     noisy = dataclasses.replace(made.simulation, noise=Noise(joint_angle=0.3, push=0.3))
     made = made._replace(simulation=noisy)
     assert draws_of(noisy) == 16 and draws_of(swimming[0].simulation) == 1
-    sims = tuple(with_drag(noisy, factor) for factor in (1.0, 0.5))
+    worlds = (noisy.world.with_drag(factor) for factor in (1.0, 0.5))
+    sims = tuple(dataclasses.replace(noisy, world=world) for world in worlds)
     place = Variation("", sims, 16)
     drawn = compile_variation(made, place)(champion())
     again = compile_variation(made, Variation("", (noisy,), 16))(champion())
@@ -529,9 +524,9 @@ def test_noisy_displacements_are_means_over_equal_fresh_draws(swimming):
 
 def test_changes_of_missing_water_or_ground_are_refused(honest, swimming):
     with pytest.raises(ValueError, match="no water, so drag cannot be scaled"):
-        with_drag(honest[0].simulation, 1.1)
+        honest[0].simulation.world.with_drag(1.1)
     with pytest.raises(ValueError, match="no ground, so friction cannot be scaled"):
-        with_friction(swimming[0].simulation, 1.1)
+        swimming[0].simulation.world.with_friction(1.1)
 
 
 def test_checks_that_do_not_apply_are_left_out(honest, swimming):

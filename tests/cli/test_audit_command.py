@@ -1,5 +1,6 @@
 """`evo-cpg audit`: its output, its files and its errors."""
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -18,7 +19,7 @@ from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.schema.audit import Limits
 from evo_cpg.training.checkpoint import Champion, genes_digest
-from evo_cpg.training.conditions import Variation, compile_variation, finer
+from evo_cpg.training.conditions import Variation, compile_variation
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.run_page import origin
 from pictures import ink
@@ -81,7 +82,7 @@ def test_train_tests_its_champion_at_half_the_step(cli, tmp_path, monkeypatch):
     own = experiment.simulation
     whole, half = (
         compile_variation(experiment, Variation("", (each,)))(champion).displacement[0]
-        for each in (own, finer(own, 2))
+        for each in (own, dataclasses.replace(own, substeps=2 * own.substeps))
     )
     assert whole > 0
     assert kept["measured"] == np.clip(half / whole, 0.0, 1.0)
