@@ -195,15 +195,15 @@ def test_the_verdict_says_not_confirmed(capsys):
 
 
 @pytest.mark.parametrize(
-    ("way", "kept", "out", "complaint"),
+    ("moved", "kept", "out", "complaint"),
     [
         (2.0, {"half_step": 1.0, "blind": 0.3}, "run: the champion passes its audit\n", ""),
         (2.0, {"half_step": 1.0, "blind": 0.83}, "passes", "does not use its eyes"),
         (0.004, {}, "passes", "displacement 0.004 m: too short to compare variations with"),
     ],
 )
-def test_the_verdict_names_unused_eyes_and_short_displacements(capsys, way, kept, out, complaint):
-    checks = Check("way", "", way), *(Check(key, "", fraction) for key, fraction in kept.items())
+def test_the_verdict_names_unused_eyes_and_short_displacements(capsys, moved, kept, out, complaint):
+    checks = Check("way", "", moved), *(Check(key, "", fraction) for key, fraction in kept.items())
     show_verdict(Path("run"), [judged(*checks)], "the champion")
     told = capsys.readouterr()
     assert out in told.out and complaint in told.err and bool(complaint) == bool(told.err)

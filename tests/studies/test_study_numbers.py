@@ -71,8 +71,10 @@ def test_an_animal_without_drive_stays_where_it_is():
 
 
 def test_audit_tables_show_fractions_and_reasons():
-    ways = {"own": 2.0, "b": 1.9, "b, hard": 1.0}
-    opinions = [{"program": name, "way": way, "upright": 1.0} for name, way in ways.items()]
+    displacements = {"own": 2.0, "b": 1.9, "b, hard": 1.0}
+    opinions = [
+        {"program": name, "way": moved, "upright": 1.0} for name, moved in displacements.items()
+    ]
     reason, measured = "half the step: 50 %", {"way": 2.0, "half_step": 0.5, "pose": None}
     row = {"seed": 3, "passed": False, "reasons": [reason]}
     row |= {"measured": measured, "opinions": opinions}
