@@ -36,7 +36,7 @@ def wheels(*motors: TorqueMotor | Actuator | None, **given: float) -> tuple[Worl
         joint = Joint("hub", centre, centre, ((0.0, 0.0, 1.0),), *free, actuator=motor, **given)
         bodies.append(Body(f"wheel{i}", rim, water, joint))
     creature = Creature("wheels", tuple(bodies))
-    inertias = [body.shape.inertia(body.mass)[2] for body in creature.bodies]
+    inertias = [body.shape.inertia(body.mass)[2, 2] for body in creature.bodies]
     alone = 1 / (1 / inertias[0] + 1 / inertias[1]) + given.get("armature", 0.0)
     return World(build_tree(creature), 0.0), float(alone)
 

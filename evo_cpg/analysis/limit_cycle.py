@@ -226,14 +226,18 @@ class Flow:
         )
 
     def monodromy(self, run: Any) -> Float[np.ndarray, "k k"]:
-        """Return the derivative of the last state of a run with respect to the first."""
+        """Return the derivative of the last state of a run with respect to the first.
+
+        It is not finite if the run grows beyond the largest number.
+        """
         from scipy.linalg import expm
 
         times = np.unique(np.concatenate([*run.t_events, run.t[[0, -1]]]))
         product = np.eye(len(run.y))
-        for begin, end in itertools.pairwise(times):
-            middle = run.sol((begin + end) / 2)
-            product = expm(self.matrix(0.0, middle) * (end - begin)) @ product
+        with np.errstate(over="ignore", invalid="ignore"):
+            for begin, end in itertools.pairwise(times):
+                middle = run.sol((begin + end) / 2)
+                product = expm(self.matrix(0.0, middle) * (end - begin)) @ product
         return product
 
     def equilibrium(self, state: np.ndarray) -> Equilibrium | None:
@@ -413,6 +417,8 @@ def close(flow: Flow, state: Float[np.ndarray, " k"], period: float) -> Orbit | 
         # The derivative takes the longest, so it is kept while the gap shrinks with it.
         if not number or size > _SHRINKS * before:
             slope[:-1, :-1] = flow.monodromy(run) - np.eye(len(state))
+        if not np.isfinite(slope).all():
+            return None
         slope[:-1, -1] = flow.derivative(0.0, run.y[:, -1])
         try:
             change = np.linalg.solve(slope, np.append(-gap, across @ (first - state)))

@@ -25,7 +25,6 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.parts import audit_part, pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle
 from evo_cpg.studies.workshop import Workshop
-from evo_cpg.training.conditions import finer
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
 
@@ -135,11 +134,10 @@ def displacements(simulation: Simulation, genes: Float[np.ndarray, "n g"]) -> Di
     """Simulate champions and return their displacements in the first situation, without noise."""
 
     def displacement(times: int, turned: float = 0.0) -> np.ndarray:
-
         def begin(state: State) -> State:
             return dataclasses.replace(state, q=state.q + turned)
 
-        trial = finer(simulation, times)
+        trial = dataclasses.replace(simulation, substeps=times * simulation.substeps)
         states = jax.jit(lambda g: rollout(trial, g, observers=States(), begin=begin))(genes.T)
         place = np.asarray(states.position)
         return np.linalg.norm(place[-1, :2] - place[0, :2], axis=0)

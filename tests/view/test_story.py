@@ -247,8 +247,9 @@ def test_only_a_swimmer_that_bends_sideways_is_seen_from_above():
 def test_the_leader_of_a_crowd_is_ahead():
     crowd = beside(0.0, 1.0, 2.0)
     crowd.position[-1, 1, :, 0] += 0.5
-    assert crowd.leader(0, "forward") == 1
-    assert crowd._replace(goal=np.array([1.0, 2.0, 0.5])).leader(0, "any") == 2
+    assert crowd.advance(0, "forward").argmax() == 1
+    towards = crowd._replace(goal=np.array([1.0, 2.0, 0.5]))
+    assert towards.advance(0, "any").argmax() == 2
     own = crowd.recording(1, 0)
     np.testing.assert_allclose(own.distance[0], 0)
     np.testing.assert_array_equal(own.position, crowd.position[:, 1])
