@@ -43,12 +43,14 @@ from evo_cpg.native.backend.machine import keep_code_in
 # Tests import the rest of the package later.
 rounding.nudge()
 
-# Equal programs are compiled once, such as an experiment in several tests, or a run that is started
-# and resumed. Each process has its own temporary folder.
-_COMPILED = tempfile.TemporaryDirectory(prefix="evo_cpg_compiled_")
-jax.config.update("jax_compilation_cache_dir", _COMPILED.name)
+# Equal programs are compiled once by all processes of a session, such as an experiment in several
+# tests, or a run that is started and resumed. The first process makes the folder for the others.
+if "EVO_CPG_TESTS_COMPILED" not in os.environ:
+    _COMPILED = tempfile.TemporaryDirectory(prefix="evo_cpg_compiled_")
+    os.environ["EVO_CPG_TESTS_COMPILED"] = _COMPILED.name
+jax.config.update("jax_compilation_cache_dir", os.environ["EVO_CPG_TESTS_COMPILED"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
-keep_code_in(Path(_COMPILED.name))
+keep_code_in(Path(os.environ["EVO_CPG_TESTS_COMPILED"]))
 
 # JAX and the traced programs keep millions of objects, with hardly any cycles. Collecting the tests
 # makes another million without garbage, and takes a third longer with Python's thresholds.

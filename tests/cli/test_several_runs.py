@@ -56,6 +56,7 @@ def test_resume_chooses_a_champion_that_is_not_yet_chosen(noisy_run, cli, tmp_pa
     ]
 
 
+@pytest.mark.slow
 def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path):
     kept, _, _ = RunFolder(noisy_run).load_champion()
     other = 1 - kept.run

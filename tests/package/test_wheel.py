@@ -58,6 +58,7 @@ def test_the_wheel_holds_only_package_and_configurations(wheel):
     assert "evo_cpg/py.typed" in ours
 
 
+@pytest.mark.slow
 def test_every_configuration_loads_from_the_wheel_alone(wheel, tmp_path):
     """Small counterpart of the slow test below."""
     (tmp_path / "empty").mkdir()

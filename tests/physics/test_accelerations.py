@@ -101,7 +101,8 @@ def test_random_trees_accelerate_as_in_mujoco(number):
     assert max(relative_errors(number, jnp.float64)) < 1e-9
 
 
-@pytest.mark.parametrize("number", [pytest.param(1, marks=pytest.mark.slow), 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [1, 3])
 def test_float32_keeps_four_digits(number):
     """In float32 the tolerance is 2e-4 of the largest acceleration.
 
