@@ -37,7 +37,7 @@ from evo_cpg.control.controller import Command
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.laws import ForceLaws
+from evo_cpg.creature.laws import CoordinateLaws
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.io.models.mujoco_state import (
     CarriedInertia,
@@ -409,7 +409,7 @@ class _Player:
         return jax.tree.unflatten(self._structure, parts)
 
 
-def _controls(laws: ForceLaws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
+def _controls(laws: CoordinateLaws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
     """Return MuJoCo's commands that give the force of our motors."""
     target_rate, target_angle = np.asarray(command.target_rate), np.asarray(command.target_angle)
     gain, stiffness = (

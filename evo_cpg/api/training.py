@@ -239,7 +239,7 @@ def _trained(folder: RunFolder, champion: Champion) -> Trained:
 
 
 class ChampionRecorder:
-    """ChampionRecorder of the champion's motion, with a first check of the champion.
+    """Recorder of the champion's motion, with a first check of the champion.
 
     Its programs compile in a thread while the population evolves. One core is busy meanwhile, but
     the end of a long run is not delayed.

@@ -47,7 +47,7 @@ class DryFriction(eqx.Module):
 
 
 class TorqueMotors(eqx.Module):
-    """Motors whose torque the controller commands. `ForceLaws.torque_limit` has their limits.
+    """Motors whose torque the controller commands. `CoordinateLaws.torque_limit` has their limits.
 
     Attributes:
         driven: True for each axis with such a motor.
@@ -86,7 +86,7 @@ class Muscles(eqx.Module):
     power: Float[Numbers, " d"]
 
 
-class ForceLaws(eqx.Module):
+class CoordinateLaws(eqx.Module):
     """Numbers of the force laws on some coordinates: angles of axes, or lengths of tendons.
 
     Units are those of `DegreeOfFreedom` for axes, and of `Tendon` for tendons.
@@ -143,7 +143,7 @@ class ForceLaws(eqx.Module):
 
 
 class BallLimits(eqx.Module):
-    """Limits of the angles of ball joints, with the names of `ForceLaws`.
+    """Limits of the angles of ball joints, with the names of `CoordinateLaws`.
 
     Attributes:
         first: first degree of freedom of each ball with a limit.
@@ -160,7 +160,7 @@ class BallLimits(eqx.Module):
     limit_damping: Float[Numbers, " b"]
 
 
-class Tendons(ForceLaws):
+class Tendons(CoordinateLaws):
     """Fixed tendons, with the force laws on their lengths.
 
     Attributes:
@@ -220,7 +220,7 @@ def ball_limits_of(
 def laws_of(
     coordinates: Sequence[DegreeOfFreedom | Tendon], inertia: Float[Numbers, " d"]
 ) -> dict[str, Any]:
-    """Return the fields of `ForceLaws` of some coordinates.
+    """Return the fields of `CoordinateLaws` of some coordinates.
 
     A limit balances a torque motor like a servo of its full torque at 1 rad/s. A servo damps its
     joint, but a torque motor does not, so the limit has the damping of that servo.

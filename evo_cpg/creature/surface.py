@@ -55,7 +55,7 @@ def outer_surfaces(
 
     Args:
         creature: the creature.
-        resolution: resolution of `Shape.surface`.
+        resolution: resolution of `Shape.surface`, or of the outline of a round body.
         sheltered: whether to drop points that another body covers in the neutral pose. False counts
             every face, as a literal reading of Iwadate 2010 would.
         layout: layout of the points. With "complete", sheltered points remain and their area is 0.

@@ -35,7 +35,7 @@ from evo_cpg.creature.creature import (
 )
 from evo_cpg.creature.laws import (
     BallLimits,
-    ForceLaws,
+    CoordinateLaws,
     Tendons,
     ball_limits_of,
     laws_of,
@@ -75,7 +75,7 @@ class Group(NamedTuple):
         return any(kind.at_once for kind in self.kinds)
 
 
-class Tree(ForceLaws):
+class Tree(CoordinateLaws):
     """A tree of rigid bodies in the order of the recursions, with the force laws of its axes.
 
     The root floats freely, or hangs on the fixed world (`evo_cpg.physics.tree.hanging`). The joint

@@ -33,7 +33,7 @@ _STATE_PREFIX = "state."
 
 
 class Champion(NamedTuple):
-    """Best individual of a run.
+    """An evaluated individual, such as the best of a run.
 
     Attributes:
         genes: genome of the individual.

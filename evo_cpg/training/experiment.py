@@ -1,4 +1,4 @@
-"""One generation of an experiment: trials on all devices, then a step of the search.
+"""Parts of a generation besides its trials: random keys, and the step of the search.
 
 An experiment may hold several runs: independent populations of equal size, each with its own seed.
 The population axis is ordered by run, then by individual, then by trial. Run ``r`` draws the random
@@ -192,7 +192,7 @@ def placeholder_scales(experiment: ExperimentParts) -> dict[str, tuple[float, ..
     return dict.fromkeys(shapes, (1.0,) * experiment.runs)
 
 
-def breed(
+def next_generation(
     experiment: ExperimentParts,
     genes: Float[Array, "g n"],
     outcome: Outcome,

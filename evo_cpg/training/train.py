@@ -33,8 +33,8 @@ from evo_cpg.training.experiment import (
     ExperimentParts,
     Generation,
     begin,
-    breed,
     generation_keys,
+    next_generation,
     placeholder_scales,
     situation_numbers,
 )
@@ -56,12 +56,12 @@ class Evolution(NamedTuple):
     Attributes:
         begin: compiled `evo_cpg.training.experiment.begin`.
         keys: compiled `evo_cpg.training.experiment.generation_keys`.
-        breed: compiled `evo_cpg.training.experiment.breed`.
+        next_generation: compiled `evo_cpg.training.experiment.next_generation`.
     """
 
     begin: Callable[..., tuple[Array, PyTree[Array]]]
     keys: Callable[..., Array | None]
-    breed: Callable[..., Generation]
+    next_generation: Callable[..., Generation]
 
 
 class Running:
@@ -116,7 +116,7 @@ class Running:
         return genes, keys, numbers
 
     def tell(self, outcome: Outcome, start: float) -> list[dict[str, float]]:
-        """Take the outcome of the last `trials`, breed, and write a checkpoint.
+        """Take the outcome of the last `trials`, make the next generation, and write a checkpoint.
 
         ``start`` is the time at which the generation started, by `time.perf_counter` (s).
 
@@ -127,7 +127,7 @@ class Running:
         genes, number = self._given
         scales = {name: np.array(values, np.float32) for name, values in before.scales.items()}
         result = jax.device_get(
-            self._programs.breed(genes, outcome, np.int32(number), scales, self._state)
+            self._programs.next_generation(genes, outcome, np.int32(number), scales, self._state)
         )
         if before.generation >= experiment.generations:
             # This was a round that chooses the champion. Only its fitness is used, because no
@@ -194,7 +194,7 @@ class Running:
 
 def compile_evolution(experiment: ExperimentParts) -> Evolution:
     """Return the functions that a run needs besides its trials, for any number of generations."""
-    functions = begin, generation_keys, breed
+    functions = begin, generation_keys, next_generation
     return Evolution(*(jax.jit(functools.partial(one, experiment)) for one in functions))
 
 

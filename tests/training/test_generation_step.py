@@ -14,7 +14,7 @@ from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.evaluate import compile_trials
-from evo_cpg.training.experiment import Generation, begin, breed
+from evo_cpg.training.experiment import Generation, begin, next_generation
 from evo_cpg.training.train import train
 from trials import SineController, experiment, folder_at
 
@@ -82,7 +82,7 @@ def of_run(generation: Generation, run: int) -> Generation:
 
 @pytest.fixture(scope="module")
 def step(small, run_trials):
-    breeding = jax.jit(functools.partial(breed, small))
+    breeding = jax.jit(functools.partial(next_generation, small))
     return lambda genes, i, scales: breeding(genes, run_trials(genes), i, scales, ())
 
 

@@ -16,7 +16,14 @@ from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.evaluate import compile_replay, compile_trials
-from evo_cpg.training.experiment import begin, breed, generation_keys, judge, judge_each, trial_keys
+from evo_cpg.training.experiment import (
+    begin,
+    generation_keys,
+    judge,
+    judge_each,
+    next_generation,
+    trial_keys,
+)
 from trials import OneTerm, SineController, evolve, experiment, untimed
 
 SEED, SIZE, GENERATIONS = 5, 6, 3
@@ -77,7 +84,7 @@ def test_breeding_several_runs_equals_breeding_each_alone(genetics, trials):
 
     def program(made):
         made = made._replace(strategy=genetics, trials=trials)
-        return quick_jit(lambda seed, *given: breed(made._replace(seed=seed), *given))
+        return quick_jit(lambda seed, *given: next_generation(made._replace(seed=seed), *given))
 
     several, single = program(PAIR), program(alone(SEED))
 
@@ -230,7 +237,9 @@ def test_genes_become_real_numbers(kind):
     assert genes.dtype == np.float32 and set(np.unique(genes)) == {0, 1}
     outcome = Outcome(no_terms(simulation, (SIZE,)), jnp.ones(SIZE, bool))
     scales = {"energy": jnp.ones(1)}
-    told = jax.eval_shape(functools.partial(breed, made), genes, outcome, 0, scales, state)
+    told = jax.eval_shape(
+        functools.partial(next_generation, made), genes, outcome, 0, scales, state
+    )
     assert told.next_genes.dtype == np.float32
 
 

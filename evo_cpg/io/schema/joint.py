@@ -321,9 +321,9 @@ class JointConfig(Section):
         )
 
     def build(self, parent: str, parent_centre: np.ndarray, centre: np.ndarray) -> Joint:
-        """Build the joint on the given parent, in frames at the bodies' centres of mass.
+        """Build the joint on the given parent, in frames at the centres of the bodies' shapes.
 
-        The centres of mass are in the frames of ``at`` and ``child_at``, m.
+        The centres are in the frames of ``at`` and ``child_at``, m.
         """
         rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
         axes, limits, rest = self.every_axis, [], []

@@ -105,7 +105,7 @@ def first_warmstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> W
 
 
 def needs_iteration(world: World) -> bool:
-    """Return whether steps of a world need iteration, because the force laws have kinks."""
+    """Return whether steps need iteration, because forces other than joint limits have kinks."""
     if world.contact_model is not None or world.pairs is not None:
         return True
     for laws in (world.tree, world.tree.tendons):

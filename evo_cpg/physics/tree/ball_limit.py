@@ -45,7 +45,7 @@ class BallLaws(NamedTuple):
         return BallForce(self, torque + slope * change, h * slope)
 
     def expected(self, h: float) -> "BallForce":
-        """Return the limits for a step of one solve."""
+        """Return the limits for a step without iteration."""
         torque, slope = expected_limit_torque(self.limits, self.angles, h)
         return BallForce(self, torque, h * slope)
 

@@ -9,9 +9,8 @@ Each law gives its torque at the present rates and its derivative. The implicit 
 - Passive: ``-k (q + h qd - rest) - c qd``, T = h (c + h k).
 - Limit: a one-sided spring and damper, ``-K max(0, qd_end - v*)`` with ``K = c + h k``. The rate v*
   brings the joint just to its limit at the end of the step. If the joint is past its limit, v* is
-  the return rate of the spring. The limit never slows a returning joint. A step of one solve (no
-  ground, no motor limits) uses a spring and damper if the joint would pass its limit at the present
-  rate.
+  the return rate of the spring, so the limit does not slow a returning joint. A step without
+  iteration uses a spring and damper if the joint would pass its limit at the present rate.
 - Dry friction: ``-clip(K qd_end, F)`` with the friction loss F. ``K = 1000 I / h`` is so large that
   the joint sticks below F: it keeps a thousandth of its acceleration. I is its effective inertia.
 - Motor: ``g (rate* - qd) + k_m (angle* - q - h qd)``, T = h (g + h k_m), with a limit on the torque
@@ -29,7 +28,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
-from evo_cpg.creature.laws import BallLimits, ForceLaws
+from evo_cpg.creature.laws import BallLimits, CoordinateLaws
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.tree.muscle import pull_of
 from evo_cpg.physics.tree.state import State
@@ -45,7 +44,7 @@ _NONE = 1e-12
 
 
 # Numbers of limits of joint axes, tendons or balls.
-Limits = ForceLaws | BallLimits
+Limits = CoordinateLaws | BallLimits
 
 
 class Coordinates(NamedTuple):
@@ -94,7 +93,7 @@ class MotorTorque(NamedTuple):
     start: Float[Array, "d *n"]
     of_muscles: Float[Array, "d *n"] | None = None
 
-    def derivative(self, tree: ForceLaws, h: float) -> Float[Array, "d *n"]:
+    def derivative(self, tree: CoordinateLaws, h: float) -> Float[Array, "d *n"]:
         """Return the torque decrease per final rate (N m s/rad), always positive.
 
         A servo's decrease is ``g + h k_m``.
@@ -103,7 +102,7 @@ class MotorTorque(NamedTuple):
         every = servo if self.of_muscles is None else servo + self.of_muscles
         return jnp.maximum(every, jnp.finfo(self.start.dtype).tiny)
 
-    def at(self, tree: ForceLaws, qdd: Float[Array, "d *n"], h: float) -> Float[Array, "d *n"]:
+    def at(self, tree: CoordinateLaws, qdd: Float[Array, "d *n"], h: float) -> Float[Array, "d *n"]:
         """Return the torque at the end of a step of h (s) with joint accelerations qdd, N m."""
         return self.start - h * self.derivative(tree, h) * qdd
 
@@ -144,7 +143,7 @@ def limit_torque(
 
 
 def friction_torque(
-    tree: ForceLaws, rate: Float[Array, "d *n"], h: float
+    tree: CoordinateLaws, rate: Float[Array, "d *n"], h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of dry friction (N m), and its decrease per rate (N m s/rad)."""
     assert tree.dry_friction is not None
@@ -156,7 +155,7 @@ def friction_torque(
 
 
 def linearized_torque(
-    tree: ForceLaws,
+    tree: CoordinateLaws,
     motor: MotorTorque,
     state: State | Coordinates,
     qdd: Float[Array, "d *n"],
@@ -181,7 +180,7 @@ def linearized_torque(
 
 
 def changes_overload(
-    tree: ForceLaws,
+    tree: CoordinateLaws,
     motor: MotorTorque,
     state: State | Coordinates,
     qdd: Float[Array, "d *n"],
@@ -210,7 +209,7 @@ def changes_overload(
 def expected_limit_torque(
     tree: Limits, state: State | Coordinates, h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
-    """Return the torque of the limits and its decrease per rate, for a step of one solve."""
+    """Return the torque of the limits and its decrease per rate, for a step without iteration."""
     q, rate = state.q, state.qd
     ahead = q + h * rate
     over = ahead - jnp.clip(ahead, expand_dims_like(tree.lower, q), expand_dims_like(tree.upper, q))
@@ -223,7 +222,7 @@ def expected_limit_torque(
 
 
 def motor_torque(
-    tree: ForceLaws, state: State | Coordinates, command: MotorCommand, h: float
+    tree: CoordinateLaws, state: State | Coordinates, command: MotorCommand, h: float
 ) -> MotorTorque:
     """Return the commanded torque of motors and muscles."""
     rates = state.qd
@@ -245,7 +244,7 @@ def motor_torque(
     return MotorTorque(torque + pull.torque(state.q, rates), of_muscles)
 
 
-def clamp_torque(tree: ForceLaws, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+def clamp_torque(tree: CoordinateLaws, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
     """Return the motors' torque clamped to its limit, N m."""
     limit = expand_dims_like(tree.torque_limit, torque)
     return jnp.clip(torque, -limit, limit)

@@ -57,7 +57,7 @@ class TendonLaws(NamedTuple):
         return TendonForce(self.tendons, force, h * slope)
 
     def expected(self, h: float) -> "TendonForce":
-        """Return all laws for a step of one solve."""
+        """Return all laws for a step without iteration."""
         stop, slope = expected_limit_torque(self.tendons, self.lengths, h)
         resistance = self.derivative + h * (self.motor.derivative(self.tendons, h) + slope)
         return TendonForce(self.tendons, self.passive + self.motor.start + stop, resistance)
