@@ -394,9 +394,10 @@ def _effort(motion: Measurement, distance: float, speed: float, swims: bool) -> 
         known = (running_cost(mass), running_cost(mass, speed),
                  "runners of this mass, metabolic, fast and at this speed",
                  "Taylor et al. 1982")  # fmt: skip
-    animals = (Animals("cost_of_transport", float(known[0]), float(known[1]), *known[2:]),) * bool(
-        known
-    )
+    animals: tuple[Animals, ...] = ()
+    if known:
+        least, most, *words = known
+        animals = (Animals("cost_of_transport", float(least), float(most), *words),)
     muscular = ", and metabolic power of muscles (Minetti and Alexander 1997)"
     found = [
         Quantity("power", "mean power", float(power.mean()), "W",

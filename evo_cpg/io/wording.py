@@ -227,7 +227,12 @@ def _key_of(problem: Any, data: Any) -> Place:
     place: Any = data
     for i, part in enumerate(location):
         inner, known = follow(place, (part,))
-        if known or (missing and i == len(location) - 1 and isinstance(place, dict)):
+        rest = location[i + 1 : i + 2]
+        # A section of a union may be named like one of its keys, such as `slide`.
+        absent = missing and i + 2 == len(location) and not isinstance(inner, dict | list)
+        if known and rest and not follow(inner, rest)[1] and (absent or follow(place, rest)[1]):
+            continue
+        if known or (missing and not rest and isinstance(place, dict)):
             key.append(part)
             place = inner
     return tuple(key)

@@ -104,7 +104,7 @@ def test_cost_of_transport_leaves_out_the_last_step():
     assert found.value("speed") == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize("speed", [1e-7, 0.1])
+@pytest.mark.parametrize("speed", [0.0, 1e-7, 0.1])
 def test_a_standing_animal_has_no_stride_length_or_relative_slip(speed):
     """The animal wriggles, and the tail is always in contact and slides along."""
     creature = snake()

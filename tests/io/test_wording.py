@@ -81,6 +81,8 @@ VALUES = [
     ("creature.bodies.1.joint.axes", [{"slide": "x"}, {"slide": "-x"}], "independent"),
     ("creature.bodies.1.joint.axes", [{"slid": "x"}], "slid"),
     ("creature.bodies.1.joint.axes", [{"slide": "x", "limits_m": [0.1, 0]}], "limits_m"),
+    ("creature.bodies.1.joint.axes", [{"slide": "x", "rest_m": "far"}], ".rest_m: 'far'"),
+    ("creature.bodies.1.joint.axes", [{"turn": "x", "at": "far"}], ".at: 'far'"),
     ("creature.bodies.1.joint.limits_deg", 60, "a list of 2 numbers"),
     ("creature.bodies.1.joint.limits_deg", [[-60, "a"]], "'a'"),
     ("creature.bodies.1.joint.limits_deg", [30, -30], "below"),
