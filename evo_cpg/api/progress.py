@@ -2,8 +2,8 @@
 
 The first call of a program compiles it, which takes seconds or, for a large animal, minutes. So no
 work stays silent: a thread prints its name and duration if the work itself prints nothing. In the
-log or pipe of a command, at most `LONGEST_SILENCE` seconds pass between two lines. In those of a
-script or notebook, the interval doubles after each line, because nobody may be waiting.
+log or pipe of a command, at most `LONGEST_SILENCE` seconds pass between two lines. A script or
+notebook prints at intervals that double, because nobody may be waiting.
 """
 
 import contextlib

@@ -30,10 +30,11 @@ from evo_cpg.view.output import check_size, output_path
 from evo_cpg.view.scene import Panel, animal_radius, panel_of, sample
 from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, story_film
 
-# Lengths in the film, s: of the whole story, of the title before the first motion, of the motion of
-# the first crowd and of each other one, and of the race. The champion takes the rest.
+# Seconds for the whole story, the title before anything moves, the first crowd's motion, each later
+# crowd's motion, and the race. The champion takes the rest.
 _WHOLE, _TITLE, _FIRST, _CROWD, _RACE = 15.0, 1.7, 3.2, 1.8, 3.4
-# Time without words after the title, s. Part of the first crowd's motion before its second words.
+# Time without words after the title, s, and the fraction of the first crowd's motion before its
+# second words.
 _PAUSE, _PART = 0.1, 0.45
 # Time in which the camera leaves the title, time before it turns to the winner of the race, and
 # time in which it does, s.

@@ -69,7 +69,7 @@ _BALL_WEIGHTS = np.array([0.823963622929168, 0.176036377070832])
 
 @dataclasses.dataclass(frozen=True)
 class BodyOutline:
-    """BodyOutline of a body.
+    """Outline of a body.
 
     Attributes:
         barrel: the body as a cylinder with two ends.

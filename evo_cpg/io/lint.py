@@ -248,12 +248,8 @@ def masses(case: Case) -> Found:
             )
 
 
-def weight(case: Case) -> Found:
-    """Warn of densities in another unit, and of an animal that only sinks or rises in water.
-
-    Densities count if they give a body its mass. An animal sinks because there is no ground, and
-    rises because the water has no surface.
-    """
+def densities(case: Case) -> Found:
+    """Warn of densities that are probably in another unit, if they give a body its mass."""
     low = SOLID.low if case.config.world.water else _AIRY
     weighed = [body for body in case.config.creature.bodies if body.mass is None]
     used = {part.material for body in weighed for part in (body, *body.parts)}
@@ -261,6 +257,10 @@ def weight(case: Case) -> Found:
         problem = SOLID.problem(material.density)
         if problem and name in used and not low <= material.density <= SOLID.high:
             yield ("creature", "materials", name, "density"), problem
+
+
+def weight_in_water(case: Case) -> Found:
+    """Warn of an animal that only sinks, because there is no ground, or rises without a surface."""
     world, water = case.config.world, case.config.world.water
     volume = sum(float(body.shape.volume) for body in case.creature.bodies)
     held = world.forces or case.creature.root_joint is not None
@@ -340,13 +340,9 @@ def folded(case: Case) -> Found:
             )
 
 
-def motion_of_joints(case: Case) -> Found:
-    """Warn of three axes that reach a common plane, and of an animal without a motor.
-
-    The axes are at one place, without a rotor among them.
-    """
-    joints = list(case.joints())
-    for joint in joints:
+def axes_in_a_plane(case: Case) -> Found:
+    """Warn of three axes at one place that reach a common plane, without a rotor among them."""
+    for joint in case.joints():
         built = joint.built
         pure = all(dof.kind == Turn() and not any(dof.place) for dof in built.dofs)
         if len(built.axes) != SPANNING or not pure or built.kind == "turns":
@@ -358,6 +354,11 @@ def motion_of_joints(case: Case) -> Found:
                 "Near it the joint spins up under any torque. Give it an armature, narrower limits "
                 "for the middle axis, or axes: ball",
             )
+
+
+def no_motor(case: Case) -> Found:
+    """Warn if no joint and no tendon has a motor."""
+    joints = list(case.joints())
     pulled = any(tendon.actuator for tendon in case.config.creature.tendons)
     if joints and not pulled and not any(any(joint.given.each("actuator")) for joint in joints):
         first = next((joint for joint in joints if joint.parent is not None), joints[0])
@@ -434,13 +435,9 @@ def step_length(case: Case) -> Found:
         )
 
 
-def world_and_trials(case: Case) -> Found:
-    """Warn of a world and trials that hardly anybody means.
-
-    These are ground under water because ``water`` is left out, gravity without anything that holds
-    the animal, walking without ground, and equal trials. A root on the world does not fall.
-    """
-    world, simulation = case.config.world, case.config.simulation
+def water_by_default(case: Case) -> Found:
+    """Warn of ground that lies under water because the key ``water`` is left out."""
+    world = case.config.world
     if world.ground is not None and "water" not in world.model_fields_set:
         yield (
             ("world", "water"),
@@ -448,9 +445,17 @@ def world_and_trials(case: Case) -> Found:
             "water: null for dry land, water: {surface: 0} for water up to a height, or water: {} "
             "for water everywhere",
         )
-    hangs = any(body.hangs for body in case.config.creature.bodies)
+
+
+def nothing_to_hold_it(case: Case) -> Found:
+    """Warn of gravity without water, ground or a force law, because the animal falls forever.
+
+    A root that hangs on the world does not fall.
+    """
+    world, hangs = case.config.world, any(body.hangs for body in case.config.creature.bodies)
     empty = world.water is None and world.ground is None and not world.forces
     if world.gravity and empty and not hangs:
+        simulation = case.config.simulation
         speed = world.gravity * simulation.steps / simulation.control_rate_hz
         yield (
             ("world", "ground"),
@@ -458,13 +463,21 @@ def world_and_trials(case: Case) -> Found:
             f"{speed:.3g} m/s. Above {WILDEST_SPEED:g} m/s it counts as diverged. Give the world a "
             "ground (ground: {}) or water (water: {}), or set gravity to 0",
         )
-    if case.config.task.needs_ground and world.ground is None:
+
+
+def walk_without_ground(case: Case) -> Found:
+    """Warn of a task that needs ground if there is no ground."""
+    if case.config.task.needs_ground and case.config.world.ground is None:
         yield (
             ("task", "type"),
             "there is no ground to walk on, so the animal always counts as airborne. Give "
             "the world a ground (world.ground: {}), or choose task: {type: distance}",
         )
-    trials = simulation.trials
+
+
+def trials_alike(case: Case) -> Found:
+    """Warn of several equal trials."""
+    trials = case.config.simulation.trials
     alike = isinstance(trials, int) or trials.count(trials[0]) == len(trials)
     count = trials if isinstance(trials, int) else len(trials)
     if case.config.noise.silent and alike and count > 1:
@@ -479,12 +492,17 @@ RULES: tuple[Callable[[Case], Found], ...] = (
     single_fields,
     body_size,
     masses,
-    weight,
+    densities,
+    weight_in_water,
     joint_limits,
     folded,
-    motion_of_joints,
+    axes_in_a_plane,
+    no_motor,
     far_places,
     light_unseen,
     step_length,
-    world_and_trials,
+    water_by_default,
+    nothing_to_hold_it,
+    walk_without_ground,
+    trials_alike,
 )

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ from scipy.integrate import odeint
 
 from creatures import box_chain
 from evo_cpg.analysis.limit_cycle import (
+    Flow,
     LimitCycle,
     NoRhythmError,
     RhythmSearchError,
+    close,
     limit_cycle,
     resting,
 )
@@ -174,6 +177,16 @@ def test_an_unfinished_search_is_neither_rest_nor_rhythm(monkeypatch):
     monkeypatch.setattr("evo_cpg.analysis.limit_cycle._LONGEST", 0.0)
     with pytest.raises(RhythmSearchError, match="nothing is known"):
         found(chain(pair_weight=2.0), 4.0)
+
+
+def test_a_guess_with_an_overflowing_derivative_closes_no_orbit():
+    """Both sides fire alike, which is unstable: a perturbation grows by more than exp(710)."""
+    flow, alike = Flow(chain(pair_weight=5.0), np.ones((2, 1)), np.full(1, 4.0)), np.full(4, 0.2)
+    long = SimpleNamespace(t_events=[], t=np.array([0.0, 2e3]), y=np.ones((4, 2)))
+    long.sol = lambda time: alike
+    assert not np.isfinite(flow.monodromy(long)).all()
+    flow.run = lambda *given: long
+    assert close(flow, alike, 2e3) is None
 
 
 def test_a_rhythm_of_unknown_stability_is_returned(monkeypatch):

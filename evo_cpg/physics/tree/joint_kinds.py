@@ -180,7 +180,7 @@ class OneByOne(NamedTuple):
 
 
 class _Coordinates(NamedTuple):
-    """_Coordinates of a tree, with their sines and cosines, which are computed together."""
+    """Coordinates of a tree, with their sines and cosines, which are computed together."""
 
     q: Float[Array, "d *n"]
     sine: Float[Array, "d *n"]
