@@ -19,15 +19,17 @@ class VectorUnit(NamedTuple):
         bytes: size of a vector, bytes.
         registers: number of vector registers.
         needs: LLVM's names of the processor features that the set requires.
+        compresses: whether an instruction moves chosen numbers of a vector into its first lanes.
     """
 
     bytes: int
     registers: int
     needs: tuple[str, ...]
+    compresses: bool = False
 
 
 INSTRUCTION_SETS = {
-    "avx512": VectorUnit(64, 32, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma")),
+    "avx512": VectorUnit(64, 32, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma"), True),
     "avx2": VectorUnit(32, 16, ("avx2", "fma")),
     "sse": VectorUnit(16, 16, ("sse2",)),
     "neon": VectorUnit(16, 32, ("neon",)),

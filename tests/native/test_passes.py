@@ -27,7 +27,7 @@ from evo_cpg.native.ir import Node, Unsupported
 from evo_cpg.native.passes import eliminate_dead_code, schedule
 
 F32 = np.dtype(np.float32)
-TARGET = Target("avx2", 32, 16, fma=True, processor="", features="")
+TARGET = Target("avx2", 32, 16, fma=True, compresses=False, processor="", features="")
 WIDE = Variant(TARGET, width=8)
 
 

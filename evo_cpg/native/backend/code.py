@@ -26,6 +26,7 @@ class Target(NamedTuple):
         bytes: size of a vector, bytes.
         registers: number of vector registers.
         fma: whether the processor multiplies and adds in one instruction.
+        compresses: whether one instruction moves chosen numbers of a vector into its first lanes.
         processor: LLVM's name of the processor.
         features: LLVM's list of processor features.
     """
@@ -34,6 +35,7 @@ class Target(NamedTuple):
     bytes: int
     registers: int
     fma: bool
+    compresses: bool
     processor: str
     features: str
 

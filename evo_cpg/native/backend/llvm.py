@@ -45,7 +45,7 @@ class Printer:
         stride = (size // line | 1) * line + line
         fitting = max(machine_constants.LARGEST_GROUP // stride, 1)
         vectors = min(machine_constants.VECTOR_GROUP, fitting)
-        self.group = VectorGroup(vectors, variant.width, stride)
+        self.group = VectorGroup(vectors, variant.width, stride, variant.target.compresses)
         self.own = (self.group.vectors + 1) * stride if code.grouped else size
         count = len(code.arguments) + len(code.results)
         self.buffers = "".join(f"ptr %b{k}, " for k in range(count))

@@ -87,9 +87,9 @@ def host(requested: str | None = None) -> Target:
     flags = [f"{'+' if each in kept else '-'}{each}" for each in sorted(has - {"neon", "fma"})]
     if "fma" in has and name not in ("neon",):
         flags.append(f"{'+' if 'fma' in kept else '-'}fma")
-    size, registers, _ = sets[name]
+    size, registers, _, compresses = sets[name]
     processor = llvm.get_host_cpu_name()
-    return Target(name, size, registers, "fma" in kept, processor, ",".join(flags))
+    return Target(name, size, registers, "fma" in kept, compresses, processor, ",".join(flags))
 
 
 # Entry address and code size (bytes) of each module, and the object that keeps it in memory.
