@@ -10,7 +10,7 @@ from scipy import optimize, stats
 from creatures import quick_jit
 from evo_cpg.analysis.fit import fit
 from evo_cpg.control.commanded import Commanded
-from evo_cpg.io.load import check_config, load_config
+from evo_cpg.io.load import load_config
 from evo_cpg.io.parameters import parametrise
 from evo_cpg.simulation.track import track
 from tiny_run import CONFIG, TINY
@@ -111,50 +111,6 @@ def test_intervals_hold_a_decaying_oscillation():
 
     held, _ = coverage(model, np.array([2.0, 0.3, 0.4]), [2.1, 0.33, 0.42], 0.02, 1)
     assert (held >= FEWEST).all() and (held <= MOST).all(), held
-
-
-@pytest.mark.slow
-def test_intervals_hold_the_friction_of_a_sliding_block():
-    """Use 40 places on an incline with 1 mm of noise. The initial value is a third too small."""
-    block = {"name": "block", "shape": {"type": "box", "size": [0.2, 0.2, 0.1]}, "material": "a"}
-    config = check_config(
-        {
-            "name": "slider",
-            "creature": {
-                "name": "slider",
-                "materials": {"a": {"density": 500.0, "restitution": 0.0}},
-                "bodies": [block],
-            },
-            "world": {
-                "water": None,
-                "ground": {
-                    "friction_rule": "min",
-                    "static_friction": 0.3,
-                    "dynamic_friction": 0.15,
-                    "floor": {"slope_deg": 20.0},
-                },
-            },
-            "simulation": {"seconds": 40 / 60},
-            "controller": {"type": "evo_cpg.control.commanded:Commanded"},
-            "task": {"type": "distance"},
-        },
-        "slider.yaml",
-    )
-    parameters = parametrise(config, "slider.yaml", ["world.ground.dynamic_friction"])
-    times = np.arange(1, 41) / 60
-
-    def model(values):
-        return track(parameters.simulation(values), jnp.zeros(0), times, ("x", "z"))
-
-    # The block starts level, and lies flat on the incline after the first steps. Then its
-    # acceleration is g (sin a - mu cos a).
-    slope, lying = np.deg2rad(20), times > 0.3
-    distance = np.asarray(quick_jit(model)(jnp.asarray(parameters.values)))[:, 0] / np.cos(slope)
-    acceleration = 2 * np.polyfit(times[lying], distance[lying], 2)[0]
-    ideal = 9.81 * (np.sin(slope) - 0.15 * np.cos(slope))
-    np.testing.assert_allclose(acceleration, ideal, rtol=1e-3)
-    held, _ = coverage(model, parameters.values, [0.1], 1e-3, 0)
-    assert FEWEST <= held[0] <= MOST
 
 
 @pytest.mark.slow

@@ -8,9 +8,9 @@ from evo_cpg.analysis import feet as footfalls
 STEP = 1 / 60
 
 
-def square_waves(frequency: float, duty: float, phases: list[float], count: int = 1200):
+def square_waves(frequency: float, duty: float, phases: list[float], count: int = 1200, step=STEP):
     """Return contacts that last a fraction of every stride, from each foot's phase on."""
-    time = (np.arange(count) + 0.5) * STEP
+    time = (np.arange(count) + 0.5) * step
     return np.stack([(frequency * time - phase) % 1.0 < duty for phase in phases], -1)
 
 
@@ -51,8 +51,7 @@ def test_chatter_is_removed_except_at_the_edges():
 def test_strides_of_a_fast_animal_are_no_chatter(frequency):
     """The sampling rate is 240 Hz, and each touch-down bounces for one sample."""
     step = 1 / 240
-    time = (np.arange(960) + 0.5) * step
-    touched = np.stack([(frequency * time - phase) % 1.0 < 0.6 for phase in (0.0, 0.5)], -1)
+    touched = square_waves(frequency, 0.6, [0.0, 0.5], 960, step)
     bounced = touched.copy()
     bounced[3:] &= ~(touched[1:-2] & ~touched[:-3])
     found = footfalls.phases(footfalls.settled(bounced, step, footfalls.chatter(frequency)), step)

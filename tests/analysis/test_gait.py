@@ -10,20 +10,10 @@ STEP = 1 / 60
 
 
 def recording(angles: np.ndarray, names: tuple[str, ...]) -> Recording:
-    count = len(angles)
-    nothing = np.zeros_like(angles)
-    return Recording(
-        time=np.arange(count) * STEP,
-        position=np.zeros((count, 1, 3)),
-        rotation=np.tile(np.eye(3), (count, 1, 1, 1)),
-        joint_angle=angles,
-        target_rate=nothing,
-        cpg_output=nothing,
-        torque=nothing,
-        distance=np.zeros(count),
-        goal=np.zeros(3),
-        dof_names=names,
-    )
+    """Return a recording of joint angles. No rhythm depends on the other fields."""
+    fields = dict.fromkeys(Recording._fields, np.zeros(0))
+    time = np.arange(len(angles)) * STEP
+    return Recording(**fields | {"time": time, "joint_angle": angles, "dof_names": names})
 
 
 def wave(frequency: float, lag_deg: float, joints: int = 6, count: int = 2000) -> np.ndarray:

@@ -13,24 +13,16 @@ STEP = 1 / 60
 TIME = np.arange(1200) * STEP
 
 
-@pytest.mark.parametrize("frequency", [0.31, 1.0, 2.7])
-@pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_stride_frequency_of_a_noisy_wave(frequency, noise):
-    phase = 2 * np.pi * frequency * TIME[:, None] - np.arange(6)
-    signals = np.sin(phase) + noise * np.random.default_rng(0).normal(size=phase.shape)
-    assert stride.stride_frequency(signals, STEP) == pytest.approx(frequency, rel=0.01)
-
-
 def test_a_joint_at_twice_the_frequency_does_not_count():
     beat = 2 * np.pi * 0.8 * TIME
     signals = np.stack([0.4 * np.sin(beat), np.sin(2 * beat), np.sin(2 * beat + 1)], -1)
     assert stride.stride_frequency(signals, STEP) == pytest.approx(0.8, rel=0.01)
 
 
-@pytest.mark.parametrize("frequency", [5.3, 8.0, 9.5, 11.0, 17.3, 20.0])
+@pytest.mark.parametrize("frequency", [0.31, 1.0, 2.7, 5.3, 8.0, 9.5, 11.0, 17.3, 20.0])
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_fast_beats_have_accurate_frequency_and_speed(frequency, noise):
-    """Errors are at most 1 %. A beat has only a few samples, which may all miss its extremes."""
+def test_slow_and_fast_beats_have_accurate_frequency_and_speed(frequency, noise):
+    """Errors are at most 1 %. A fast beat has only a few samples, which may miss its extremes."""
     beat = 2 * np.pi * frequency * TIME
     signals = np.sin(beat[:, None] - np.arange(6))
     signals += noise * np.random.default_rng(1).normal(size=signals.shape)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from evo_cpg.analysis.body_wave import body_wave, travelling_index
 from evo_cpg.analysis.midline import bending_lag, envelope, sway, swimming
@@ -18,14 +19,7 @@ def moved(lateral, speed=0.5, course=0.0):
     """Return a midline along -x that sways by ``lateral`` (t, p), and moves ahead at an angle."""
     along = -np.broadcast_to(PLACE[: lateral.shape[1]], lateral.shape)
     points = np.stack([along + speed * TIME[:, None], lateral, 0 * lateral], -1)
-    turn = np.array(
-        [
-            [math.cos(course), -math.sin(course), 0],
-            [math.sin(course), math.cos(course), 0],
-            [0, 0, 1],
-        ]
-    )
-    return points @ turn.T
+    return points @ Rotation.from_euler("z", course).as_matrix().T
 
 
 def wave(frequency=1.0, waves=1.0, growth=0.0, size=0.05, back=0.0, place=PLACE):
@@ -93,18 +87,6 @@ def test_lag_of_displacement_on_bending(growth):
     expected = math.atan(growth / (2 * np.pi * 1.5)) / math.pi
     np.testing.assert_allclose(found.each[1:-1], expected, atol=1e-4)
     assert found.mean == pytest.approx(expected, abs=1e-4)
-
-
-def test_lag_converges_with_the_square_of_the_distance():
-    errors = []
-    for count in (15, 29):
-        place = np.linspace(0, 1, count)
-        lateral = wave(1.0, 1 / 0.6, growth=3.4, place=place)
-        points = np.stack([np.broadcast_to(-place, lateral.shape), lateral, 0 * lateral], -1)
-        found = bending_lag(sway(points, STEP, 1.0))
-        errors.append(abs(found.mean - math.atan(3.4 * 0.6 / (2 * np.pi)) / math.pi))
-    assert errors[0] < 0.005
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 
 
 def test_envelope_is_a_quadratic():
@@ -175,8 +157,6 @@ def test_a_stiff_body_has_no_wave_and_no_lag():
     found = swimming(moved(0 * wave(1.0)), STEP, 1.0)
     assert found["tail_amplitude"] == pytest.approx(0.0, abs=1e-12)
     assert np.isnan([found["wave_speed"], found["travelling"], found["lag"]]).all()
-    signals = np.zeros((600, 5))
-    assert math.isnan(body_wave(signals, np.arange(5.0), 5.0, STEP, 1.0).count)
 
 
 def test_a_coiled_body_has_no_wave():

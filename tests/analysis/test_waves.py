@@ -35,15 +35,6 @@ def test_numbers_of_a_travelling_wave(waves, noise):
     np.testing.assert_allclose(found.amplitude, 0.3, rtol=0.1)
 
 
-def test_travelling_index_of_travelling_and_standing_waves():
-    """A whole wave on ten joints has index 1, and a standing wave has 0."""
-    runs = running(1.0, 1.0, joints=10)
-    place = 0.2 * np.arange(1, 11)
-    assert body_wave(runs, place, 2.0, STEP, 1.0).travelling == pytest.approx(1.0, abs=0.01)
-    stands = 0.3 * np.sin(2 * np.pi * TIME) * np.cos(np.pi * place / 2.0 + 0.1)
-    assert body_wave(stands, place, 2.0, STEP, 1.0).travelling < 0.01
-
-
 @pytest.mark.parametrize(
     ("bending", "frequency"),
     [

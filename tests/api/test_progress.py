@@ -33,25 +33,15 @@ def impatient(monkeypatch):
     monkeypatch.setattr(module, "FIRST", 0.25)
 
 
-class Clock:
-    """Clock that the test sets."""
-
-    def __init__(self, now: float = 0.0):
-        self.now = now
-
-    def __call__(self) -> float:
-        return self.now
-
-
 class Timed(Heartbeat):
     """Heartbeat with a clock that the test sets."""
 
     def __init__(self, what: str, now: float = 0.0, **given: Any):
-        self.clock = Clock(now)
-        super().__init__(what, clock=self.clock, **given)
+        self.now = now
+        super().__init__(what, clock=lambda: self.now, **given)
 
     def due_at(self, now: float) -> str | None:
-        self.clock.now = now
+        self.now = now
         return self.due()
 
 
@@ -87,7 +77,7 @@ def test_a_line_has_the_progress_and_the_remaining_time():
     assert heartbeat.due_at(40.0) == "rendering: 1/200, 40 s"
     heartbeat.reached(200, 200)
     assert heartbeat.due_at(60.0) == "rendering: 200/200, 60 s"
-    heartbeat.clock.now = 65.0
+    heartbeat.now = 65.0
     heartbeat.doing("writing")
     assert heartbeat.due_at(80.0) == "writing: 15 s so far"
 
@@ -95,9 +85,9 @@ def test_a_line_has_the_progress_and_the_remaining_time():
 def test_other_lines_end_the_silence():
     """The silence of a generation starts at the report of the earlier generation."""
     heartbeat = Timed("generation 1")
-    heartbeat.clock.now = 4.9
+    heartbeat.now = 4.9
     heartbeat.say("generation 1")
-    heartbeat.clock.now = 4.9
+    heartbeat.now = 4.9
     heartbeat.doing("generation 2")
     assert heartbeat.due_at(4.9 + BETWEEN - 0.01) is None
     assert heartbeat.due_at(4.9 + BETWEEN) == f"generation 2: {BETWEEN:.0f} s so far"

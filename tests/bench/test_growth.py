@@ -35,12 +35,8 @@ def test_the_exponent_of_a_power_is_found():
 def test_tables_have_costs_and_exponents():
     costs, exponents = page_tables(ROWS, MACHINE)
     cells = [dict(zip(costs.head, each, strict=True)) for each in costs.rows]
-    assert cells[0] == {
-        "creature": "chain, 10 bodies", "bodies": "10", "n": "64", "operations": "10,000",
-        "building, s": "0.1", "compile, s": "1.0", "of it IR, s": "2.0", "of it LLVM, s": "3.0",
-        "memory, MiB": "512", "compiler, MiB": "256", "scratch, MiB": "4.0", "us/step": "2",
-        "engine": "native",
-    }  # fmt: skip
+    units = {"memory, MiB": "512", "compiler, MiB": "256", "scratch, MiB": "4.0", "us/step": "2"}
+    assert cells[0].items() >= units.items() and cells[0]["compile, s"] == "1.0"
     assert [each["engine"] for each in cells] == ["native"] * 3 + ["plain JAX"]
     assert exponents.rows == [["chains", "64", "10 to 40", "1.00", "1.50", "0.00"]]
     assert notes(ROWS) == [f"large-creatures, 64, chain, 60 bodies: {REASON}"]

@@ -16,8 +16,6 @@ from evo_cpg.api import paper_differences as module
 from evo_cpg.api.paper_differences import notes, paper_differences
 from evo_cpg.io.load import dump_config, load_config
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.view.run_page import origin
-from evo_cpg.view.run_page.subject import PageSubject
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 CHANGED = "config.yaml has changed since the champion evolved"
@@ -212,21 +210,11 @@ def test_a_configuration_without_a_shipped_name_has_no_differences(swimmer, monk
     assert paper_differences(config) is None
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--out", "page.txt"), "the name ends in '.txt'. Use .html or .htm"),
-        (("--out", "nowhere/page.html"), "there is no folder nowhere. Create it first"),
-        (("--out", "folder.html"), "is a folder. Give the name of a file"),
-        (("--out", "there.html"), "there.html exists. Choose another name, or replace it with"),
-        (("--trial", "3"), "has 1 trial(s)"),
-        (("--run", "3"), "has 1 run(s)"),
-    ],
-)
-def test_wrong_options_are_refused(cli, swimmer, tmp_path, arguments, words):
+def test_a_page_replaces_nothing(cli, swimmer, tmp_path):
     (tmp_path / "folder.html").mkdir()
     (tmp_path / "there.html").write_text("mine")
-    assert words in cli.refuses("analyse", swimmer, *arguments, folder=tmp_path)
+    for name, words in (("folder.html", "is a folder"), ("there.html", "there.html exists")):
+        assert words in cli.refuses("analyse", swimmer, "--out", name, folder=tmp_path)
     assert (tmp_path / "there.html").read_text() == "mine"
 
 
@@ -240,8 +228,6 @@ def test_numbers_in_json_python_and_terminal_agree(swimmer):
         assert (row["value"] is None) == (not each.exists) == bool(row["missing"])
         if each.exists:
             assert row["value"] == pytest.approx(each.value, rel=1e-6), each.key
-    with pytest.raises(ValueError, match=r"has 1 trial\(s\)"):
-        evo.gait_numbers(swimmer, trial=2)
 
 
 @browsing
@@ -317,15 +303,3 @@ def seen(tab: chromium.Page, folder: Path) -> np.ndarray:
 def differs(one: np.ndarray, other: np.ndarray) -> bool:
     """Return whether more than a thousandth of the pixels differ."""
     return float((np.abs(one - other).max(-1) > 12).mean()) > 1e-3
-
-
-def test_the_page_says_how_to_repeat_a_refinement():
-    """Entries of an unexpected form, as older programs wrote them, are ignored."""
-    command = ["refine", "/home/me/runs/eel", "--rounds", "2"]
-    done = {"finished": "2026-11-26T12:00:00+0000", "command": command, "from": 2.5, "to": 3.0}
-    nothing = PageSubject._make([None] * len(PageSubject._fields))
-    words = "repeat only the evolution", "evo-cpg refine eel --rounds 2", "2.5 to 3"
-    for meta in ({}, {"refined": "2026-11-26"}, {"refined": [done, {}]}):
-        subject = nothing._replace(folder="eel", meta=meta, config="name: eel")
-        shown = origin.repetition(subject)
-        assert [each in shown for each in words] == [meta.get("refined", [])[:1] == [done]] * 3

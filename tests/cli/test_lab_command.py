@@ -56,21 +56,3 @@ def test_heads_of_a_table_are_the_last_parts_of_keys():
 def test_champion_of_a_run_keeps_its_brain(finished_run, cli, tmp_path):
     out, _ = cli.passes("lab", finished_run, "silence=none,light", "--out", tmp_path)
     assert "light" in out
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("u",), "'u' is not KNOB=VALUES, such as u=0.2,0.6 or u=0.2:1:9"),
-        (("u=1", "u=2"), "u is given twice"),
-        (("u=0:1",), "is neither START:STOP:COUNT"),
-        (("u=0:1:3:lin",), "is neither START:STOP:COUNT"),
-        (("tow=0.1", "w=3"), "'w' is no knob"),
-        (("u=1", "--run", "1"), "is a configuration, not a run folder"),
-        (("u=1", "--out", "{animal}"), "tiny.yaml is a file. --out is a folder"),
-        (("u=1", "simulation.substeps=9"), "is a whole number (2), and only real numbers can vary"),
-    ],
-)
-def test_wrong_words_have_one_clear_line(animal, cli, words, message):
-    err = cli.refuses("lab", animal, *(word.format(animal=animal) for word in words))
-    assert message in err and len(err.strip().splitlines()) == 1

@@ -5,10 +5,9 @@ import shutil
 
 import pytest
 
-import evo_cpg as evo
 from evo_cpg.api.sweep import claim, new_plan
 from evo_cpg.io.settings import Setting
-from evo_cpg.locks import LockedError, locked
+from evo_cpg.locks import locked
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, PAIR, TINY, contents
 
@@ -31,9 +30,8 @@ def test_a_command_that_writes_is_refused(cli, run, command):
         before = contents(run)
         code, out, err = cli(command[0], run, *command[1:])
         assert contents(run) == before
-    assert (code, out) == (2, "")
+    assert (code, out, err.count("\n")) == (2, "", 1)
     assert err.startswith(f"evo-cpg: {run} is in use by process {os.getpid()} on ")
-    assert err.count("\n") == 1
 
 
 def test_no_option_opens_a_locked_run(cli, run):
@@ -65,9 +63,6 @@ def test_two_commands_cannot_make_one_folder(cli, tmp_path, command, rest):
     with locked(folder, make=True):
         err = cli.refuses(command, *rest, "--out", folder)
         assert f"{folder} is in use by process {os.getpid()} on " in err
-        if command == "train":
-            with pytest.raises(LockedError, match="is in use by process"):
-                evo.train(evo.load(CONFIG, TINY), folder)
         assert [path.name for path in folder.iterdir()] == [".lock"]
 
 

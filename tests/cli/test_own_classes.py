@@ -13,32 +13,17 @@ import yaml
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import own_config
 
-# The example in the documentation of `Controller`, and a race along x.
+# A controller of one wave, and a race along x.
 MODULE = """
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from evo_cpg.control.controller import Command, Controller
+import trials
 from evo_cpg.simulation.sensors import Sensor
 from evo_cpg.simulation.task import Task
 from my_scale import SCALE
 
-class SineController(Controller):
-    gene_count: int = eqx.field(static=True, default=2)
-    control_step: float = eqx.field(static=True, default=1 / 60)
-
-    def random_genes(self, key, batch, dtype):
-        return jax.random.uniform(key, (self.gene_count, *batch), dtype)
-
-    def initial_state(self, batch, dtype):
-        return jnp.zeros(batch, dtype)
-
-    def act(self, decoded, state, observation):
-        amplitude, frequency = decoded
-        time = state + self.control_step
-        wave = jnp.sin(2 * jnp.pi * frequency * time)
-        signal = wave[None] * jnp.ones_like(observation.joint_angle)
-        return time, Command(target_rate=amplitude[None] * signal, signal=signal)
+class SineController(trials.SineController):
+    pass
 
 class GoForward(Task):
     light: tuple[float, float, float] = (10.0, 0.0, 0.0)

@@ -101,9 +101,7 @@ def test_a_forbidden_number_gives_no_experiment():
 
 
 def test_an_unknown_number_is_named(finished_run, cli):
-    with pytest.raises(evo.ConfigError, match="time_scale"):
-        evo.refine(finished_run, ["controller.cpg.time_scal"])
-    assert cli("refine", finished_run, "controller.cpg.time_scal")[0] == 2
+    assert "time_scale" in cli.refuses("refine", finished_run, "controller.cpg.time_scal")
 
 
 @pytest.mark.slow  # 4 min: the backward pass of a walker on the ground

@@ -34,18 +34,6 @@ def two_runs(cli, tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def refuse(cli):
-    """Return a function that checks for an error and returns its message."""
-
-    def refused(*arguments):
-        err = cli.refuses("render", *arguments)
-        assert err.startswith("evo-cpg: ")
-        return err.removeprefix("evo-cpg: ").rstrip("\n")
-
-    return refused
-
-
 def test_the_lineage_of_a_run_is_in_its_folder(two_runs):
     folder = RunFolder(two_runs)
     lineage, checkpoint = folder.load_lineage(), folder.load()
@@ -131,21 +119,18 @@ def test_a_replay_with_another_fitness_is_a_warning(film, two_runs, tmp_path):
         (("--signals", "--size", "100x90"), "160 x 110"),
     ],
 )
-def test_wrong_options_are_refused(refuse, two_runs, options, words):
+def test_wrong_options_are_refused(cli, two_runs, options, words):
     given = [each for word in options for each in (word, two_runs)[: 1 + (word == "--beside")]]
-    assert words in refuse(two_runs, *given)
+    assert words in cli.refuses("render", two_runs, *given)
 
 
-def test_a_damaged_lineage_is_refused(refuse, two_runs, tmp_path):
+def test_a_damaged_lineage_is_refused(cli, two_runs, tmp_path):
     folder = RunFolder(shutil.copytree(two_runs, tmp_path / "run"))
     run, lineage = folder.path, folder.load_lineage()
     folder.save_lineage([each._replace(generation=3) for each in lineage[:1]])
-    assert "is from generation 3" in refuse(run, "--lineage", "2", "--run", 0)
-    assert "has no champion of run 1" in refuse(run, "--lineage", "auto", "--run", 1)
+    assert "is from generation 3" in cli.refuses("render", run, "--lineage", "2", "--run", 0)
+    assert "has no champion of run 1" in cli.refuses("render", run, "--lineage", "auto", "--run", 1)
     other = lineage[0]._replace(genes=lineage[0].genes[1:])
     folder.save_lineage([other])
-    assert "lineage.npz: generation 0: the genome has" in refuse(run, "--lineage", "0", "--run", 0)
-    folder.lineage.write_bytes(b"")
-    assert "lineage.npz is damaged" in refuse(run, "--lineage", "auto")
-    folder.lineage.unlink()
-    assert "has no lineage.npz" in refuse(run, "--lineage", "auto")
+    err = cli.refuses("render", run, "--lineage", "0", "--run", 0)
+    assert "lineage.npz: generation 0: the genome has" in err

@@ -64,7 +64,6 @@ def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path):
     drawn = [f"joint_signals_run{other}.png", f"path_run{other}.png"]
     assert code == 0, err
     assert out.splitlines() == [str(tmp_path / name) for name in ("fitness.png", *drawn)]
-    assert "has 2 run(s)" in cli.refuses("plot", noisy_run, "--run", 2, "-o", tmp_path)
 
 
 def test_resume_refuses_another_number_of_runs(noisy_run, cli, tmp_path):

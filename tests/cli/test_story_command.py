@@ -41,22 +41,6 @@ def test_a_story_shows_early_generations(done, champion, shown):
     assert generations_of(done, champion) == shown
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--sheet", "2x2"), "--story and --sheet exclude"),
-        (("--crowd", "0"), "--story and --crowd exclude"),
-        (("--speed", "2"), "--story and --speed exclude"),
-        (("--title", "a", "--title", "b"), "2 titles for one story"),
-        (("-o", "a.png"), "Use .mp4"),
-        (("--size", "4x4"), "the smallest is 16 x 16"),
-    ],
-)
-def test_options_that_do_not_fit_a_story_are_refused(cli, tmp_path, options, words):
-    (tmp_path / "config.yaml").touch()
-    assert words in cli.refuses("render", tmp_path, "--story", *options)
-
-
 @pytest.mark.slow
 def test_a_story_is_a_film(cli, run, tmp_path):
     film = tmp_path / "a.mp4"

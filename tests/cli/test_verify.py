@@ -119,15 +119,6 @@ def test_a_genome_of_another_size_cannot_be_replayed(copied_run, cli):
     assert "the genome has 3 genes" in cli.refuses("render", copied_run.path)
 
 
-def test_the_error_for_a_damaged_champion_names_the_cure(copied_run, cli):
-    copied_run.champion.write_bytes(copied_run.champion.read_bytes()[:500])
-    for command in ("verify", "render", "plot"):
-        err = cli.refuses(command, copied_run.path)
-        assert err.count("\n") == 1
-        assert f"{copied_run.champion} is damaged" in err
-        assert f"`evo-cpg resume {copied_run.path}` writes it again" in err
-
-
 def test_a_run_without_finite_fitness_is_an_error(copied_run, cli, monkeypatch):
     dead = Checkpoint(20, np.zeros((1, 8), np.float32), (None,), [], {})
     monkeypatch.setattr(train, "train", lambda *_, **__: dead)

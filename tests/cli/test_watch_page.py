@@ -48,7 +48,6 @@ def test_a_wrong_use_is_one_line(cli, tmp_path):
     for arguments, words in (
         ((tmp_path, "--page"), "is not a run folder (it has no config.yaml)"),
         ((tmp_path / "run", "--page", "--once"), "--page and --once exclude"),
-        ((tmp_path / "run",), "there is no such folder"),
     ):
         err = cli.refuses("watch", *arguments)
         assert words in err and err.count("\n") == 1

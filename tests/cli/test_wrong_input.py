@@ -129,9 +129,7 @@ def test_every_command_rejects_an_invalid_config(refused, tmp_path, command):
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("seed", "is not of the form key.path=value"),
         ("controller.cpg.pair_wait=1", "pair_wait: unknown key: did you mean"),
-        ("evolution.population=8", "must be fewer than the population of 8"),
         ("simulation.start=[0, 0, -3]", "at most 2"),
         ('creature.bodies.0.name="a\\nb"', "on one line"),
         ('creature.bodies.0.name="a\\e[1m"', "on one line"),
@@ -168,10 +166,7 @@ def test_invalid_output_folder_is_rejected(refused, tmp_path):
     for place, words in (
         (used, f"`evo-cpg resume {used}`"),
         (other, "holds no run"),
-        (other / "thesis.tex", "is a file"),
-        (other / "thesis.tex" / "run", "cannot write"),
         ("/proc/run", "cannot write /proc/run ("),
-        (f"/{'x' * 300}", "cannot write /x"),
     ):
         assert words in refused("train", CONFIG, *TINY, "--out", place)
 
@@ -227,74 +222,78 @@ def test_run_with_a_broken_config_or_no_champion_is_rejected(refused, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("command", "options", "words"),
     [
-        (("-o", "film.avi"), "the name ends in '.avi'"),
-        (("-o", "no/film.mp4"), "there is no folder"),
-        (("--size", "big"), "--size: 'big'"),
-        (("--size", "10x10"), "the smallest is 16 x 16"),
-        (("--size", "99999x99999"), "the largest is 8192 x 8192"),
-        (("--sheet", "4x0"), "--sheet: '4x0'"),
-        (("--sheet", "9x9", "--seconds", "0.1"), "the film has 4 frames"),
-        (("--sheet", "4x3", "-o", "film.mp4"), "Use .png"),
-        (("--speed", "inf"), "must be positive and finite"),
+        ("preview", ("--size", "12x12"), "the smallest is 16 x 16"),
+        ("preview", ("-o", "body.mp4"), "the name ends in '.mp4'"),
+        ("render", ("-o", "film.avi"), "the name ends in '.avi'"),
+        ("render", ("-o", "no/film.mp4"), "there is no folder"),
+        ("render", ("--size", "big"), "--size: 'big'"),
+        ("render", ("--size", "10x10"), "the smallest is 16 x 16"),
+        ("render", ("--size", "99999x99999"), "the largest is 8192 x 8192"),
+        ("render", ("--sheet", "4x0"), "--sheet: '4x0'"),
+        ("render", ("--sheet", "9x9", "--seconds", "0.1"), "the film has 4 frames"),
+        ("render", ("--sheet", "4x3", "-o", "film.mp4"), "Use .png"),
+        ("render", ("--speed", "inf"), "must be positive and finite"),
+        ("probe", ("--bearings", "left"), "--bearings: 'left' is neither"),
+        ("probe", ("--bearings", "0:90"), "--bearings: '0:90' is neither"),
+        ("probe", ("--bearings", "0:90:0"), "at most 10000 numbers"),
+        ("probe", ("--bearings", "0:90:20000"), "--bearings: '0:90:20000' is neither"),
+        ("probe", ("--bearings", "0:9:200", "--distances", "1:9:100"), "20000 lights. Allowed"),
+        ("probe", ("--distances", ""), "--distances: '' is neither"),
+        ("probe", ("--distances", "nan"), "--distances: 'nan' is neither"),
+        ("probe", ("--distances", "3,-2"), "distances: must be greater than 0"),
+        ("probe", ("--distances", "1e9"), "1e+09 m: the light at"),
+        ("probe", ("--trials", "--bearings", "0"), "Leave out --bearings and"),
+        ("probe", ("--run", "3"), "has 1 run(s)"),
+        ("probe", ("--out", "/proc/no/where"), "cannot write /proc/no/where ("),
+        ("render", ("--story", "--sheet", "2x2"), "--story and --sheet exclude"),
+        ("render", ("--story", "--crowd", "0"), "--story and --crowd exclude"),
+        ("render", ("--story", "--speed", "2"), "--story and --speed exclude"),
+        ("render", ("--story", "--title", "a", "--title", "b"), "2 titles for one story"),
+        ("render", ("--story", "-o", "a.png"), "Use .mp4"),
+        ("lab", ("u",), "'u' is not KNOB=VALUES, such as u=0.2,0.6 or u=0.2:1:9"),
+        ("lab", ("u=1", "u=2"), "u is given twice"),
+        ("lab", ("u=0:1",), "is neither START:STOP:COUNT"),
+        ("lab", ("u=0:1:3:lin",), "is neither START:STOP:COUNT"),
+        ("lab", ("u=1", "--run", "1"), "is a configuration, not a run folder"),
+        ("lab", ("u=1", "--out", CONFIG), f"{CONFIG.name} is a file. --out is a folder"),
+        ("lab", ("u=1", "simulation.substeps=9"), "is a whole number"),
+        ("audit", ("half_stp=0.5",), "Did you mean half_step?"),
+        ("audit", ("xyz=1",), "Allowed: half_step, "),
+        *(("audit", (f"half_step={x}",), "is no limit") for x in ("", "-1", "nan", "1_0")),
+        ("audit", ("--all", "--run", 0), "--all and --run exclude each other"),
+        ("audit", ("--all", "--cell", "0,0"), "--all and --cell exclude each other"),
     ],
 )
-def test_film_of_unknown_format_or_size_is_rejected(refused, finished_run, options, words):
-    assert words in refused("render", finished_run, *options)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--size", "12x12", "-o", "body.png"), "the smallest is 16 x 16"),
-        (("--size", "9999x720", "-o", "body.png"), "the largest is 8192 x 8192"),
-        (("-o", "no/body.png"), "there is no folder no"),
-        (("-o", "body.mp4"), "the name ends in '.mp4'"),
-    ],
-)
-def test_preview_of_invalid_size_or_place_is_rejected(refused, options, words):
-    assert words in refused("preview", CONFIG, *options)
-
-
-@pytest.mark.parametrize(
-    ("kind", "options", "expected"),
-    [
-        ("no_such_module:Task", {}, "cannot be imported (no mod"),
-        ("my_tasks:Jmup", {}, "(AttributeError"),
-        ("broken_tasks:Jump", {}, "(SyntaxErr"),
-        ("..my_tasks:Jump", {}, "(TypeError"),
-        ("my_tasks:NotATask", {}, "is not a subclass"),
-        ("my_tasks:Unfinished", {}, "cannot be built with these"),
-        ("my_tasks:Jump", {"height": 101}, "(KeyError: 'tail101.z')"),
-        ("my_tasks:Jump", {"hieght": 2}, "cannot be built with these"),
-        ("my_tasks:Jump", {"height": -2}, "height must not be negative"),
-        ("my tasks:Jump", {}, "must be a module and a class"),
-        ("my_tasks:Forgets", {}, "Forgets.update must return"),
-        ("my_tasks:Nameless", {}, "Nameless.terms must return"),
-        ("my_tasks:Wholesale", {}, "Wholesale.fitness must return"),
-        ("my_tasks:Unreal", {}, "Unreal.fitness must return"),
-        ("my_tasks:Ranked", {}, "Ranked.fitness fails at line 51"),
-        ("my_tasks:Listed", {}, "Listed.descriptors must return"),
-        ("my_tasks:Described", {}, "Described.descriptors fails at line 59"),
-        ("my_tasks:Worded", {}, "Worded.descriptors must return"),
-        ("my_tasks:Measured", {}, "Measured.scales must return"),
-        ("my_tasks:Lost", {}, "Lost.update fails at line 71"),
-    ],
-)
-def test_invalid_task_of_ones_own_is_rejected(
-    refused, tmp_path, monkeypatch, kind, options, expected
-):
-    config = config_with_tasks(tmp_path, monkeypatch)
-    config["task"] = {"type": kind, "options": options}
-    (tmp_path / "x.yaml").write_text(yaml.safe_dump(config))
-    message = refused("train", "x.yaml", "--out", "run")
-    assert "task." in message and expected in message
+def test_wrong_options_are_rejected(refused, finished_run, command, options, words):
+    subject = CONFIG if command in ("lab", "preview") else finished_run
+    assert words in refused(command, subject, *options)
 
 
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
+        ("task={type: 'no_such_module:Task'}", "cannot be imported (no mod"),
+        ("task={type: 'my_tasks:Jmup'}", "(AttributeError"),
+        ("task={type: 'broken_tasks:Jump'}", "(SyntaxErr"),
+        ("task={type: '..my_tasks:Jump'}", "(TypeError"),
+        ("task={type: 'my_tasks:NotATask'}", "is not a subclass"),
+        ("task={type: 'my_tasks:Unfinished'}", "cannot be built with these"),
+        ("task={type: 'my_tasks:Jump', options: {height: 101}}", "(KeyError: 'tail101.z')"),
+        ("task={type: 'my_tasks:Jump', options: {hieght: 2}}", "cannot be built with these"),
+        ("task={type: 'my_tasks:Jump', options: {height: -2}}", "height must not be negative"),
+        ("task={type: 'my tasks:Jump'}", "must be a module and a class"),
+        ("task={type: 'my_tasks:Forgets'}", "Forgets.update must return"),
+        ("task={type: 'my_tasks:Nameless'}", "Nameless.terms must return"),
+        ("task={type: 'my_tasks:Wholesale'}", "Wholesale.fitness must return"),
+        ("task={type: 'my_tasks:Unreal'}", "Unreal.fitness must return"),
+        ("task={type: 'my_tasks:Ranked'}", "Ranked.fitness fails at line 51"),
+        ("task={type: 'my_tasks:Listed'}", "Listed.descriptors must return"),
+        ("task={type: 'my_tasks:Described'}", "Described.descriptors fails at line 59"),
+        ("task={type: 'my_tasks:Worded'}", "Worded.descriptors must return"),
+        ("task={type: 'my_tasks:Measured'}", "Measured.scales must return"),
+        ("task={type: 'my_tasks:Lost'}", "Lost.update fails at line 71"),
         ("creature.sensors=[{type: 'my_tasks:Numb'}]", "Numb.sense must return"),
         ("creature.sensors=[{type: 'my_tasks:Jump'}]", "is not a subclass"),
         ("creature.sensors=[{type: velocty}]", "'velocty' is not known"),
@@ -303,12 +302,13 @@ def test_invalid_task_of_ones_own_is_rejected(
         ("controller={type: 'my_tasks:Stiff'}", "Stiff.act must return"),
     ],
 )
-def test_invalid_sensor_or_controller_of_ones_own_is_rejected(
+def test_invalid_classes_of_ones_own_are_rejected(
     refused, tmp_path, monkeypatch, override, expected
 ):
     config = config_with_tasks(tmp_path, monkeypatch)
     (tmp_path / "x.yaml").write_text(yaml.safe_dump(config))
-    assert expected in refused("train", "x.yaml", override, "--out", "run")
+    message = refused("train", "x.yaml", override, "--out", "run")
+    assert override.partition("=")[0] in message and expected in message
 
 
 def config_with_tasks(tmp_path, monkeypatch):

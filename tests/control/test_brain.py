@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.control.brain import Brain, BrainSettings, decode_weights, think
+from evo_cpg.control.brain import Brain, decode_weights, think
 
 
 def written_out(sizes, temperature, genes, inputs):
@@ -47,11 +47,3 @@ def test_wrong_number_of_inputs_or_genes_is_refused(genes, inputs, words):
     brain = Brain((94, 16, 7), 1.0)
     with pytest.raises(ValueError, match=words):
         think(brain, decode_weights(brain, jnp.zeros(genes)), jnp.zeros(inputs))
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [("hidden", (16, 0)), ("temperature", 0.0), ("init_range", -1.0)]
-)
-def test_settings_out_of_range_are_refused(key, value):
-    with pytest.raises(ValueError, match=f"{key} .*"):
-        BrainSettings(**{key: value})

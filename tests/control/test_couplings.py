@@ -246,17 +246,3 @@ def test_couplings_that_do_not_fit_the_creature_are_refused(star, settings, wher
     with pytest.raises(CouplingError, match=expected) as caught:
         build_network(star(5), CpgSettings(couplings=couplings, rings=rings))
     assert caught.value.where == where
-
-
-@pytest.mark.parametrize(
-    ("kind", "values", "word"),
-    [
-        (Coupling, ("a.y", "b.y", -1.0, 90.0), "weight .*, got -1.0"),
-        (Coupling, ("a.y", "b.y", 1.0, 200.0), "lag_deg .*, got 200"),
-        (Ring, (("a.y",), float("nan")), "lag_deg .*, got nan"),
-        (Ring, (("a.y",), 0.0, -1.0), "weight .*, got -1.0"),
-    ],
-)
-def test_values_outside_their_range_are_refused(kind, values, word):
-    with pytest.raises(ValueError, match=word):
-        kind(*values)

@@ -13,7 +13,7 @@ from evo_cpg.creature.mesh import (
     convex_mesh,
     hull,
 )
-from evo_cpg.creature.shapes import Box, Sphere
+from evo_cpg.creature.shapes import Box
 from polyhedra import (
     LEGS,
     TETRAHEDRON,
@@ -207,12 +207,6 @@ def test_the_cell_has_the_moments_of_the_mesh(mesh):
         rtol=rtol,
         atol=rtol * np.diag(mesh.inertia(1.0)).max(),
     )
-
-
-def test_a_fine_ball_approximates_the_sphere():
-    ball, sphere = ball_mesh(0.1, 3), Sphere(0.1)
-    assert ball.volume == pytest.approx(sphere.volume, rel=0.01)
-    np.testing.assert_allclose(np.diag(ball.inertia(1.0)), np.diag(sphere.inertia(1.0)), rtol=0.01)
 
 
 def l_shape() -> trimesh.Trimesh:

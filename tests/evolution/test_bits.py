@@ -20,7 +20,6 @@ RANKS = np.array([0.30, 0.20, 0.20, 0.10, 0.10, 0.05, 0.03, 0.02])
 SEEDS = st.integers(0, 2**31 - 1)
 STILL = {"mutation_probability": 0.0}
 CHANGED = {"mutation_probability": 1.0, "mutation": "flip"}
-ONE_AND_TWO_COPIES = (CHANGED, {"best_copies": 2, **CHANGED})
 
 # The last individual is the best.
 FITNESS = np.arange(POPULATION)
@@ -78,12 +77,6 @@ def picks():
     return np.asarray(children)[:, 0, ELITES:].reshape(-1, 2).astype(int)
 
 
-def test_parents_are_drawn_by_rank_with_the_frequencies_of_the_thesis(picks):
-    counts = np.bincount(picks.ravel(), minlength=POPULATION)
-    assert counts[8:].sum() == 0
-    assert chisquare(counts[:8], 100_000 * RANKS).pvalue > 0.01
-
-
 def test_the_parents_of_a_pair_are_drawn_independently(picks):
     counts = np.bincount(8 * picks[:, 0] + picks[:, 1], minlength=64)
     assert chisquare(counts, 50_000 * np.outer(RANKS, RANKS).ravel()).pvalue > 0.01
@@ -138,17 +131,10 @@ def test_diverged_individuals_are_never_elites(dead):
     genes = np.asarray(bits())
     fitness = np.full(POPULATION, dead)
     fitness[[4, 11]] = -1.0, -0.5
-    _, children = bred_under(ONE_AND_TWO_COPIES, genes, fitness)
+    children = bred(genes, fitness, best_copies=2, **CHANGED)
     np.testing.assert_array_equal(children[:, :3], genes[:, [11, 11, 4]])
     for child in children[:, 3:].T:
         assert not (child == genes.T).all(1).any()
-
-
-def test_children_fill_every_place_if_all_diverged():
-    genes = np.asarray(bits())
-    for children in bred_under(ONE_AND_TWO_COPIES, genes, np.full(POPULATION, np.nan)):
-        for child in children.T:
-            assert not (child == genes.T).all(1).any()
 
 
 @pytest.mark.parametrize("dtype", [jnp.bfloat16, jnp.float32])
@@ -236,17 +222,6 @@ def test_the_key_alone_decides():
     genes = bits()
     np.testing.assert_array_equal(bred(genes, seed=1), bred(genes, seed=1))
     assert (bred(genes, seed=1) != bred(genes, seed=2)).any(0)[ELITES:].all()
-
-
-def test_batched_runs_equal_single_runs():
-    seeds = range(3)
-    keys = jnp.stack([jax.random.key(seed) for seed in seeds])
-    genes = jnp.stack([bits(seed) for seed in seeds])
-    fitness = jnp.stack([jnp.roll(jnp.asarray(FITNESS, jnp.float32), seed) for seed in seeds])
-    together = quick_jit(jax.vmap(generation_of(BitGenetics())))(keys, genes, fitness)
-    for seed in seeds:
-        alone = bred(genes[seed], fitness[seed], seed)
-        np.testing.assert_array_equal(together[seed], alone)
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from test_bits import generation_of
 
 from creatures import quick_jit
 from evo_cpg.evolution.genetics import RealGenetics
-from evo_cpg.evolution.strategy import Evaluation
 
 POPULATION, ELITES, GENES = 9, 3, 6
 
@@ -28,15 +28,6 @@ def genetics(**changes) -> RealGenetics:
         "gene_bound": 8.0,
     }
     return RealGenetics(**settings | changes)
-
-
-def generation_of(genetics):
-    """Return the function that breeds the next generation."""
-
-    def breed(key, genes, fitness):
-        return genetics.tell(key, (), genes, Evaluation(fitness, {}, {}))
-
-    return breed
 
 
 @functools.cache
@@ -79,11 +70,6 @@ def test_diverged_individuals_are_never_elites(dead):
     np.testing.assert_array_equal(children[:, :2], genes[:, [7, 4]])
     # A child takes the third elite's place, not a diverged individual.
     assert not (children[:, 2] == genes.T).all(1).any()
-
-
-def test_ties_keep_the_order_of_the_population():
-    genes, children = bred(np.zeros(POPULATION))
-    np.testing.assert_array_equal(children[:, :ELITES], genes[:, :ELITES])
 
 
 def test_children_fill_every_place_if_all_diverged():

@@ -53,31 +53,11 @@ def test_parents_are_drawn_with_the_stated_frequencies(fraction):
     assert chisquare(counts[allowed], DRAWS * probabilities[allowed]).pvalue > 0.01
 
 
-def test_draws_are_independent_of_each_other():
-    # Joint probabilities of successive draws are products of the single probabilities.
-    probabilities = linear_rank_probabilities(4, 1.0)
-    drawn = np.asarray(
-        draw_parents(jax.random.key(2), jnp.arange(4.0)[::-1], probabilities, DRAWS)
-    ).reshape(-1, 2)
-    counts = np.bincount(4 * drawn[:, 0] + drawn[:, 1], minlength=16)
-    expected = DRAWS / 2 * np.outer(probabilities, probabilities).ravel()
-    assert chisquare(counts, expected).pvalue > 0.01
-
-
 @given(FITNESS)
 def test_order_is_a_stable_sort_with_the_diverged_last(fitness):
     order = np.asarray(rank_order(jnp.asarray(fitness, jnp.float32)))
     keys = [-np.inf if np.isnan(f) else f for f in fitness]
     assert order.tolist() == sorted(range(6), key=lambda i: -keys[i])
-
-
-def test_a_diverged_individual_is_never_likelier_than_a_finite_one():
-    fitness = jnp.asarray([jnp.nan, -5.0, -jnp.inf, -7.0, jnp.nan, -6.0])
-    drawn = draw_parents(jax.random.key(3), fitness, linear_rank_probabilities(6, 1.0), DRAWS)
-    counts = np.bincount(np.asarray(drawn), minlength=6)
-    assert counts[[1, 5, 3]].min() > counts[[0, 2, 4]].max()
-    few = draw_parents(jax.random.key(3), fitness, linear_rank_probabilities(6, 0.5), DRAWS)
-    assert set(np.asarray(few).tolist()) == {1, 5, 3}
 
 
 def lexicase_chances(trial_fitness: np.ndarray) -> np.ndarray:
@@ -105,18 +85,6 @@ def test_lexicase_frequencies_equal_the_mean_over_orders_of_trials(trials):
     counts = np.bincount(np.asarray(drawn), minlength=9)
     assert counts[chances == 0].sum() == 0
     assert chisquare(counts[chances > 0], DRAWS * chances[chances > 0]).pvalue > 0.01
-
-
-def test_lexicase_keeps_a_specialist_for_one_trial():
-    """The specialist's mean is the lowest, so rank selection never draws it."""
-    specialist = np.array([[5.0], [-20.0]])
-    trial_fitness = np.concatenate([np.tile(np.linspace(0, 1, 9), (2, 1)), specialist], 1)
-    fitness = jnp.asarray(trial_fitness.mean(0), jnp.float32)
-    each = jnp.asarray(trial_fitness, jnp.float32)
-    drawn = np.asarray(by_lexicase(jax.random.key(5), fitness, each, 1000))
-    assert 400 < (drawn == 9).sum() < 600
-    by_rank = draw_parents(jax.random.key(5), fitness, linear_rank_probabilities(10, 0.9), 1000)
-    assert 9 not in np.asarray(by_rank)
 
 
 def test_lexicase_draws_no_diverged_individual_while_others_are_finite():

@@ -79,14 +79,6 @@ def test_a_mass_alone_sets_one_density():
     assert float(head.material.density) == pytest.approx(float(box.material.density))
 
 
-def test_an_unknown_material_of_a_part_is_named():
-    config = load_config("configs/hexapod.yaml").model_dump(mode="json")
-    part = {"shape": BALL, "at": [0, 0, 0], "material": "wood"}
-    config["creature"]["bodies"][0]["parts"] = [part]
-    with pytest.raises(ConfigError, match="'wood' does not exist"):
-        check_config(config, "c.yaml")
-
-
 def test_a_creature_error_names_the_entry_of_the_body():
     config = load_config("configs/hexapod.yaml").model_dump(mode="json")
     bodies = config["creature"]["bodies"]

@@ -175,25 +175,15 @@ def test_the_sides_of_each_mirror_have_names(axis, sides):
 
 
 def test_a_limb_on_each_segment_of_a_row():
-    text = """
-name: centipede
-materials: {shell: {density: 500}}
-bodies:
-  - {name: head, shape: {type: sphere, radius: 0.05}, material: shell}
-  - name: segment{i}
-    repeat: 3
-    shape: {type: sphere, radius: 0.05}
-    material: shell
-    joint: {parent: head, at: [-0.05, 0, 0], child_at: [0.05, 0, 0], axes: [z]}
-  - name: "{side}_leg{i}"
-    mirror: y
-    shape: {type: sphere, radius: 0.02}
-    material: shell
-    joint: {parent: "segment{i}", at: [0, 0.05, 0], child_at: [0, -0.02, 0], axes: [x]}
-"""
-    creature = built(text)
-    parents = {body.name: body.joint.parent for body in creature.bodies[4:]}
-    assert parents == {
+    data = changed(STAR, name="segment{i}", radial=1, repeat=3)
+    joint = {"parent": "segment{i}", "at": [0, 0.05, 0], "child_at": [0, -0.02, 0], "axes": ["x"]}
+    data["bodies"][2] |= {"name": "{side}_leg{i}", "mirror": "y", "joint": joint}
+    bodies = (
+        CreatureConfig.model_validate(data | {"light_sensors": [], "pressure_sensors": []})
+        .build()
+        .bodies
+    )
+    assert {body.name: body.joint.parent for body in bodies[4:]} == {
         f"{side}_leg{i}": f"segment{i}" for i in (1, 2, 3) for side in ("left", "right")
     }
 

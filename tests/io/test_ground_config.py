@@ -8,7 +8,7 @@ from PIL import Image
 
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import ConfigError
-from evo_cpg.io.load import check_config, dump_config, load_config
+from evo_cpg.io.load import dump_config, load_config
 from evo_cpg.physics.contact.terrain import Block, Boulder, Plane, Relief, Shore
 from tiny_run import REPOSITORY
 
@@ -113,6 +113,10 @@ def test_heights_in_metres_keep_their_values(tmp_path, name, text):
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
+        ("a.npy", b"", r"floor.file: .*a.npy: "),
+        ("a.npy", b"no array", "a.npy: "),
+        ("a.npy", np.zeros((2, 2, 2)), "a.npy: "),
+        ("a.npy", np.full((3, 3), np.nan), "a.npy: "),
         ("a.csv", b"0,5;1\n2;3\n", "decimal commas"),
         ("a.txt", b"0,5 1,5\n2 3\n", "decimal commas"),
         ("a.csv", b"0,1\n2,-9999\n", "-9999"),
@@ -127,7 +131,7 @@ def test_heights_in_metres_keep_their_values(tmp_path, name, text):
         ("a.tif", np.float32([[0, 1], [2, 3]]), "metres"),
     ],
 )
-def test_heights_that_would_mean_something_else_are_rejected(tmp_path, name, content, words):
+def test_files_without_clear_heights_are_rejected(tmp_path, name, content, words):
     path = tmp_path / name
     if isinstance(content, bytes):
         path.write_bytes(content)
@@ -156,22 +160,15 @@ def test_an_animal_stands_at_its_start():
         HEXAPOD,
         [
             "world.ground.floor={type: shore, start: 1, stop: 2, stop_height: 0.7}",
-            "simulation.start=[4, -1]",
-            "simulation.start_heading_deg=90",
+            "simulation.trials=[{start: [4, -1], start_heading_deg: 90}, {}]",
             "simulation.start_clearance=0.1",
         ],
     )
-    (situation,) = build_experiment(config, HEXAPOD).simulation.situations
+    # The second start is before the slope.
+    situation, lower = build_experiment(config, HEXAPOD).simulation.situations
+    assert lower.start_position[2] == pytest.approx(height - 0.7, abs=1e-4)
     assert situation.start_position == pytest.approx((4, -1, height), abs=1e-5)
     assert situation.start_heading == pytest.approx(np.pi / 2)
-
-
-def test_bearing_of_a_light_is_relative_to_the_start_heading():
-    data = load_config(REPOSITORY / "configs" / "iwadate2010_swimmer.yaml").model_dump()
-    data["simulation"] |= {"start": (1.0, 2.0), "start_heading_deg": 90.0}
-    data["task"]["light"] = {"distance": 3.0, "bearing_deg": 0.0, "elevation_deg": 0.0}
-    task = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.task
-    assert task.light == pytest.approx((1.0, 5.0, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -193,13 +190,3 @@ def test_invalid_ground_is_rejected(ground, words):
     with pytest.raises(ConfigError) as refused:
         build(ground)
     assert words in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"no array", np.zeros((2, 2, 2)), np.full((3, 3), np.nan)]
-)
-def test_file_without_heights_is_rejected(content, tmp_path):
-    path = tmp_path / "heights.npy"
-    path.write_bytes(content) if isinstance(content, bytes) else np.save(path, content)
-    with pytest.raises(ConfigError, match=r"world.ground.floor.file: .*heights.npy: "):
-        build(f"floor={{type: relief, file: {path}}}")

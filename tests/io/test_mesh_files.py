@@ -168,17 +168,19 @@ def test_invalid_mesh_is_rejected_with_its_key(folder, suffix):
 
 
 @pytest.mark.parametrize(
-    ("content", "expected"),
+    ("suffix", "content", "expected"),
     [
-        (b"", r"bad.stl: cannot be read as a mesh \(it has no faces\)"),
-        (b"\x89PNG\r\n" + bytes(200), r"bad.stl: cannot be read as a mesh \(it has no faces\)"),
-        (b"solid nothing\nendsolid nothing\n", "bad.stl: cannot be read as a mesh"),
+        ("stl", b"", r"bad.stl: cannot be read as a mesh \(it has no faces\)"),
+        ("stl", b"\x89PNG\r\n" + bytes(200), r"cannot be read as a mesh \(it has no faces\)"),
+        ("stl", b"solid nothing\nendsolid nothing\n", "bad.stl: cannot be read as a mesh"),
+        ("glb", b"glTF", "it is no binary glTF"),
+        ("glb", b"no glTF at all, but long enough", "it is no binary glTF"),
     ],
 )
-def test_file_without_a_mesh_is_rejected(folder, content, expected):
-    (folder / "bad.stl").write_bytes(content)
+def test_file_without_a_mesh_is_rejected(folder, suffix, content, expected):
+    (folder / f"bad.{suffix}").write_bytes(content)
     with pytest.raises(ConfigError, match=expected):
-        load(folder, "creature.bodies.1.shape={type: mesh, file: bad.stl}")
+        load(folder, f"creature.bodies.1.shape={{type: mesh, file: bad.{suffix}}}")
 
 
 @pytest.mark.parametrize(
@@ -289,13 +291,6 @@ def test_a_wrong_or_huge_glb_is_refused(folder, header, expected):
             load(folder, "creature.bodies.1.shape={type: mesh, file: bad.glb}")
         return
     with pytest.raises(ConfigError, match=f"creature.bodies.1.shape.file: bad.glb: .*{expected}"):
-        load(folder, "creature.bodies.1.shape={type: mesh, file: bad.glb}")
-
-
-@pytest.mark.parametrize("content", [b"", b"glTF", b"no glTF at all, but long enough"])
-def test_a_file_that_is_no_glb_is_refused(folder, content):
-    (folder / "bad.glb").write_bytes(content)
-    with pytest.raises(ConfigError, match="it is no binary glTF"):
         load(folder, "creature.bodies.1.shape={type: mesh, file: bad.glb}")
 
 

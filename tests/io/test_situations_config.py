@@ -12,23 +12,10 @@ from tiny_run import CONFIG, REPOSITORY
 
 HEXAPOD = REPOSITORY / "configs" / "hexapod.yaml"
 TASK = """
-import jax.numpy as jnp
-from evo_cpg.simulation.task import Task
+from evo_cpg.simulation.tasks import Distance
 
-class Lit(Task):
+class Lit(Distance):
     light: tuple[float, float, float] = (1.0, 2.0, 3.0)
-
-    def begin(self, batch, dtype, steps):
-        return jnp.zeros(batch, dtype)
-
-    def update(self, tally, transition, steps):
-        return transition.after.state.position[0]
-
-    def terms(self, tally, steps):
-        return {"way": tally}
-
-    def fitness(self, terms, scales):
-        return terms["way"]
 """
 
 
@@ -45,9 +32,13 @@ def lights(trials: str, *overrides: str):
 
 
 def test_a_number_of_trials_is_one_situation():
-    (situation,) = situations("1", "simulation.start=[1, 2]", "simulation.start_heading_deg=90")
+    light = "task.light={distance: 3, bearing_deg: 0}"
+    start = "simulation.start=[1, 2]", "simulation.start_heading_deg=90"
+    simulation = built("simulation.trials=1", *start, light).simulation
+    (situation,) = simulation.situations
     assert situation.start_position == (1.0, 2.0, 0.0)
     assert situation.start_heading == pytest.approx(np.pi / 2)
+    assert simulation.task.light == pytest.approx((1.0, 5.0, 0.0))
     experiment = built("simulation.trials=5", "noise.push=0.1")
     assert (len(experiment.simulation.situations), experiment.trials) == (1, 5)
     assert experiment.simulation.lights == (experiment.simulation.task.light,)
@@ -105,17 +96,6 @@ def test_an_override_can_change_one_situation():
     trials = config.simulation.trials
     assert isinstance(trials, list)
     assert [entry.start for entry in trials] == [None, (2.0, 3.0)]
-
-
-def test_every_start_is_on_the_ground():
-    """Two starts: before a slope, and on the land above it."""
-    lower, upper = situations(
-        "[{}, {start: [4, -1]}]",
-        "world.ground.floor={type: shore, start: 1, stop: 2, stop_height: 0.7}",
-        path=HEXAPOD,
-    )
-    difference = upper.start_position[2] - lower.start_position[2]
-    assert difference == pytest.approx(0.7, abs=1e-4)
 
 
 def test_own_task_keeps_its_light_unless_an_entry_moves_it(tmp_path, monkeypatch):

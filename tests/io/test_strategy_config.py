@@ -120,7 +120,6 @@ def test_an_algorithm_of_evosax():
             "{type: evosax, algorithm: Open_ES, population: 30, islands: {count: 2}}",
             "Open_ES of 15 individuals on each island cannot be built .*even",
         ),
-        ("{type: evosax, algorithm: Open_ES, params: {lr: 1}}", r"no parameter lr \(valid: none\)"),
         ("{type: evosax, algorithm: Open_ES, options: {lr: 1}}", "Open_ES of .* cannot be .*'lr'"),
     ):
         with pytest.raises(ConfigError, match=words):
@@ -134,6 +133,7 @@ def test_missing_evosax_is_reported_with_its_installation(monkeypatch):
         build(CONFIG, "evolution={type: evosax, algorithm: Sep_CMA_ES}")
 
 
+REAL = ["evolution={type: real, generations: 2, population: 6, elites: 2, learning: {every: 3}}"]
 MAP = "evolution={type: map_elites, axes: [{name: speed, range: [0, 1]%s"
 
 
@@ -153,6 +153,11 @@ MAP = "evolution={type: map_elites, axes: [{name: speed, range: [0, 1]%s"
         (CONFIG, ["measures=[energy]"], "'energy'"),
         (WALKER, ["measures=[airborne]", "task={type: walk}"], "'airborne' .* term"),
         (WALKER, ["measures=[cost_of_transport]", "world.gravity=0"], "without gravity"),
+        (CONFIG, ["evolution.learning.elites=21"], "at most all 20 elites can learn, got 21"),
+        (CONFIG, ["evolution.learning.every=2", "evolution.elites=0"], "at least one"),
+        (CONFIG, ["evolution.learning.stepps=2"], "steps"),
+        (CONFIG, ["evolution.learning.every=0"], "every"),
+        (WALKER, REAL, "or controller.graded to true"),
     ],
 )
 def test_invalid_evolution_and_measures_are_rejected(path, settings, words):
@@ -206,35 +211,10 @@ def test_return_values_of_an_own_strategy_are_checked(tmp_path, monkeypatch, cha
         own(tmp_path, monkeypatch, **changes)
 
 
-REAL = ("evolution={type: real, generations: 2, population: 6, elites: 2, learning: {every: 3}}",)
-
-
-def learning(path, *overrides):
-    return build(path, *overrides).learning
-
-
 def test_elites_learn_only_if_configured():
-    assert learning(CONFIG) is None
-    assert learning(CONFIG, "evolution.learning.every=3") == Learning(3, 16, 5)
+    assert build(CONFIG).learning is None
+    assert build(CONFIG, "evolution.learning.every=3").learning == Learning(3, 16, 5)
     few = ("evolution.elites=4", "evolution.learning.steps=2")
-    assert learning(CONFIG, *few) == Learning(5, 4, 2)
-
-
-@pytest.mark.parametrize(
-    ("overrides", "words"),
-    [
-        (["evolution.learning.elites=21"], "at most all 20 elites can learn, got 21"),
-        (["evolution.learning.every=2", "evolution.elites=0"], "at least one"),
-        (["evolution.learning.stepps=2"], "steps"),
-        (["evolution.learning.every=0"], "every"),
-    ],
-)
-def test_invalid_learning_is_rejected(overrides, words):
-    with pytest.raises(ConfigError, match=words):
-        learning(CONFIG, *overrides)
-
-
-def test_postures_learn_only_with_graded_genes():
-    with pytest.raises(ConfigError, match=r"or controller.graded to true"):
-        learning(WALKER, *REAL)
-    assert learning(WALKER, *REAL, "controller.graded=true") == Learning(3, 2, 5)
+    assert build(CONFIG, *few).learning == Learning(5, 4, 2)
+    # Postures learn only with graded genes.
+    assert build(WALKER, *REAL, "controller.graded=true").learning == Learning(3, 2, 5)

@@ -95,21 +95,6 @@ def test_derivatives_are_named_after_their_functions():
     np.testing.assert_allclose(got, jax.grad(lambda x: jax.vmap(pick, -1)(x).sum())(x), rtol=1e-6)
 
 
-def test_a_fault_found_while_compiling_falls_back():
-    """A rule exists, but not for computed places. Only the compilation finds this."""
-
-    def function(x):
-        return x.at[(x[0] > 0).astype(int)].set(0.0)
-
-    x = sample((3,))
-    run = jax.jit(jax.vmap(lambda x: fuse(function, x, batch_ndim=0, name="setting")))
-    got, said = warned(run, jnp.tile(x, (4, 1)))
-    assert said == [
-        "setting runs on plain JAX, not as native code: no rule for a scatter to computed places"
-    ]
-    np.testing.assert_array_equal(got, jnp.tile(function(x), (4, 1)))
-
-
 def test_engine_jax_uses_no_native_code():
     x = sample((3, 9))
     run = functools.partial(fuse, smooth, batch_ndim=1)
@@ -236,23 +221,13 @@ def seven(tmp_path, monkeypatch):
     return load
 
 
-def test_code_on_disk_is_not_compiled_again(seven, tmp_path):
-    assert seven() == (7, 1)
-    assert len(list(tmp_path.glob("native-*"))) == 1
-    assert seven() == (7, 1)
-
-
-@pytest.mark.parametrize("damage", ["cut", "empty", "changed", "gone"])
+@pytest.mark.parametrize("damage", ["cut", "empty", "changed"])
 def test_damaged_code_on_disk_is_compiled_again(seven, tmp_path, damage):
     assert seven() == (7, 1)
     (file,) = tmp_path.glob("native-*")
     whole = file.read_bytes()
-    if damage == "gone":
-        file.unlink()
-    else:
-        file.write_bytes(
-            {"cut": whole[:-1], "empty": b"", "changed": whole[:9] + b"?" + whole[10:]}[damage]
-        )
+    damaged = {"cut": whole[:-1], "empty": b"", "changed": whole[:9] + b"?" + whole[10:]}
+    file.write_bytes(damaged[damage])
     assert seven() == (7, 2)
     assert file.read_bytes() == whole
     assert seven() == (7, 2)

@@ -7,8 +7,6 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[2]
 # Modules that JAX does not promise to keep. `jax.core` has a few public names, and those move.
 PRIVATE = "jax.core", "jax.interpreters", "jax.lib", "jaxlib"
@@ -47,21 +45,6 @@ def private_names(source):
     return sorted({path for path in paths(ast.parse(source)) if is_private(path)})
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        "from jax._src import core",
-        "import jax\njax._src.core.Jaxpr",
-        "import jax.interpreters.mlir",
-        "from jax.core import Tracer",
-        "import jaxlib",
-        "import jax\njax.interpreters.ad",
-    ],
-)
-def test_a_private_name_is_found(source):
-    assert private_names(source)
-
-
 def test_one_file_alone_uses_private_names():
     found = {}
     for folder in ("evo_cpg", "benchmarks", "tests"):
@@ -70,3 +53,8 @@ def test_one_file_alone_uses_private_names():
                 found[str(path.relative_to(ROOT))] = names
     del found["tests/native/test_jax_names.py"]
     assert list(found) == ["evo_cpg/native/jax_internals.py"], found
+    (names,) = found.values()
+    # Each way to write a private name is found in this file.
+    assert {"jax.core", "jax.core.Tracer", "jax.interpreters.ad", "jax._src.core.ShapedArray"} <= {
+        *names
+    }

@@ -137,20 +137,6 @@ def test_loops_agree_with_jax(function, count):
     assert_agrees(function, sample((4, count)), rtol=1e-4, atol=1e-5)
 
 
-def collatz(start):
-    def advance(state):
-        n, rounds = state
-        return jnp.where(n % 2 == 0, n // 2, 3 * n + 1), rounds + 1
-
-    return lax.while_loop(lambda state: state[0] != 1, advance, (start, 0))
-
-
-@pytest.mark.parametrize("count", COUNTS)
-def test_finished_individuals_do_not_change(count):
-    """Run 1 to 111 rounds. The last vector holds fewer individuals than the others."""
-    assert_agrees(lambda x: collatz(x[0]), jnp.arange(1, 1 + count)[None] * 27 % 83 + 1)
-
-
 def test_nan_ends_the_loop_of_one_individual_only():
     """NaN makes the condition of one individual false. The other individuals continue."""
 

@@ -85,37 +85,25 @@ def test_no_choice_reads_memory_less_often(program):
             registers.hold(order[i], True, "computed")
         registers.pass_on()
         assert sum(registers.names.get((node, True)) is not None for node in held(steps)) <= LIMIT
-    for policy in (least_recently_used, first_in):
-        assert reads <= reads_with(policy, order, steps)
+    assert reads <= reads_of_least_recently_used(order, steps)
 
 
 def held(steps):
     return {node for needed in steps for node in needed}
 
 
-def least_recently_used(since, last):
-    return min(last, key=last.get)
-
-
-def first_in(since, last):
-    return min(since, key=since.get)
-
-
-def reads_with(policy, order, steps):
+def reads_of_least_recently_used(order, steps):
     """Return the reads of memory under another eviction policy. Unused values leave at once."""
-    since, last, reads = {}, {}, 0
+    last, reads = {}, 0
     ends = {node: i for i, needed in enumerate(steps) for node in needed}
     for i, needed in enumerate(steps):
-        reads += sum(node not in since for node in needed)
-        for node in [*needed, *order[i : i + 1]]:
-            since.setdefault(node, i)
-            last[node] = i
-        for node in list(since):
+        reads += sum(node not in last for node in needed)
+        last |= dict.fromkeys([*needed, *order[i : i + 1]], i)
+        for node in list(last):
             if ends.get(node, -1) <= i:
-                del since[node], last[node]
-        while len(since) > LIMIT:
-            node = policy(since, last)
-            del since[node], last[node]
+                del last[node]
+        while len(last) > LIMIT:
+            del last[min(last, key=last.get)]
     return reads
 
 

@@ -78,22 +78,6 @@ def test_every_configuration_loads_from_the_wheel_alone(wheel, tmp_path):
     ]
 
 
-def test_the_wheel_has_its_metadata(wheel):
-    with zipfile.ZipFile(wheel) as archive:
-        (name,) = (name for name in archive.namelist() if name.endswith("/METADATA"))
-        text = archive.read(name).decode()
-    for line in (
-        "Name: evo-cpg",
-        "Author: The evo_cpg authors",
-        "License-Expression: Apache-2.0 AND MIT",
-        "License-File: evo_cpg/view/run_page/three.LICENSE",
-        "Requires-Python: >=3.11",
-        "Classifier: Programming Language :: Python :: 3.13",
-        "Classifier: Typing :: Typed",
-    ):
-        assert f"\n{line}\n" in text
-
-
 @pytest.mark.slow
 def test_commands_work_in_an_empty_environment(wheel, tmp_path):
     """Install the wheel with `constraints.txt`, and run the commands from `configs` to `bench`.

@@ -208,20 +208,6 @@ def test_gradients_of_a_step_equal_finite_differences():
     assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / (2 * e), rel=1e-6)
 
 
-@pytest.mark.slow
-def test_native_code_equals_plain_jax():
-    world = World(build_tree(jointed("a few", 0.01)), 9.81)
-    state = random_state(world.tree, np.random.default_rng(6), (3,), speed=0.2)
-    state = jax.tree.map(lambda x: x.astype(jnp.float32), state)
-    rest = jnp.zeros_like(state.q)
-    ends = []
-    for name in ("jax", "native"):
-        with using(Engine(name)):
-            ends.append(quick_jit(lambda s: step(world, s, rest, 1 / 240)[0])(state))
-    for one, other in zip(*map(jax.tree.leaves, ends), strict=True):
-        np.testing.assert_allclose(one, other, rtol=2e-4, atol=2e-4)
-
-
 def on_a_ball(limit: float = 9.0, damping: float = 0.0) -> Tree:
     """Return two boxes joined by a ball at the second box's centre."""
     box, flesh = Box((0.3, 0.2, 0.1)), Material(1000.0)

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
-import yaml
 
 from creatures import (
     coast,
@@ -27,7 +26,7 @@ from evo_cpg.creature.shapes import Box, Ellipsoid, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.build import build_simulation
 from evo_cpg.io.errors import ConfigError
-from evo_cpg.io.load import check_config, load_config
+from evo_cpg.io.load import load_config
 from evo_cpg.physics.step.step import step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import kinematics
@@ -37,7 +36,7 @@ from evo_cpg.physics.water.lift import PlateLift, make_plate_lift
 from evo_cpg.physics.water.viscous_bodies import make_viscous_drag
 from evo_cpg.physics.water.water import Current, Water
 from measured_water import LIFT
-from tiny_run import CONFIG
+from tiny_run import CONFIG, VISCOUS
 
 WATER, GRAVITY = 1000.0, 9.81
 
@@ -326,41 +325,20 @@ def test_gradient_of_a_flight_equals_differences(x64):
     assert float(found) == pytest.approx(float(slope(displacement, 0.7, 1e-5)), rel=1e-6)
 
 
-ROWER = """
-name: rower
-creature:
-  name: rower
-  materials: {flesh: {density: 1000}}
-  bodies:
-    - {name: trunk, shape: {type: ellipsoid, radii: [0.2, 0.08, 0.06]}, material: flesh}
-    - name: "{side}_fin"
-      mirror: y
-      shape: {type: box, size: [0.08, 0.24, 0.008]}
-      material: flesh
-      joint:
-        {parent: trunk, at: [0.05, 0.08, 0], child_at: [0.01, -0.13, 0], axes: [x, -y],
-         limits_deg: [-60, 60], actuator: {gain: 5}}
-world: {water: {viscosity: 0.001, lift: true}}
-simulation: {seconds: 0.5}
-controller: {type: brain_cpg}
-task: {type: distance}
-"""
-
-
-def rower(**water):
-    data = yaml.safe_load(ROWER)
-    data["world"]["water"] |= water
-    return check_config(data, "rower.yaml")
+def configured_lift(**water) -> PlateLift | None:
+    """The law of a configured pair, whose rear body is thin."""
+    body = "creature.bodies.1"
+    changes = [f"{body}.repeat=1", f"{body}.shape.size.1=0.02", *VISCOUS]
+    changes += [f"world.water.{key}={value}" for key, value in water.items()]
+    return build_simulation(load_config(CONFIG, changes))[1].world.law(PlateLift)
 
 
 def test_the_configuration_adds_the_law():
     """Added mass has the moment, so the law has none with it."""
-    laws = build_simulation(rower())[1].world.forces
-    (law,) = (law for law in laws if isinstance(law, PlateLift))
-    assert law.bodies == (1, 2) and law.has_moment
-    heavy = build_simulation(rower(added_mass=True))[1].world.law(PlateLift)
+    law, heavy = (configured_lift(lift="true", added_mass=x) for x in ("false", "true"))
+    assert law is not None and law.bodies == (1,) and law.has_moment
     assert heavy is not None and not heavy.has_moment
-    assert build_simulation(rower(lift=False))[1].world.law(PlateLift) is None
+    assert configured_lift(lift="false") is None
 
 
 def test_lift_needs_a_viscosity():

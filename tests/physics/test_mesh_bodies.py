@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 import scipy.spatial
 
-from creatures import coast, hinge, in_water, last, quick_jit, random_state, resting, single, slope
-from evo_cpg.creature.creature import Actuator, Body, Creature, Material, lowest_height
+from creatures import coast, in_water, last, quick_jit, resting, single, slope
+from evo_cpg.creature.creature import Creature, lowest_height
 from evo_cpg.creature.mesh import ConvexMesh
-from evo_cpg.creature.shapes import Box, Shape, Sphere
+from evo_cpg.creature.shapes import Box, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.native.fuse import fuse
-from evo_cpg.physics.contact.contact_model import make_contact_model
 from evo_cpg.physics.contact.contact_points import clearance
 from evo_cpg.physics.contact.terrain import Block
 from evo_cpg.physics.step.step import step
@@ -240,36 +238,6 @@ def test_a_mesh_touches_a_block_and_the_floor():
     state = released(world, [[0.0], [0.0], [0.25]])
     states, _ = record(world, state, 120)
     np.testing.assert_allclose(np.asarray(states.position)[-1, :, 0], [0, 0, 0.25], atol=1e-4)
-
-
-def pair(first: Shape, second: Shape) -> Creature:
-    joint = hinge("a", (-0.2, 0, 0), (0.2, 0, 0), "zy", actuator=Actuator(1.0))
-    flesh = Material(500.0)
-    return Creature("pair", (Body("a", first, flesh), Body("b", second, flesh, joint)))
-
-
-@pytest.mark.slow
-def test_a_fused_step_equals_plain_jax():
-    """Step on the ground and at the water's surface at the same time."""
-    creature = pair(wedge(), Box(SIZE))
-    world = in_water(creature, surface=0.05, added_mass=True)
-    world = dataclasses.replace(
-        world,
-        contact_model=make_contact_model(
-            creature, world.tree, alone(Box(SIZE)).contact_model.ground
-        ),
-    )
-    state = random_state(world.tree, np.random.default_rng(5), (6,), speed=0.3)
-    rate = jnp.zeros_like(state.q)
-
-    def advance(state, rate):
-        return step(world, state, rate, 1 / 240)[0]
-
-    fused = quick_jit(lambda s, r: fuse(advance, s, r, batch_ndim=1))(state, rate)
-    for found, expected in zip(
-        jax.tree.leaves(fused), jax.tree.leaves(advance(state, rate)), strict=True
-    ):
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -161,21 +161,6 @@ def test_a_spring_rests_at_its_angle_and_an_axis_without_limits_turns_on():
         np.testing.assert_allclose(states.qd[:, 0], 20.0, rtol=1e-9)
 
 
-def test_spring_frequency_equals_the_closed_form():
-    """It is sqrt(k / I) / 2 pi. Backward Euler turns by atan(w h): (w h)^2 / 3 = 2e-4 slower."""
-    creature = spring_pair(0.05)
-    omega = np.sqrt(0.05 / reduced_inertia(creature))
-    world = World(build_tree(creature), 0.0)
-    h = 0.025 / omega
-    state = resting(world.tree, q=jnp.array([0.3]))
-    states, _ = rolled(world, state, jnp.zeros((1000, 1)), h)
-    q = np.asarray(states.q)[:, 0]
-    crossings = np.flatnonzero(np.diff(np.sign(q)))
-    places = crossings + q[crossings] / (q[crossings] - q[crossings + 1])
-    measured = np.pi / (h * np.diff(places).mean())
-    assert measured == pytest.approx(omega, rel=1e-3)
-
-
 @pytest.mark.parametrize("gain", [pytest.param(1e-4, marks=pytest.mark.slow), 0.05])
 def test_soft_limit_holds_a_constant_push(gain):
     """A joint under a constant torque tau rests tau / k beyond a limit of stiffness k.

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from creatures import hinge, in_water
-from evo_cpg.creature.algebra.linear import inverse_symmetric, toward_one
+from evo_cpg.creature.algebra.linear import inverse_symmetric
 from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
@@ -203,8 +203,3 @@ def test_inverses_are_accurate_at_any_scale():
             found * scale[:, None] * scale[None], exact * scale[:, None] * scale[None],
             rtol=1e-3, atol=1e-4,
         )  # fmt: skip
-
-
-def test_ordinary_numbers_are_not_scaled():
-    assert (np.asarray(toward_one(np.array([1e-9, 1e-3, 1.0, 1e9]))) == 1.0).all()
-    assert (np.log2(toward_one(np.array([1e-20, 1e20]))) == [32.0, -32.0]).all()

@@ -19,7 +19,6 @@ from on_ground import H, alone, record, released
 
 ABYSS = Plane(height=-1000.0)
 THIN = Block((0.0, 0.0, 0.0), (1.0, 1.0, 0.001))
-WALL = Block((1.0, 0.0, 1.0), (0.001, 1.0, 1.0))
 SPEEDS = np.array([5.0, 20.0, 44.0, 100.0, 300.0])
 
 

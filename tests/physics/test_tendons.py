@@ -24,7 +24,6 @@ from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.io.models.mujoco_state import dof_order, load_state, motor_order
-from evo_cpg.native.engine import Engine, using
 from evo_cpg.physics.step.equations import prepare, solve_at_once
 from evo_cpg.physics.step.statics import joint_torque
 from evo_cpg.physics.step.step import step
@@ -222,29 +221,6 @@ def test_gradients_by_the_numbers_of_a_tendon(motor, loss):
     for i, number in enumerate(numbers):
         away = 1e-5 * number * (np.arange(len(numbers)) == i)
         np.testing.assert_allclose(slopes[:, i], slope(run, numbers, away), rtol=1e-6, atol=1e-8)
-
-
-@pytest.mark.slow
-def test_native_code_equals_jax():
-    """A branching animal with all laws, dry and in a step that needs iteration."""
-    tendons = [
-        dataclasses.replace(tendon, friction_loss=0.1, lower=-0.4, upper=0.5)
-        for tendon in pulled().tendons
-    ]
-    world = World(build_tree(dataclasses.replace(pulled(), tendons=tuple(tendons))), GRAVITY)
-
-    def advance(state, rate):
-        state, effort = step(world, state, MotorCommand(rate, rate, torque=rate), H)
-        return state.qd, effort.torque, effort.energy
-
-    rng = np.random.default_rng(5)
-    state = random_state(world.tree, rng, (8,), speed=0.2)
-    rate = rng.normal(size=(world.tree.dof_count, 8))
-    found = []
-    for engine in ("native", "jax"):
-        with using(Engine(engine)):
-            found.append(quick_jit(lambda *given: advance(*given))(state, rate))
-    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-9), *found)
 
 
 def test_a_held_root_stays_while_a_tendon_pulls():

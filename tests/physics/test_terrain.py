@@ -109,19 +109,3 @@ def test_a_ball_bounces_off_a_wall():
     assert 1.4 - 2.0 * H < float(x.max()) < 1.4 + 1e-6
     assert float(speed[-1]) == pytest.approx(-1.0, abs=0.05)
     np.testing.assert_allclose(states.position[:, 2, 0], 0.1, atol=1e-3)
-
-
-@pytest.mark.slow
-def test_bodies_rest_on_a_block_and_at_a_boulder():
-    """The box rests on the block, and the ball in the corner of boulder and plane."""
-    step_up = Block((0.0, 0.0, 0.0), (1.0, 1.0, 0.3))
-    world = alone(Box((0.2, 0.2, 0.1)), static=0.8, dynamic=0.8, obstacles=(step_up,))
-    states, _ = record(world, released(world, [[0.2], [0.1], [0.5]]), 240)
-    assert float(states.position[-1, 2, 0]) == pytest.approx(0.35, abs=1e-3)
-
-    boulder = Boulder((0.0, 0.0, 0.0), 0.5)
-    world = alone(Sphere(0.1), static=0.0, dynamic=0.0, obstacles=(boulder,))
-    states, _ = record(world, released(world, [[0.3], [0.0], [0.6]]), 480)
-    away = np.linalg.norm(states.position[:, :, 0], axis=-1)
-    assert away.min() > 0.6 - 0.005
-    assert states.position[:, 2, 0].min() > 0.1 - 0.005

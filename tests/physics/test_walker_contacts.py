@@ -313,38 +313,19 @@ def test_an_impact_of_many_limbs_adds_no_energy():
         assert np.median(np.asarray(force)[hits] / dull[hits]) > 1 + 0.5 * restitution
 
 
-@pytest.fixture(scope="module")
-def touching():
-    """Return world, state and unfused step of tripods, some of which touch the ground."""
-    with jax.enable_x64(True):
-        world = legged([(0.2, 0.0), (-0.2, 0.0)], segments=1)
-        state = thrown(world, 12, 0.3)
-        still = jnp.zeros(world.tree.dof_count)
-
-        def alone(state):
-            found = solve_step(world, H, state, MotorCommand(still))
-            return integrate(world.tree, state, found.root, found.qdd, H)
-
-        yield world, state, jax.vmap(alone, -1, -1)
-
-
 @pytest.mark.slow
-def test_a_fused_step_equals_the_unfused_one(touching):
-    """They agree to 1e-9 without contact, with one contact and with several."""
-    world, state, plain = touching
-    fused, effort = quick_jit(lambda s: step(world, s, jnp.zeros_like(s.q), H))(state)
-    touches = (np.asarray(effort.contact_frame_force)[2] > 0).any(0)
-    assert 2 < touches.sum() < 12
-    for got, expected in zip(
-        jax.tree.leaves(fused), jax.tree.leaves(quick_jit(plain)(state)), strict=True
-    ):
-        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9)
+def test_derivatives_of_a_contact_step_equal_central_differences():
+    """Differentiate an unfused step by the initial velocity. Some tripods touch the ground."""
+    world = legged([(0.2, 0.0), (-0.2, 0.0)], segments=1)
+    state, still = thrown(world, 12, 0.3), jnp.zeros(world.tree.dof_count)
 
+    def alone(state):
+        found = solve_step(world, H, state, MotorCommand(still))
+        return integrate(world.tree, state, found.root, found.qdd, H)
 
-@pytest.mark.slow
-def test_derivatives_of_a_contact_step_equal_central_differences(touching):
-    """Differentiate by the initial velocity, in reverse mode."""
-    _, state, plain = touching
+    plain = jax.vmap(alone, -1, -1)
+    gaps = quick_jit(lambda s: clearance(world.contact_model, kinematics(world.tree, s)))(state)
+    assert 2 < (np.asarray(gaps) < 0).any(0).sum() < 12
     weights = jnp.asarray(np.random.default_rng(1).normal(size=state.velocity.shape))
 
     def outcome(velocity):

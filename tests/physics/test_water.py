@@ -113,14 +113,6 @@ def test_bodies_sink_float_or_stay(shape, density):
     assert np.abs(velocity[:, :5]).max() < 1e-12
 
 
-def test_a_current_carries_a_neutral_body():
-    """A neutral body finally moves with a stream. Its speed in the water decreases as 1 / t."""
-    current = (0.4, -0.3, 0.2)
-    velocity = sink(Sphere(0.05), WATER, 20.0, current=current)
-    np.testing.assert_allclose(velocity[-1, 3:], current, rtol=0.02)
-    assert (np.linalg.norm(velocity[:, 3:] - current, axis=1)[-1]) < 0.01
-
-
 @pytest.mark.parametrize("law", ["normal", "isotropic"])
 def test_drag_takes_energy_from_any_motion(law):
     """The power of drag relative to the water is never positive.

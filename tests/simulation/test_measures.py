@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
+from creatures import hinge
 from evo_cpg.creature.axis_kinds import Slide, Turn
-from evo_cpg.creature.creature import WORLD, Body, Creature, Joint, Material
+from evo_cpg.creature.creature import WORLD, Body, Creature, Material
 from evo_cpg.creature.limbs import limbs
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
@@ -55,12 +56,10 @@ def evaluated(request):
 def test_frequency_and_amplitude_leave_out_slides():
     """In two seconds a hinge turns back 16 times, with a variance of 0.25. The root drifts."""
     origin = (0.0, 0.0, 0.0)
-    hinge = Joint("a", origin, origin, ((0.0, 1.0, 0.0),), (-9.0,), (9.0,))
-    bodies = (
-        Body("a", Box((0.1,) * 3), Material(1000.0)),
-        Body("b", Box((0.1,) * 3), Material(1000.0), hinge),
-    )
-    slide = dataclasses.replace(hinge, parent=WORLD, kinds=(Slide(),))
+    joint = hinge("a", origin, origin, "y", 9.0)
+    body = Body("a", Box((0.1,) * 3), Material(1000.0))
+    bodies = body, dataclasses.replace(body, name="b", joint=joint)
+    slide = dataclasses.replace(joint, parent=WORLD, kinds=(Slide(),))
     tree = build_tree(Creature("crab", bodies, root_joint=slide))
     assert tree.dof_kinds == (Slide(), Turn())
     trial = Trial(World(tree, 9.81), 2.0)

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import quick_jit
+from creatures import hinge, quick_jit
 from evo_cpg.creature.axis_kinds import BallComponent
-from evo_cpg.creature.creature import Body, Creature, Joint, Material, lowest_height
+from evo_cpg.creature.creature import Body, Creature, Material, lowest_height
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.native.engine import Engine
@@ -53,10 +53,7 @@ def test_initial_angles_are_noisy_within_joint_limits(simulation):
 
 
 def test_balls_start_within_their_limit():
-    joint = Joint(
-        "a", (0.2,) * 3, (-0.2,) * 3, tuple(map(tuple, np.eye(3))), (-1.0,) * 3, (1.0,) * 3
-    )
-    ball = dataclasses.replace(joint, kinds=(BallComponent(),) * 3)
+    ball = hinge("a", (0.2,) * 3, (-0.2,) * 3, "xyz", kinds=(BallComponent(),) * 3)
     body = Body("a", Box((0.2,) * 3), Material(1000.0))
     pair = Creature("pair", (body, dataclasses.replace(body, name="b", joint=ball)))
     world = World(build_tree(pair), 9.81)

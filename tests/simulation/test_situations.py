@@ -96,11 +96,6 @@ def test_animals_start_in_their_situations(simulation, together):
         assert motion.distance[0] == pytest.approx(goal_distance, rel=1e-6)
 
 
-def test_the_first_situation_is_the_default(simulation):
-    given = simulate(only(simulation, 0))
-    jax.tree.map(np.testing.assert_array_equal, simulate(simulation), given)
-
-
 class Where(Task):
     """Task that returns the place of the light."""
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from creatures import AXES, quick_jit
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from creatures import hinge, quick_jit
+from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
@@ -79,27 +79,12 @@ def walker() -> Creature:
     """Return a box on two feet, one behind the other, with a ball on each side for balance."""
     legs = []
     for name, x in zip(FEET, (0.15, -0.15), strict=True):
-        joint = Joint(
-            parent="torso",
-            parent_anchor=(x, 0.0, -0.05),
-            child_anchor=(-0.03, 0.0, 0.12),
-            axes=(AXES["y"],),
-            lower=(-0.8,),
-            upper=(0.8,),
-            actuator=Actuator(6.0, 8.0),
-        )
+        ends = (x, 0.0, -0.05), (-0.03, 0.0, 0.12)
+        joint = hinge("torso", *ends, "y", 0.8, actuator=Actuator(6.0, 8.0))
         legs.append(Body(name, Sphere(RADIUS), Material(900.0, 0.0, 0.6, 0.5), joint))
     for side, y in (("left", 0.25), ("right", -0.25)):
-        joint = Joint(
-            parent="torso",
-            parent_anchor=(0.0, y, -0.17),
-            child_anchor=(0.0, 0.0, 0.0),
-            axes=(AXES["x"],),
-            lower=(-0.1,),
-            upper=(0.1,),
-            stiffness=20.0,
-            damping=2.0,
-        )
+        ends = (0.0, y, -0.17), (0.0, 0.0, 0.0)
+        joint = hinge("torso", *ends, "x", 0.1, stiffness=20.0, damping=2.0)
         legs.append(Body(side, Sphere(RADIUS), Material(300.0, 0.0, 0.2, 0.2), joint))
     torso = Body("torso", Box((0.4, 0.2, 0.1)), Material(400.0, 0.0))
     return Creature("walker", (torso, *legs))

@@ -7,24 +7,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from test_foot_slip import trial_of
 
 from creatures import quick_jit
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
-from evo_cpg.simulation.sensors import place_sensors
-from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 from evo_cpg.simulation.task import Transition
 from evo_cpg.simulation.tasks import Distance, Walk
-from trials import SineController, experiment
+from trials import experiment
 
 STEPS, ANIMALS = 40, 5
 BOX = Creature("box", (Body("box", Box((0.2, 0.2, 0.2)), Material(300.0, 0.0)),))
@@ -146,22 +144,11 @@ def test_a_trial_in_the_dark_measures_distance_from_the_start():
 
 def test_airborne_time_equals_the_free_fall():
     """A box falls 0.5 m without bouncing, for sqrt(2 h / g) of one second."""
-    tree, ground = build_tree(BOX), Ground(restitution=0.0)
-    simulation = Simulation(
-        world=World(tree, 9.81, contact_model=make_contact_model(BOX, tree, ground)),
-        sensors=place_sensors(BOX, tree),
-        controller=SineController(),
-        task=Walk(torso_length=0.2),
-        control_rate=60.0,
-        substeps=4,
-        steps=60,
-        situations=(Situation((0.0, 0.0, 0.6)),),
-    )
-    terms = quick_jit(lambda genes: rollout(simulation, genes))(GENES[:, :1]).terms
+    terms, _ = trial_of(BOX.bodies[0].shape, 0.5, 0.6, 1.0, (0,) * 6, rate=60)
     # The box lands within a physics step of this time, and rests a few steps later.
     fall = np.sqrt(2 * 0.5 / 9.81)
-    assert fall - 1 / 240 < float(terms["airborne"][0]) < fall + 10 / 240
-    assert float(terms["distance"][0]) < 1e-6
+    assert fall - 1 / 240 < terms["airborne"] < fall + 10 / 240
+    assert terms["distance"] < 1e-6
 
 
 def test_the_airborne_fraction_is_1_without_ground():

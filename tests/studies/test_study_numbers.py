@@ -14,8 +14,7 @@ from evo_cpg.io.load import load_config
 from evo_cpg.io.shipped import shipped
 from evo_cpg.studies import fukui2003, search
 from evo_cpg.studies.parts import audit_table, evaluate, kept_table
-from evo_cpg.studies.study import Table
-from evo_cpg.studies.workshop import Workshop, markdown
+from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.view import search_plots
 from tiny_run import CONFIG, PAIR
@@ -101,8 +100,3 @@ def test_figure_and_table_of_searches_show_expected_fitness(monkeypatch):
     (made,) = search.searches(workshop, "two_eyes")
     assert drawn and all(curve.final.tolist() == [0.7, 0.8] for curve in drawn)
     assert made.rows[0][2] == "0.750 (0.700 to 0.800)"
-
-
-def test_a_table_becomes_markdown():
-    shown = markdown(Table("Title:", ["a", "b"], [["1", "2"]]))
-    assert shown == "Title:\n\n| a | b |\n| --- | --- |\n| 1 | 2 |"

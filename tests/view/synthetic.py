@@ -3,7 +3,8 @@
 import numpy as np
 from PIL import Image
 
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
+from creatures import box_chain, hinge
+from evo_cpg.creature.creature import Actuator, Body, Creature, LightSensor, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.simulation.recording import Recording
 
@@ -23,33 +24,18 @@ HIPS = {
 }
 PACE, STEP_RATE = 0.5, 1.4
 _MATERIAL = Material(density=1000.0)
-_LIMIT = np.pi / 3
 
 
 def swimmer() -> Creature:
     """Ten boxes in a row, 2.18 m long, head at +x, three axes in every joint, two eyes."""
 
-    def joint(parent: int) -> Joint:
-        return Joint(
-            parent=f"b{parent}",
-            parent_anchor=(-0.11, 0.0, 0.0),
-            child_anchor=(0.11, 0.0, 0.0),
-            axes=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-            lower=(-_LIMIT,) * 3,
-            upper=(_LIMIT,) * 3,
-            actuator=Actuator(gain=20.0),
-        )
-
-    bodies = tuple(
-        Body(f"b{i}", Box((0.2, 0.1, 0.1)), _MATERIAL, joint(i - 1) if i else None)
-        for i in range(SEGMENTS)
-    )
+    chain = box_chain(SEGMENTS, "xyz", Actuator(gain=20.0))
     slant = np.sqrt(0.5)
     eyes = tuple(
         LightSensor("b0", (0.1, side * 0.03, 0.02), (slant, side * slant, 0.0), np.pi)
         for side in (1.0, -1.0)
     )
-    return Creature("swimmer", bodies, eyes, ("b0", "b9"))
+    return Creature("swimmer", chain.bodies, eyes, ("b0", "b9"))
 
 
 def swim(seconds: float = 33.0, rate: float = 60.0) -> Recording:
@@ -102,15 +88,8 @@ def walker() -> Creature:
     """A trunk with four legs of two boxes each, all joints about y, without eyes or colours."""
 
     def leg(name: str, parent: str, anchor: tuple[float, float, float]) -> Body:
-        joint = Joint(
-            parent=parent,
-            parent_anchor=anchor,
-            child_anchor=(0.0, 0.0, LEG / 2),
-            axes=((0.0, 1.0, 0.0),),
-            lower=(-np.pi / 2,),
-            upper=(np.pi / 2,),
-            actuator=Actuator(gain=20.0),
-        )
+        top, motor = (0.0, 0.0, LEG / 2), Actuator(gain=20.0)
+        joint = hinge(parent, anchor, top, "y", np.pi / 2, actuator=motor)
         return Body(name, Box((2 * FOOT, 2 * FOOT, LEG)), _MATERIAL, joint)
 
     legs = [

@@ -74,12 +74,6 @@ def brightness(image, spots):
     return image[rows, columns].mean(-1)
 
 
-def test_the_synthetic_walker_touches_the_ground_exactly(creature, recording):
-    lowest = synthetic.lowest_points(creature, recording)
-    assert lowest.min() > -1e-9
-    assert (np.abs(lowest[:, SHINS]) < 1e-9).mean() == pytest.approx(0.6, abs=0.02)
-
-
 @pytest.mark.parametrize("height", [0.0, 0.3])
 def test_the_ground_is_at_the_height_of_the_physics(creature, recording, stills, height):
     """The strong line 3 m from the start is at the height of the plane."""

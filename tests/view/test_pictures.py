@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import synthetic
 
+from creatures import hinge
 from evo_cpg.creature.creature import (
     Body,
     Creature,
     DepthSensor,
-    Joint,
     LightSensor,
     Material,
     neutral_pose,
@@ -77,7 +77,7 @@ def test_the_head_is_the_body_with_eyes_or_else_the_root():
 
 
 def test_a_preview_shows_meshes(tmp_path):
-    joint = Joint("a", (0.3, 0, 0), (-0.2, 0, 0), ((0, 0, 1.0),), (-1.0,), (1.0,))
+    joint = hinge("a", (0.3, 0, 0), (-0.2, 0, 0))
     head = Body("a", wedge(), Material(500.0))
     tail = Body("b", Box((0.3, 0.1, 0.1)), Material(500.0), joint)
     path = preview(Creature("meshes", (head, tail)), tmp_path / "m.png", (320, 240), ground=True)

@@ -16,7 +16,7 @@ from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.mesh import convex_mesh
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Block, Boulder, Plane, Shore
-from evo_cpg.simulation.recording import Recording, RecordingError
+from evo_cpg.simulation.recording import RecordingError
 from evo_cpg.view.gltf_film import Z_UP, gltf_film
 from evo_cpg.view.scene import Panel, quaternions
 from evo_cpg.view.skin import Draped, skins
@@ -249,17 +249,11 @@ def test_a_triangle_without_area_is_left_out():
     shape, _ = convex_mesh(vertices, np.concatenate([box.faces[1:], halves]))
     assert len(shape.faces) == 14
     creature = Creature("stone", (Body("stone", shape, Material(1000.0)),))
-    still = Recording(
+    still = synthetic.walk(0.5)._replace(
         time=np.array([0.0, 1.0]),
         position=np.zeros((2, 1, 3)),
         rotation=np.tile(np.eye(3), (2, 1, 1, 1)),
-        joint_angle=np.zeros((2, 0)),
-        target_rate=np.zeros((2, 0)),
-        cpg_output=np.zeros((2, 0)),
-        torque=np.zeros((2, 0)),
-        distance=np.zeros(2),
         goal=np.full(3, np.nan),
-        dof_names=(),
     )
     document, arrays = decode(gltf_film(Panel(creature, still)))
     attributes = document["meshes"][0]["primitives"][0]["attributes"]

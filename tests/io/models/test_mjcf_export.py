@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import inspect
 from xml.etree import ElementTree
 
 import jax.numpy as jnp
@@ -9,8 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.imported_models import accelerations
 from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
-from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.creature import (
     NO_LIMIT,
     Actuator,
@@ -25,19 +26,12 @@ from evo_cpg.creature.creature import (
 from evo_cpg.creature.shapes import Box, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.io.models.mujoco_state import dof_order, load_state, motor_order
+from evo_cpg.io.models.mujoco_state import dof_order
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Block, Boulder, GroundPart, Plane, Relief, Shore
-from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.world import World
-from evo_cpg.physics.tree.articulated import solve
-from evo_cpg.physics.tree.joint_torque import (
-    MotorCommand,
-    clamp_torque,
-    motor_torque,
-    passive_torque,
-)
+from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 
 GRAVITY = 9.81
@@ -62,22 +56,8 @@ def ball(name: str = "ball") -> Creature:
 
 
 @each_structure
-def test_masses_and_inertias_equal_mujocos(compiled, number):
-    """Every body's mass, centre of mass and inertia about it in the working frame: 1e-12."""
-    creature = animal(number)
-    tree, model = build_tree(creature), compiled(creature, GRAVITY)
-    assert model.nbody == tree.body_count + 1
-    for i, name in enumerate(tree.names):
-        body = model.body(name)
-        assert body.mass[0] == pytest.approx(tree.mass[i], rel=1e-12)
-        np.testing.assert_allclose(body.ipos, tree.com[:, i], atol=1e-14)
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, body.iquat)
-        turn = turn.reshape(3, 3)
-        part = creature.bodies[creature.body_index(name)]
-        expected = part.shape.inertia(tree.mass[i])
-        inertia = turn @ np.diag(body.inertia) @ turn.T
-        np.testing.assert_allclose(inertia, expected, atol=1e-12 * expected.max())
+def test_masses_and_inertias_equal_mujocos(same_inertias, number):
+    same_inertias(animal(number), 1e-12)
 
 
 # Each kind of motor drives one structure in the fast tests.
@@ -88,44 +68,29 @@ def test_masses_and_inertias_equal_mujocos(compiled, number):
         for number, kind in zip(range(6), 2 * list(MOTORS), strict=True)
     ],
 )
-def test_accelerations_equal_mujocos(compiled, number, kind):
-    """Gravity, buoyancy, springs, rotors, motors at and below their limits, torques: 1e-9.
+def test_accelerations_equal_mujocos(compiled, mujocos, number, kind):
+    """Gravity, buoyancy, springs, rotors, motors at and below their limits: 1e-9.
 
     The water has buoyancy but no drag. Some of the random commands exceed the torque limit.
     """
     creature = animal(number, MOTORS[kind])
     world = in_water(creature, density=1030.0, form_drag=0.0, skin_drag=0.0)
     tree = world.tree
-    model = compiled(creature, GRAVITY, water=world.water)
-    data, order = mujoco.MjData(model), dof_order(model, tree)
+    data = mujoco.MjData(compiled(creature, GRAVITY, water=world.water))
     rng = np.random.default_rng(number)
-
-    @quick_jit
-    def ours(state, tau, rate, angle):
-        kin = kinematics(tree, state)
-        inertia, bias = body_equations(world, kin, 0.0)
-        passive, derivative = passive_torque(tree, state, 0.0)
-        command = MotorCommand(rate, angle, torque=angle)
-        motor = clamp_torque(tree, motor_torque(tree, state, command, 0.0).start)
-        rotor = derivative + expand_dims_like(tree.armature, tau)
-        found = solve(tree, kin, inertia, bias, tau + passive + motor, rotor)
-        return jnp.concatenate(found), motor
-
+    # Water cannot be an argument of a program.
+    ours = quick_jit(lambda *given: inspect.unwrap(accelerations)(world, *given))
     strained = 0
     for _ in range(STATES):
         state = random_state(tree, rng)
-        tau, rate, angle = rng.normal(size=(3, tree.dof_count))
+        rate, angle = rng.normal(size=(2, tree.dof_count))
         springs = kind == "position servos"
         control = angle / MOTORS[kind].gear if kind == "torque motors" else angle
-        expected, motor = ours(state, tau, np.zeros_like(rate) if springs else rate, angle)
-        rotation = load_state(model, data, tree, state)
-        data.qfrc_applied[6 + order] = tau
-        data.ctrl = (rate if kind == "velocity servos" else control)[motor_order(model, tree)]
-        mujoco.mj_forward(model, data)
-        theirs = [rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[6 + order]]
-        theirs = np.concatenate(theirs)
-        assert np.abs(expected - theirs).max() < 1e-9 * np.abs(theirs).max()
-        strained += int((np.abs(motor) == MOTORS[kind].torque_limit).sum())
+        command = MotorCommand(np.zeros_like(rate) if springs else rate, angle, torque=angle)
+        theirs = mujocos(data, tree, state, rate if kind == "velocity servos" else control)
+        assert np.abs(ours(state, command) - theirs).max() < 1e-9 * np.abs(theirs).max()
+        limit = MOTORS[kind].torque_limit
+        strained += np.isclose(np.abs(data.qfrc_actuator), limit, rtol=1e-12).sum()
     assert strained > 0
 
 
@@ -155,23 +120,12 @@ def unlike_axes(number: int) -> Creature:
 
 
 @pytest.mark.parametrize("number", [1, pytest.param(3, marks=pytest.mark.slow)])
-def test_axes_with_values_of_their_own_accelerate_as_in_mujoco(compiled, number):
+def test_axes_with_values_of_their_own_accelerate_as_in_mujoco(compiled, mujocos, number):
     """Springs with rest angles, dampers, rotors and motors, each of one axis: 1e-9."""
     creature = unlike_axes(number)
     world = World(build_tree(creature), GRAVITY)
-    tree, model = world.tree, compiled(creature, GRAVITY)
-    data, order = mujoco.MjData(model), dof_order(model, tree)
+    tree, data = world.tree, mujoco.MjData(compiled(creature, GRAVITY))
     rng = np.random.default_rng(number)
-
-    @quick_jit
-    def ours(state, command):
-        kin = kinematics(tree, state)
-        inertia, bias = body_equations(world, kin, 0.0)
-        passive, derivative = passive_torque(tree, state, 0.0)
-        motor = clamp_torque(tree, motor_torque(tree, state, command, 0.0).start)
-        rotor = derivative + expand_dims_like(tree.armature, motor)
-        return jnp.concatenate(solve(tree, kin, inertia, bias, passive + motor, rotor))
-
     assert tree.torque_motors is not None
     springs, gear = tree.servo_stiffness > 0, tree.torque_motors.gear
     of_torque = np.array(tree.torque_motors.driven)
@@ -180,14 +134,10 @@ def test_axes_with_values_of_their_own_accelerate_as_in_mujoco(compiled, number)
         state = random_state(tree, rng)
         target = rng.normal(size=tree.dof_count)
         rate = np.where(springs, 0.0, target)
-        expected = ours(state, MotorCommand(rate, target, torque=target))
-        rotation = load_state(model, data, tree, state)
         control = np.where(of_torque, target / np.where(of_torque, gear, 1.0), target)
-        data.ctrl = control[motor_order(model, tree)]
-        mujoco.mj_forward(model, data)
-        theirs = [rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[6 + order]]
-        theirs = np.concatenate(theirs)
-        assert np.abs(expected - theirs).max() < 1e-9 * np.abs(theirs).max()
+        theirs = mujocos(data, tree, state, control)
+        found = accelerations(world, state, MotorCommand(rate, target, torque=target))
+        assert np.abs(found - theirs).max() < 1e-9 * np.abs(theirs).max()
 
 
 def test_joint_limits_are_exported(compiled):

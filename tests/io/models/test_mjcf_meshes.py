@@ -19,7 +19,6 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.load import complete_config, load_config
 from evo_cpg.io.models.imported_files import write_imported
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.io.models.mujoco_state import dof_order, load_state
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.joint_torque import MotorCommand
@@ -54,38 +53,21 @@ def animal() -> Creature:
     )
 
 
-def test_masses_and_inertias_equal_mujocos(compiled):
-    """MuJoCo integrates the exported mesh, in single precision: 1e-5."""
-    creature = animal()
-    tree, model = build_tree(creature), compiled(creature, GRAVITY)
-    for i, name in enumerate(tree.names):
-        body = model.body(name)
-        assert body.mass[0] == pytest.approx(tree.mass[i], rel=1e-5)
-        np.testing.assert_allclose(body.ipos, tree.com[:, i], atol=1e-7)
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, body.iquat)
-        turn = turn.reshape(3, 3)
-        shape = creature.bodies[creature.body_index(name)].shape
-        expected = shape.inertia(tree.mass[i])
-        found = turn @ np.diag(body.inertia) @ turn.T
-        np.testing.assert_allclose(found, expected, atol=1e-5 * expected.max())
+def test_masses_and_inertias_equal_mujocos(same_inertias):
+    """MuJoCo integrates the exported mesh, in single precision."""
+    same_inertias(animal(), 1e-5)
 
 
-def test_accelerations_equal_mujocos(compiled):
+def test_accelerations_equal_mujocos(compiled, mujocos):
     """Gravity, springs, dampers and rotation in five states: 1e-4 of the largest acceleration."""
     creature = animal()
     tree, model = build_tree(creature), compiled(creature, GRAVITY)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
-    data, order = mujoco.MjData(model), dof_order(model, tree)
-
+    data, still = mujoco.MjData(model), np.zeros(tree.dof_count)
     for seed in range(5):
         state = random_state(tree, np.random.default_rng(seed))
-        rotation = load_state(model, data, tree, state)
-        mujoco.mj_forward(model, data)
-        theirs = [rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[6 + order]]
-        theirs = np.concatenate(theirs)
-        still = MotorCommand(np.zeros_like(state.q))
-        ours = accelerations(World(tree, GRAVITY), state, still)
+        theirs = mujocos(data, tree, state, still)
+        ours = accelerations(World(tree, GRAVITY), state, MotorCommand(still))
         assert np.abs(ours - theirs).max() < 1e-4 * np.abs(theirs).max()
 
 

@@ -43,20 +43,25 @@ def test_missing_mujoco_raises(swimmer, monkeypatch):
         second_opinion(experiment.simulation, experiment.creature, steps)
 
 
+def agrees(experiment, genes, steps, angle):
+    """Compare recorded commands and MuJoCo's own senses with our opinion, and return it."""
+    simulation = experiment.simulation
+    own = own_opinion(simulation, steps)
+    for brain, name in (
+        (None, "MuJoCo"),
+        (ControllerInLoop(simulation, genes), "MuJoCo, own senses"),
+    ):
+        other = second_opinion(simulation, experiment.creature, steps, brain=brain)
+        assert other.program == name
+        np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=angle)
+        np.testing.assert_allclose(other.path, own.path, atol=2e-3)
+    return own
+
+
 @pytest.mark.slow
 def test_both_programs_agree_in_water(swimmer):
     """Our steps are 1/240 s, and MuJoCo's 1/2000 s."""
-    experiment, genes, steps = swimmer
-    simulation = experiment.simulation
-    own = own_opinion(simulation, steps)
-    commanded = second_opinion(simulation, experiment.creature, steps)
-    brain = ControllerInLoop(simulation, genes)
-    sensed = second_opinion(simulation, experiment.creature, steps, brain=brain)
-    assert (commanded.program, sensed.program) == ("MuJoCo", "MuJoCo, own senses")
-    assert np.abs(own.joint_angle).max() > 0.1
-    for other in (commanded, sensed):
-        np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=5e-3)
-        np.testing.assert_allclose(other.path, own.path, atol=2e-3)
+    assert np.abs(agrees(*swimmer, 5e-3).joint_angle).max() > 0.1
 
 
 TORQUE = "{type: torque, gear: 1, torque_limit: 0.5}"
@@ -70,14 +75,8 @@ def test_motors_agree_in_both_programs(actuator):
     own_motor = f"creature.bodies.1.joint.actuator={actuator}"
     free = "creature.bodies.1.joint.limits_deg=null"
     long = "simulation.seconds=1", "simulation.substeps=16"
-    experiment, genes, steps = trial(CONFIG, *PAIR, own_motor, free, *long)
-    simulation = experiment.simulation
-    own = own_opinion(simulation, steps)
+    own = agrees(*trial(CONFIG, *PAIR, own_motor, free, *long), 5e-3)
     assert np.abs(own.joint_angle).max() > 0.1
-    for brain in (None, ControllerInLoop(simulation, genes)):
-        other = second_opinion(simulation, experiment.creature, steps, brain=brain)
-        np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=5e-3)
-        np.testing.assert_allclose(other.path, own.path, atol=2e-3)
 
 
 BOX = "shape: {type: box, size: [0.2, 0.1, 0.1]}, material: body"
@@ -95,18 +94,11 @@ KINDS = f"""creature.bodies=[
 @pytest.mark.slow
 def test_slides_balls_and_a_planar_root_agree_in_both_programs():
     """A head slides and turns in the plane, with a slide, a ball and an eccentric hinge behind."""
-    experiment, genes, steps = trial(
-        CONFIG, *TINY, KINDS, "simulation.seconds=1", "simulation.substeps=8"
-    )
-    simulation = experiment.simulation
-    own = own_opinion(simulation, steps)
+    long = "simulation.seconds=1", "simulation.substeps=8"
+    own = agrees(*trial(CONFIG, *TINY, KINDS, *long), 2e-3)
     assert own.slides.tolist() == [True, True, False, True, False, False, False, False]
     driven = np.abs(own.joint_angle).max(1)
     assert (driven[4:] > 0.05).all() and driven[3] > 1e-3 and (driven[:3] > 1e-4).all()
-    for brain in (None, ControllerInLoop(simulation, genes)):
-        other = second_opinion(simulation, experiment.creature, steps, brain=brain)
-        np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=2e-3)
-        np.testing.assert_allclose(other.path, own.path, atol=2e-3)
 
 
 @pytest.mark.slow
