@@ -12,7 +12,7 @@ from benchmarks.rows import SECONDS, Row
 from benchmarks.timing import Contender, race, seconds
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
-from evo_cpg.training.experiment import begin, next_generation
+from evo_cpg.training.experiment import begin, evaluated, next_generation
 
 
 def measure(plan: Plan) -> list[Row]:
@@ -22,11 +22,12 @@ def measure(plan: Plan) -> list[Row]:
     genes, state = jax.device_get(jax.jit(lambda: begin(experiment))())
     scales = {"energy": np.ones(1, np.float32)}
     trials = compile_trials(simulation, population_mesh())
+    judging = jax.jit(functools.partial(evaluated, experiment))
     breeding = jax.jit(functools.partial(next_generation, experiment))
 
     def live() -> None:
-        outcome = trials(genes)
-        jax.device_get(breeding(genes, outcome, np.int32(0), scales, state))
+        found = judging(trials(genes), np.int32(0), scales)
+        jax.device_get(breeding(genes, found.worth, np.int32(0), state))
 
     plan.say("generation: compiling")
     first = seconds(live)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from evo_cpg.analysis.laboratory.ask import Answer
     from evo_cpg.api.analyse import Analysis, analyse, gait_numbers
     from evo_cpg.api.audit import Audit, audit
+    from evo_cpg.api.cluster import cluster
     from evo_cpg.api.environment import Environment, EnvironmentState
     from evo_cpg.api.experiment import Experiment, Trials, load
     from evo_cpg.api.fit import fit
@@ -45,6 +46,7 @@ _NAMES = {
     "api.record": ("Record",),
     "api.environment": ("Environment", "EnvironmentState"),
     "api.training": ("train", "resume", "Trained"),
+    "api.cluster": ("cluster",),
     "api.refine": ("refine", "Refined"),
     "api.sweep": ("sweep", "Summary"),
     "api.runs": ("verify", "Verification"),

@@ -20,6 +20,10 @@ class UsageError(UserError, ValueError):
     """Wrong argument of an operation, in Python or on the command line."""
 
 
+class ClusterError(UserError):
+    """A cluster that cannot be joined, or that is lost."""
+
+
 class Advice(UserWarning):
     """Warning about the user's input or results. The command line prints it as a line."""
 

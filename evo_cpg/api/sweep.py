@@ -22,7 +22,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from evo_cpg import locks
@@ -45,6 +44,7 @@ from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError, read_checked
+from evo_cpg.training.team import device_count
 
 _PLAN = "sweep.json"
 
@@ -295,7 +295,7 @@ def run_group(
     """
     from evo_cpg.training.train import train_together
 
-    count = jax.local_device_count()
+    count = device_count()
     with contextlib.ExitStack() as stack:
         for member in group:
             stack.enter_context(member.folder.locked(new=True))

@@ -7,7 +7,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -36,6 +35,7 @@ from evo_cpg.simulation.simulation import with_displacement
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.team import device_count
 
 Rows = list[dict[str, float]]
 
@@ -127,7 +127,7 @@ def train(
             with working("reading the earlier run"):
                 given = warm_start(parts, Path(start), what)
         run = Run(folder, experiment.config, parts)
-        begin_run(run, jax.local_device_count(), experiment.source, given)
+        begin_run(run, device_count(), experiment.source, given)
         if experiment.replaced:
             folder.update_meta(replaced=list(experiment.replaced))
         warn_of_gpu()
@@ -167,7 +167,7 @@ def resume(
         if is_complete(opened, done):
             champion, _, _ = folder.load_champion()
             return dataclasses.replace(_trained(folder, champion), was_finished=True)
-        for words in reopen_run(opened, jax.local_device_count()):
+        for words in reopen_run(opened, device_count()):
             advise(words)
         return evolve_run(opened, on_generation)
 

@@ -16,6 +16,7 @@ from evo_cpg.cli.errors import require_none
 from evo_cpg.cli.interrupts import wait_for_no_thread
 from evo_cpg.cli.options import (
     Browser,
+    ClusterOption,
     Config,
     Cores,
     CoresOfRun,
@@ -28,10 +29,11 @@ from evo_cpg.cli.options import (
     complete_config,
     find_config_or_folder,
     find_run,
+    on_cluster,
     run_folder,
 )
 from evo_cpg.cli.terminal import is_read, show_table, tell, warn
-from evo_cpg.errors import UsageError
+from evo_cpg.errors import ClusterError, UsageError
 
 if TYPE_CHECKING:
     from evo_cpg.api.training import Trained
@@ -68,6 +70,7 @@ def train(
         What,
         typer.Option("--start", help="Start from the champion or the whole population of RUN."),
     ] = What.CHAMPION,
+    cluster: ClusterOption = None,
 ) -> None:
     """Evolve a population and keep the champion."""
     from evo_cpg.api.advice import about_oscillators
@@ -82,7 +85,7 @@ def train(
     run = out or Path("runs") / given.name
     for line in about_oscillators(experiment.parts.simulation):
         warn(f"{config}: {line}")
-    with _continuation(run):
+    with _continuation(f"resume {run}", cluster, run / "config.yaml"), on_cluster(cluster):
         trained = evo.train(experiment, run, start=earlier, what=what.value)
     _show_champion(trained)
 
@@ -93,9 +96,10 @@ def resume(
         int | None, typer.Option(min=1, help="Continue to this total number of generations.")
     ] = None,
     cores: CoresOfRun = None,
+    cluster: ClusterOption = None,
 ) -> None:
     """Continue a run from its newest checkpoint."""
-    with _continuation(run):
+    with _continuation(f"resume {run}", cluster, run / "config.yaml"), on_cluster(cluster):
         trained = evo.resume(run, generations, cores=cores)
     if not trained.was_finished:
         _show_champion(trained)
@@ -110,14 +114,18 @@ def resume(
 
 
 @contextlib.contextmanager
-def _continuation(run: Path):
-    """Print how to continue a run if it is interrupted."""
+def _continuation(command: str, cluster: str | None, started: Path):
+    """Name the command that continues, if this one is interrupted or loses its cluster."""
+    on = f" --cluster {cluster}" if cluster else ""
+    words = f"Continue with `evo-cpg {command}{on}`"
     try:
         yield
     except KeyboardInterrupt:
-        if (run / "config.yaml").is_file():
-            tell(f"interrupted. Continue with `evo-cpg resume {run}`")
+        if started.is_file():
+            tell(f"interrupted. {words}")
         raise
+    except ClusterError as error:
+        raise ClusterError(f"{error}. {words}" if started.is_file() else str(error)) from error
 
 
 def _show_champion(trained: "Trained") -> None:
@@ -177,6 +185,7 @@ def sweep(
         list[str] | None, typer.Option("--only", metavar="NAME", help="Evolve only this setting.")
     ] = None,
     cores: Cores = None,
+    cluster: ClusterOption = None,
 ) -> None:
     """Evolve with many settings and compare the results."""
     from evo_cpg.io.settings import read_settings
@@ -188,12 +197,10 @@ def sweep(
             raise UsageError(f"--grid: {key} is given twice. Give all its values in one")
         axes[key] = values
     named = read_settings(settings) if settings else {}
-    try:
+    folder = config if config.is_dir() else out or Path("runs") / f"{config.stem}_sweep"
+    started = folder / "sweep.json"
+    with _continuation(f"sweep {folder}", cluster, started), on_cluster(cluster):
         found = evo.sweep(config, overrides or [], axes, named, out, only or [], cores)
-    except KeyboardInterrupt:
-        folder = config if config.is_dir() else out or Path("runs") / f"{config.stem}_sweep"
-        tell(f"interrupted. Continue with `evo-cpg sweep {folder}`")
-        raise
     spreads = [
         (
             one.name,

@@ -103,6 +103,15 @@ def name_replaced(overrides: list[str] | None) -> list[str] | None:
     return overrides
 
 
+def on_cluster(where: str | None) -> contextlib.AbstractContextManager:
+    """Return a context that evaluates populations on a cluster, if one is given."""
+    if where is None:
+        return contextlib.nullcontext()
+    from evo_cpg.api.cluster import cluster
+
+    return cluster(where)
+
+
 def complete_config(incomplete: str) -> list[str]:
     """Return names of shipped configurations, configuration files and folders that match."""
     from evo_cpg.io.shipped import shipped_names
@@ -167,6 +176,15 @@ Strict = Annotated[
 Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use (default: all).")]
 CoresOfRun = Annotated[
     int | None, typer.Option("--cores", min=1, help="Cores to use (default: as in training).")
+]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        metavar="CLUSTER",
+        help="Evaluate on a Dask cluster: a number of workers to start here, an address such as "
+        "tls://host:8786, or a scheduler file.",
+    ),
 ]
 Crowd = Annotated[
     int | None,

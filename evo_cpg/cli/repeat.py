@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from evo_cpg.cli.errors import ExitCode
-from evo_cpg.cli.options import Cores
+from evo_cpg.cli.options import ClusterOption, Cores, on_cluster
 from evo_cpg.cli.terminal import show_table, tell
 from evo_cpg.errors import UsageError
 
@@ -49,6 +49,7 @@ def reproduce(
         bool, typer.Option("--fresh", help="Delete finished runs of these parts first.")
     ] = False,
     cores: Cores = None,
+    cluster: ClusterOption = None,
 ) -> None:
     """Recompute the tables and pictures of a study."""
     from evo_cpg.io.errors import nearest
@@ -76,7 +77,9 @@ def reproduce(
                 f"reproduce: {study} has no part {part!r}: {nearest(part, list(chosen.parts))}"
             )
     place = out or default_folder(study, quick)
-    make(chosen, parts or list(chosen.parts), place, quick, fresh, use_cores(cores))
+    devices = use_cores(cores)
+    with on_cluster(cluster):
+        make(chosen, parts or list(chosen.parts), place, quick, fresh, devices)
 
 
 def make(

@@ -8,7 +8,7 @@ import jax
 import jax.core
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive
-from jax.interpreters import ad, batching, mlir
+from jax.interpreters import ad, batching, mlir, partial_eval
 
 from evo_cpg.native.ir import Unsupported
 
@@ -195,3 +195,12 @@ def scan_counts(params: dict[str, Any]) -> tuple[int, int]:
         constants, carried, _ = params["ft_in"].unpack()
         return len(constants), len(carried)
     return params["num_consts"], params["num_carry"]
+
+
+def used_arguments(function: Callable, *arguments: Any) -> list[bool]:
+    """Return whether a function's results depend on each array of its arguments.
+
+    Only the arguments' shapes and types matter.
+    """
+    traced = jax.make_jaxpr(function)(*arguments).jaxpr
+    return partial_eval.dce_jaxpr(traced, [True] * len(traced.outvars))[1]

@@ -5,7 +5,7 @@ The population axis is ordered by run, then by individual, then by trial. Run ``
 numbers that a single run with the seed ``seed + r`` would draw.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -82,15 +82,24 @@ class ExperimentParts(NamedTuple):
     learning: Learning | None = None
 
 
-class Generation(NamedTuple):
-    """Results of one generation of every run.
+class Evaluated(NamedTuple):
+    """Results of the trials of one generation. The first axis of every array is the run.
 
     Attributes:
-        fitness: mean fitness of every individual over its trials, or -inf if it diverged or broke a
-            rule in any trial.
-        terms: task's terms, averaged over the trials.
+        worth: what the strategy is told.
         alive: False where an individual diverged.
         scales: task's scales.
+    """
+
+    worth: Evaluation
+    alive: Bool[Any, "runs n"]
+    scales: dict[str, Float[Any, " runs"]]
+
+
+class Generation(NamedTuple):
+    """What follows from the results of one generation of every run.
+
+    Attributes:
         best: index of the fittest individual in each run.
         best_genes: genome of the fittest individual in each run.
         next_genes: population of the next generation, run by run.
@@ -98,10 +107,6 @@ class Generation(NamedTuple):
         metrics: strategy's metrics, by name.
     """
 
-    fitness: Float[Array, "runs n"]
-    terms: dict[str, Float[Array, "runs n"]]
-    alive: Bool[Array, "runs n"]
-    scales: dict[str, Float[Array, " runs"]]
     best: Int[Array, " runs"]
     best_genes: Float[Array, "runs g"]
     next_genes: Float[Array, "g all"]
@@ -192,31 +197,24 @@ def placeholder_scales(experiment: ExperimentParts) -> dict[str, tuple[float, ..
     return dict.fromkeys(shapes, (1.0,) * experiment.runs)
 
 
-def next_generation(
+def evaluated(
     experiment: ExperimentParts,
-    genes: Float[Array, "g n"],
     outcome: Outcome,
-    index: Array,
+    index: ArrayLike,
     scales: dict[str, Float[Array, " runs"]],
-    state: PyTree[Array],
-) -> Generation:
-    """Score the population of every run and compute the next one.
+) -> Evaluated:
+    """Judge every individual of every run by the outcome of its trials.
 
     Args:
         experiment: experiment that evolves.
-        genes: populations, run by run.
-        outcome: outcome of the trials.
-        index: number of the generation, from 0. It alone selects the random stream, so a resumed
-            run draws the numbers of an uninterrupted run.
+        outcome: outcome of the trials, in the order of the population axis.
+        index: number of the generation, from 0.
         scales: task's scales. They are ignored in generation 0, which measures them.
-        state: strategy's state.
     """
-    simulation, strategy = experiment.simulation, experiment.strategy
+    simulation = experiment.simulation
     task = simulation.task
 
-    def of_run(
-        seed: Array, genes: Array, outcome: Outcome, scales: dict[str, Array], state: PyTree[Array]
-    ) -> Generation:
+    def of_run(outcome: Outcome, scales: dict[str, Array]) -> Evaluated:
         measured = task.scales(
             {
                 name: jnp.where(outcome.alive, term, jnp.nan).reshape(-1)
@@ -225,25 +223,45 @@ def next_generation(
         )
         scales = {name: jnp.where(index == 0, measured[name], scales[name]) for name in measured}
         fitness, mean = judge(task, outcome, scales)
-        key = jax.random.fold_in(_stream(seed, _GENERATIONS), index)
         about = mean.terms, descriptors(simulation, mean.terms)
         worth = Evaluation(fitness, *about, judge_each(task, outcome, scales))
+        return Evaluated(worth, mean.alive, scales)
+
+    places = experiment.runs, -1, experiment.trials
+    return jax.vmap(of_run)(jax.tree.map(lambda x: x.reshape(places), outcome), scales)
+
+
+def next_generation(
+    experiment: ExperimentParts,
+    genes: Float[Array, "g n"],
+    worth: Evaluation,
+    index: ArrayLike,
+    state: PyTree[Array],
+) -> Generation:
+    """Tell the strategy of every run the results, and ask it for the next population.
+
+    Args:
+        experiment: experiment that evolves.
+        genes: populations, run by run.
+        worth: results, see `evaluated`.
+        index: number of the generation, from 0. It alone selects the random stream, so a resumed
+            run draws the numbers of an uninterrupted run.
+        state: strategy's state.
+    """
+    strategy = experiment.strategy
+
+    def of_run(seed: Array, genes: Array, worth: Evaluation, state: PyTree[Array]) -> Generation:
+        key = jax.random.fold_in(_stream(seed, _GENERATIONS), index)
         updated = strategy.tell(key, state, genes, worth)
         ask_key = jax.random.fold_in(_stream(seed, _ASKS), index + 1)
         next_genes, state = strategy.ask(ask_key, updated)
-        best = jnp.argmax(fitness)
-        found = fitness, mean.terms, mean.alive, scales, best, genes[:, best]
+        best = jnp.argmax(worth.fitness)
         next_genes = jnp.asarray(next_genes, genes.dtype)
-        return Generation(*found, next_genes, state, strategy.metrics(state))
+        return Generation(best, genes[:, best], next_genes, state, strategy.metrics(state))
 
     runs, gene_count = experiment.runs, len(genes)
-    places = (runs, experiment.strategy.population, experiment.trials)
-    result = jax.vmap(of_run, in_axes=(0, 1, 0, 0, 0))(
-        experiment.seed + jnp.arange(runs),
-        genes.reshape(gene_count, runs, -1),
-        jax.tree.map(lambda x: x.reshape(places), outcome),
-        scales,
-        state,
+    result = jax.vmap(of_run, in_axes=(0, 1, 0, 0))(
+        experiment.seed + jnp.arange(runs), genes.reshape(gene_count, runs, -1), worth, state
     )
     next_genes = jnp.moveaxis(result.next_genes, 0, 1).reshape(gene_count, -1)
     return result._replace(next_genes=next_genes)

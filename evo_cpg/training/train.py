@@ -7,7 +7,6 @@ and the program compiles once.
 
 import contextlib
 import functools
-import itertools
 import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -17,6 +16,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, PyTree, UInt32
 
+from evo_cpg.evolution.strategy import Evaluation
 from evo_cpg.files import write_table
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.ascent import compile_learning
@@ -30,9 +30,11 @@ from evo_cpg.training.checkpoint import (
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import (
+    Evaluated,
     ExperimentParts,
     Generation,
     begin,
+    evaluated,
     generation_keys,
     next_generation,
     placeholder_scales,
@@ -41,6 +43,7 @@ from evo_cpg.training.experiment import (
 from evo_cpg.training.lineage import extended
 from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
 from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
+from evo_cpg.training.team import Team, current_cluster
 
 Trials = tuple[
     Float[np.ndarray, "g individuals"],
@@ -56,11 +59,13 @@ class Evolution(NamedTuple):
     Attributes:
         begin: compiled `evo_cpg.training.experiment.begin`.
         keys: compiled `evo_cpg.training.experiment.generation_keys`.
+        evaluated: compiled `evo_cpg.training.experiment.evaluated`.
         next_generation: compiled `evo_cpg.training.experiment.next_generation`.
     """
 
     begin: Callable[..., tuple[Array, PyTree[Array]]]
     keys: Callable[..., Array | None]
+    evaluated: Callable[..., Evaluated]
     next_generation: Callable[..., Generation]
 
 
@@ -71,27 +76,34 @@ class Running:
     (`evo_cpg.training.reevaluation`). The first round evaluates the final population.
 
     Attributes:
+        experiment: experiment that evolves.
+        folder: its run folder.
         checkpoint: present state.
+        state: strategy's state.
+        worth: results that led from the last generation to the present one, or None if they are
+            unknown here or do not suffice.
+        choosing: whether the last generation is done, and a round chooses the champion.
 
     Raises:
         StrategyError: genomes are not finite, or the checkpoint is of another strategy.
     """
 
     checkpoint: Checkpoint
+    worth: Evaluation | None = None
 
     def __init__(self, experiment: ExperimentParts, folder: RunFolder, mesh: Mesh) -> None:
-        self._experiment, self._folder = experiment, folder
+        self.experiment, self.folder = experiment, folder
         self._programs = compile_evolution(experiment)
         self._learn = compile_learning(experiment, mesh) if experiment.learning else None
         checkpoint = folder.load()
         if checkpoint is None:
-            genes, self._state = jax.device_get(self._programs.begin(folder.load_start()))
+            genes, self.state = jax.device_get(self._programs.begin(folder.load_start()))
             _require_finite(experiment, genes, 0)
             none = (None,) * experiment.runs
             checkpoint = Checkpoint(0, genes, none, [], placeholder_scales(experiment))
         else:
             like = jax.eval_shape(lambda: begin(experiment))[1]
-            self._state = state_from(checkpoint.state, like)
+            self.state = state_from(checkpoint.state, like)
             if checkpoint.history:
                 # A kill may have prevented the writing of metrics.csv, so write it again.
                 folder.write_metrics(checkpoint.history)
@@ -101,6 +113,11 @@ class Running:
         # Genomes of the last `trials`, and the generation number that selects their random numbers.
         self._given = checkpoint.genes, checkpoint.generation
 
+    @property
+    def choosing(self) -> bool:
+        """See the class."""
+        return self.checkpoint.generation >= self.experiment.generations
+
     def trials(self) -> Trials:
         """Return the trials of the next generation or round."""
         genes, number = self.checkpoint.genes, self.checkpoint.generation
@@ -109,92 +126,97 @@ class Running:
         self._given = genes, number
         keys = jax.device_get(self._programs.keys(np.int32(number)))
         if self._choice:
-            keys = self._choice.keys(keys, self._experiment.trials)
-        numbers = situation_numbers(self._experiment)
+            keys = self._choice.keys(keys, self.experiment.trials)
+        numbers = situation_numbers(self.experiment)
         if numbers is not None:
             numbers = np.tile(numbers, genes.shape[1])
         return genes, keys, numbers
 
-    def tell(self, outcome: Outcome, start: float) -> list[dict[str, float]]:
-        """Take the outcome of the last `trials`, make the next generation, and write a checkpoint.
+    def evaluated(self, outcome: Outcome) -> Evaluated:
+        """Judge the outcome of the last `trials`."""
+        scales = {
+            name: np.array(values, np.float32) for name, values in self.checkpoint.scales.items()
+        }
+        number = np.int32(self._given[1])
+        return jax.device_get(self._programs.evaluated(outcome, number, scales))
+
+    def tell(self, found: Evaluated, start: float) -> list[dict[str, float]]:
+        """Take the results of the last `trials`, make the next generation, write a checkpoint.
 
         ``start`` is the time at which the generation started, by `time.perf_counter` (s).
 
         Returns:
             The new rows of metrics.csv. There are none after a round that chooses champions.
         """
-        experiment, before = self._experiment, self.checkpoint
+        experiment, before = self.experiment, self.checkpoint
         genes, number = self._given
-        scales = {name: np.array(values, np.float32) for name, values in before.scales.items()}
-        result = jax.device_get(
-            self._programs.next_generation(genes, outcome, np.int32(number), scales, self._state)
-        )
-        if before.generation >= experiment.generations:
-            # This was a round that chooses the champion. Only its fitness is used, because no
-            # generation follows.
-            self._choose(genes, number, result)
+        if self.choosing:
+            self._choose(genes, number, found)
             return []
-        done, self._state = before.generation + 1, result.state
-        scales = {name: tuple(values.tolist()) for name, values in result.scales.items()}
-        population = np.asarray(result.next_genes)
+        result = jax.device_get(
+            self._programs.next_generation(genes, found.worth, np.int32(number), self.state)
+        )
+        done, self.state = before.generation + 1, result.state
+        scales = {name: tuple(values.tolist()) for name, values in found.scales.items()}
+        population, self.worth = np.asarray(result.next_genes), found.worth
         _require_finite(experiment, population, done)
         if self._learn and experiment.learning and done % experiment.learning.every == 0:
-            population = self._learn(population, done, scales)
+            population, self.worth = self._learn(population, done, scales), None
         seconds = time.perf_counter() - start
-        records, found, rows = list(before.records), [], []
+        records, new, rows = list(before.records), [], []
         for run, champion in enumerate(before.records):
             best = int(result.best[run])
-            fitness = float(result.fitness[run, best])
+            fitness = float(found.worth.fitness[run, best])
             if np.isfinite(fitness) and (champion is None or fitness > champion.fitness):
                 best_genes = np.asarray(result.best_genes[run])
-                champion = _individual(best_genes, result, before.generation, run, best)
+                champion = _individual(best_genes, found, before.generation, run, best)
                 records[run] = champion
-                found.append(champion)
-            rows.append(_metrics(experiment, before.generation, result, run, champion, seconds))
+                new.append(champion)
+            rows.append(_metrics(experiment, before, found, result, run, champion, seconds))
         history = [*before.history, *rows]
         self.checkpoint = Checkpoint(
-            done, population, tuple(records), history, scales, state_arrays(self._state)
+            done, population, tuple(records), history, scales, state_arrays(self.state)
         )
         # Save the lineage first: after a kill between the two writes it is ahead of the
         # checkpoint, and `_lineage_until` drops the newer champions.
-        if found:
-            self._lineage = extended(self._lineage, found)
-            self._folder.save_lineage(self._lineage)
+        if new:
+            self._lineage = extended(self._lineage, new)
+            self.folder.save_lineage(self._lineage)
         if before.chosen and self.checkpoint.champion is not None:
             # The run was extended after a choice of champions. Replace the chosen champion in
             # champion.npz by the record.
-            self._folder.save_champion(self.checkpoint.champion)
-        self._folder.save(self.checkpoint)
+            self.folder.save_champion(self.checkpoint.champion)
+        self.folder.save(self.checkpoint)
         return rows
 
-    def _choose(self, genes: np.ndarray, number: int, result: Generation) -> None:
+    def _choose(self, genes: np.ndarray, number: int, found: Evaluated) -> None:
         """Evaluate a round in which champions are chosen, and save them when all are chosen."""
-        experiment, checkpoint = self._experiment, self.checkpoint
+        experiment, checkpoint = self.experiment, self.checkpoint
         if self._choice is None:
             contests, by_run = [], np.split(genes, experiment.runs, axis=1)
             for run, own in enumerate(by_run):
                 # The record, and the fittest of the last population.
-                fittest = np.argsort(-result.fitness[run], kind="stable")[:CANDIDATES]
-                tried = [_individual(own[:, i], result, number, run, int(i)) for i in fittest]
+                fittest = np.argsort(-found.worth.fitness[run], kind="stable")[:CANDIDATES]
+                tried = [_individual(own[:, i], found, number, run, int(i)) for i in fittest]
                 every = (checkpoint.records[run], *tried)
                 candidates = [one for one in every if one is not None and np.isfinite(one.fitness)]
                 contests.append(Contest(candidates, experiment.strategy.population))
             self._choice = Choice(contests)
         else:
-            self._choice.take(np.asarray(result.fitness))
+            self._choice.take(np.asarray(found.worth.fitness))
         if self._choice.done:
             contests = self._choice.contests
             chosen = tuple(contest.chosen() for contest in contests)
             self.checkpoint = checkpoint._replace(chosen=chosen)
             rows = [row for contest in contests for row in contest.rows()]
             if rows:
-                write_table(self._folder.path / CANDIDATES_FILE, rows)
-            self._folder.save(self.checkpoint)
+                write_table(self.folder.path / CANDIDATES_FILE, rows)
+            self.folder.save(self.checkpoint)
 
 
 def compile_evolution(experiment: ExperimentParts) -> Evolution:
     """Return the functions that a run needs besides its trials, for any number of generations."""
-    functions = begin, generation_keys, next_generation
+    functions = begin, generation_keys, evaluated, next_generation
     return Evolution(*(jax.jit(functools.partial(one, experiment)) for one in functions))
 
 
@@ -229,41 +251,42 @@ def _require_finite(
 
 
 def _individual(
-    genes: Float[np.ndarray, " g"], result: Generation, generation: int, run: int, index: int
+    genes: Float[np.ndarray, " g"], found: Evaluated, generation: int, run: int, index: int
 ) -> Champion:
     """Return an evaluated individual of a generation as a `Champion`."""
-    fitness = float(result.fitness[run, index])
-    terms = {name: float(values[run, index]) for name, values in result.terms.items()}
-    scales = {name: float(values[run]) for name, values in result.scales.items()}
+    fitness = float(found.worth.fitness[run, index])
+    terms = {name: float(values[run, index]) for name, values in found.worth.terms.items()}
+    scales = {name: float(values[run]) for name, values in found.scales.items()}
     return Champion(np.ascontiguousarray(genes), fitness, generation, terms, scales, run, index)
 
 
 def _metrics(
     experiment: ExperimentParts,
-    generation: int,
+    before: Checkpoint,
+    found: Evaluated,
     result: Generation,
     run: int,
     champion: Champion | None,
     seconds: float,
 ) -> dict[str, float]:
-    fitness = np.asarray(result.fitness[run])
+    fitness = np.asarray(found.worth.fitness[run])
     judged = np.isfinite(fitness)
     finite = fitness[judged] if judged.any() else np.array([np.nan])
     simulation = experiment.simulation
-    trials = result.fitness.size * experiment.trials
+    trials = found.worth.fitness.size * experiment.trials
     steps = trials * simulation.steps * simulation.substeps
     best = int(result.best[run])
     return {
-        "generation": generation,
+        "generation": before.generation,
         **({"run": run} if experiment.runs > 1 else {}),
         "best": float(finite.max()),
         "mean": float(finite.mean()),
         "median": float(np.median(finite)),
         "worst": float(finite.min()),
-        "diverged": int((~np.asarray(result.alive[run])).sum()),
+        "diverged": int((~np.asarray(found.alive[run])).sum()),
         "champion": champion.fitness if champion else float("nan"),
         **{name: float(values[run]) for name, values in result.metrics.items()},
-        **{f"best_{name}": float(values[run, best]) for name, values in result.terms.items()},
+        **{f"best_{name}": float(values[run, best]) for name, values in found.worth.terms.items()},
         "seconds": seconds,
         "steps_per_second": steps / seconds,
     }
@@ -318,8 +341,8 @@ def train_together(
         Running(experiment, folder, mesh)
         for experiment, folder in zip(experiments, folders, strict=True)
     ]
-    trials = experiments[0].trials
-    run_trials = compile_trials(experiments[0].simulation, mesh)
+    cluster = current_cluster()
+    evaluate = Team(cluster, running).evaluate if cluster else _here(experiments[0], mesh)
     compiled = False
     while left := [
         number
@@ -330,21 +353,36 @@ def train_together(
         fewest = min(running[number].checkpoint.generation for number in left)
         behind = [number for number in left if running[number].checkpoint.generation == fewest]
         start = time.perf_counter()
-        given = [running[number].trials() for number in behind]
-        joined = jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=-1), *given)
-        outcome = run_trials(*(joined if len(given) > 1 else given[0]), trials)
+        found = evaluate([running[number] for number in behind])
         if not compiled:
             on_compiled()
             compiled = True
-        widths = [genes.shape[1] for genes, _, _ in given]
-        ends = [trials * end for end in itertools.accumulate(widths)]
+        widths = [each.worth.fitness.size for each in found]
         spent = time.perf_counter() - start
-        for number, width, end in zip(behind, widths, ends, strict=True):
-            own = slice(end - trials * width, end)
-            part = jax.tree.map(lambda x, own=own: x[..., own], outcome)
+        for number, own, width in zip(behind, found, widths, strict=True):
             # Each experiment's time includes its part of the time for the common trials.
             own_start = time.perf_counter() - spent * width / sum(widths)
-            rows = running[number].tell(part, own_start)
+            rows = running[number].tell(own, own_start)
             if rows:
                 on_generation(number, rows)
     return [each.checkpoint for each in running]
+
+
+def _here(
+    experiment: ExperimentParts, mesh: Mesh
+) -> Callable[[Sequence[Running]], list[Evaluated]]:
+    """Return a function that evaluates the populations of several experiments in this process."""
+    trials, run_trials = experiment.trials, compile_trials(experiment.simulation, mesh)
+
+    def evaluate(behind: Sequence[Running]) -> list[Evaluated]:
+        given = [each.trials() for each in behind]
+        joined = jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=-1), *given)
+        outcome = run_trials(*(joined if len(given) > 1 else given[0]), trials)
+        found, end = [], 0
+        for each, (genes, _, _) in zip(behind, given, strict=True):
+            first, end = end, end + trials * genes.shape[1]
+            own = jax.tree.map(lambda x, own=slice(first, end): x[..., own], outcome)
+            found.append(each.evaluated(own))
+        return found
+
+    return evaluate

@@ -14,7 +14,8 @@ from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.evaluate import compile_trials
-from evo_cpg.training.experiment import Generation, begin, next_generation
+from evo_cpg.training.experiment import begin, next_generation
+from evo_cpg.training.experiment import evaluated as judged
 from evo_cpg.training.train import train
 from trials import SineController, experiment, folder_at
 
@@ -74,46 +75,45 @@ def test_a_replay_equals_the_trial_and_its_recording(small, genes, evaluated):
     )
 
 
-def of_run(generation: Generation, run: int) -> Generation:
-    """Return the results of one run, without the next population."""
-    parts = generation._replace(next_genes=generation.best_genes)
-    return jax.tree.map(lambda x: x[run], parts)
-
-
 @pytest.fixture(scope="module")
 def step(small, run_trials):
+    judge = jax.jit(functools.partial(judged, small))
     breeding = jax.jit(functools.partial(next_generation, small))
-    return lambda genes, i, scales: breeding(genes, run_trials(genes), i, scales, ())
+
+    def step(genes, i, scales):
+        found = judge(run_trials(genes), i, scales)
+        return found, breeding(genes, found.worth, i, ())
+
+    return step
 
 
 def test_diverged_individuals_are_counted_and_never_win_or_set_scales(small, genes, step):
     wild = np.array(genes)
     wild[0, 3], wild[0, 7] = np.nan, 1e7
     old = {"energy": np.float32([123.0])}
-    generation = step(wild, np.int32(0), old)
-    result = of_run(generation, 0)
-    fitness = np.asarray(result.fitness)
+    found, generation = step(wild, np.int32(0), old)
+    fitness = np.asarray(found.worth.fitness[0])
     assert np.flatnonzero(fitness == -np.inf).tolist() == [3, 7]
-    assert np.flatnonzero(~np.asarray(result.alive)).tolist() == [3, 7]
-    living = np.delete(np.asarray(result.terms["energy"]), [3, 7])
-    assert float(result.scales["energy"]) == pytest.approx(np.percentile(living, 95), rel=1e-5)
-    order = np.asarray(rank_order(result.fitness))
-    assert int(result.best) == order[0] and order[-2:].tolist() == [3, 7]
-    np.testing.assert_array_equal(result.best_genes, wild[:, order[0]])
+    assert np.flatnonzero(~np.asarray(found.alive[0])).tolist() == [3, 7]
+    living = np.delete(np.asarray(found.worth.terms["energy"][0]), [3, 7])
+    assert float(found.scales["energy"][0]) == pytest.approx(np.percentile(living, 95), rel=1e-5)
+    order = np.asarray(rank_order(fitness))
+    assert int(generation.best[0]) == order[0] and order[-2:].tolist() == [3, 7]
+    np.testing.assert_array_equal(generation.best_genes[0], wild[:, order[0]])
     np.testing.assert_array_equal(generation.next_genes[:, :2], wild[:, order[:2]])
     assert np.isfinite(generation.next_genes).all()
     # Scales stay after the first generation.
-    later = of_run(step(wild, np.int32(1), old), 0)
+    later = jax.tree.map(lambda x: x[0], step(wild, np.int32(1), old)[0])
     assert float(later.scales["energy"]) == 123.0
-    expected = score(small.simulation.task, Outcome(later.terms, later.alive), later.scales)
-    np.testing.assert_allclose(later.fitness, expected, rtol=1e-6)
+    expected = score(small.simulation.task, Outcome(later.worth.terms, later.alive), later.scales)
+    np.testing.assert_allclose(later.worth.fitness, expected, rtol=1e-6)
 
 
 def test_the_number_of_the_generation_selects_the_random_stream(small, genes, step):
     scales = {"energy": np.float32([1.0])}
-    first, again = (step(genes, np.int32(1), scales).next_genes for _ in range(2))
+    first, again = (step(genes, np.int32(1), scales)[1].next_genes for _ in range(2))
     np.testing.assert_array_equal(first, again)
-    other = step(genes, np.int32(2), scales).next_genes
+    other = step(genes, np.int32(2), scales)[1].next_genes
     np.testing.assert_array_equal(first[:, :2], other[:, :2])
     assert (first != other)[:, 2:].any()
 

@@ -18,6 +18,7 @@ from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.evaluate import compile_replay, compile_trials
 from evo_cpg.training.experiment import (
     begin,
+    evaluated,
     generation_keys,
     judge,
     judge_each,
@@ -84,7 +85,13 @@ def test_breeding_several_runs_equals_breeding_each_alone(genetics, trials):
 
     def program(made):
         made = made._replace(strategy=genetics, trials=trials)
-        return quick_jit(lambda seed, *given: next_generation(made._replace(seed=seed), *given))
+
+        def step(seed, genes, outcome, index, scales):
+            own = made._replace(seed=seed)
+            found = evaluated(own, outcome, index, scales)
+            return found, next_generation(own, genes, found.worth, index, ())
+
+        return quick_jit(step)
 
     several, single = program(PAIR), program(alone(SEED))
 
@@ -94,15 +101,14 @@ def test_breeding_several_runs_equals_breeding_each_alone(genetics, trials):
         )
         own = genes.reshape(2, 2, SIZE)[:, chosen].reshape(2, -1)
         own_scales = {name: values[chosen] for name, values in scales.items()}
-        return breeding(np.int32(seed), own, outcome, np.int32(index), own_scales, ())
+        return breeding(np.int32(seed), own, outcome, np.int32(index), own_scales)
 
     for index in (0, 4):
         together = bred(several, SEED, slice(0, 2), index)
         lone = [bred(single, SEED + run, slice(run, run + 1), index) for run in (0, 1)]
         joined = jax.tree.map(lambda *x: np.concatenate(x), *lone)
-        joined = joined._replace(
-            next_genes=np.concatenate([result.next_genes for result in lone], axis=1)
-        )
+        next_genes = np.concatenate([result.next_genes for _, result in lone], axis=1)
+        joined = joined[0], joined[1]._replace(next_genes=next_genes)
         for one, other in zip(jax.tree.leaves(together), jax.tree.leaves(joined), strict=True):
             np.testing.assert_array_equal(one, other)
 
@@ -237,9 +243,8 @@ def test_genes_become_real_numbers(kind):
     assert genes.dtype == np.float32 and set(np.unique(genes)) == {0, 1}
     outcome = Outcome(no_terms(simulation, (SIZE,)), jnp.ones(SIZE, bool))
     scales = {"energy": jnp.ones(1)}
-    told = jax.eval_shape(
-        functools.partial(next_generation, made), genes, outcome, 0, scales, state
-    )
+    worth = evaluated(made, outcome, 0, scales).worth
+    told = jax.eval_shape(functools.partial(next_generation, made), genes, worth, 0, state)
     assert told.next_genes.dtype == np.float32
 
 
