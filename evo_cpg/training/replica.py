@@ -225,8 +225,9 @@ class Replica:
 
 
 def checksum(genes: Float[np.ndarray, "g n"]) -> int:
-    """Return a checksum of a population."""
-    return zlib.crc32(np.ascontiguousarray(genes).tobytes())
+    """Return a checksum of a population, by the sum of each individual's bits."""
+    sums = np.ascontiguousarray(genes).view(np.uint32).sum(0, np.uint64)
+    return zlib.crc32(sums.tobytes())
 
 
 class RunPrograms(NamedTuple):

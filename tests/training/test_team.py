@@ -142,6 +142,7 @@ def test_a_lost_worker_a_new_one_and_one_that_rounds_otherwise_change_nothing(tm
     assert 1 <= [type(piece.news) for piece in of["b"]].count(Results) <= 2
 
 
+@pytest.mark.slow
 def test_experiments_of_a_sweep_share_a_team(tmp_path):
     several = [MADE._replace(strategy=dataclasses.replace(GENETICS, elites=n)) for n in (1, 2, 3)]
     folders = [[folder_at(tmp_path / f"{name}{i}") for i in range(3)] for name in ("alone", "team")]
