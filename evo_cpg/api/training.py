@@ -26,7 +26,7 @@ from evo_cpg.api.run_start import (
     warm_start,
 )
 from evo_cpg.api.runs import open_and_build
-from evo_cpg.errors import advise
+from evo_cpg.errors import UsageError, advise
 from evo_cpg.io.load import load_config
 from evo_cpg.io.run import Run
 from evo_cpg.io.trust import trusting
@@ -35,7 +35,7 @@ from evo_cpg.simulation.simulation import with_displacement
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-from evo_cpg.training.team import device_count
+from evo_cpg.training.team import current_cluster, device_count
 
 Rows = list[dict[str, float]]
 
@@ -108,7 +108,11 @@ def train(
         RunFolderError: the folder holds a run or other files, no individual has a fitness, or the
             earlier run does not fit.
         TooLargeError: the experiment needs more memory than the machine has.
+        UsageError: parts that the configuration does not name cannot go to a cluster.
     """
+    if experiment.replaced and current_cluster():
+        lacking = ", ".join(experiment.replaced)
+        raise UsageError(f"cluster: workers build the configuration, which lacks your {lacking}")
     folder, parts = RunFolder(out), experiment.parts
     given = None
     if start is not None and not isinstance(start, str | Path):

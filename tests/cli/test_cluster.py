@@ -14,7 +14,7 @@ import yaml
 
 import evo_cpg as evo
 from evo_cpg.api import cluster
-from evo_cpg.errors import Advice, ClusterError
+from evo_cpg.errors import Advice, ClusterError, UsageError
 from tiny_run import CONFIG, PAIR, environment
 from trials import untimed
 
@@ -54,6 +54,13 @@ def test_the_workers_of_a_cluster_give_the_bits_of_one_process(threads, tmp_path
         alone = evo.train(experiment, tmp_path / "alone")
     assert history(tmp_path / "alone") == history(tmp_path / "together")
     assert (alone.genome == together.genome).all() and not evo.verify(together.folder).machine
+
+
+def test_parts_that_no_configuration_names_are_refused(threads, tmp_path):
+    experiment = evo.load(CONFIG, PAIR)
+    own = experiment.with_task(experiment.parts.simulation.task)
+    with pytest.raises(UsageError, match="task"):
+        evo.train(own, tmp_path / "run")
 
 
 def test_only_the_holder_of_the_certificate_can_join(threads):
