@@ -282,6 +282,7 @@ class DaskCluster:
         self._signs: dict[str, tuple[float, float]] = {}
         # Words of other threads, for the main thread to say.
         self._notes: list[str] = []
+        self._lost: ClusterError | None = None
         self._events: queue.Queue[tuple[_Worker | None, Any]] = queue.Queue()
         self._closed = threading.Event()
         with working(f"waiting for workers of the {self._name}"):
@@ -360,9 +361,8 @@ class DaskCluster:
         """See `evo_cpg.training.team.Cluster`."""
         while True:
             worker, found = self._events.get()
-            if worker is None:
-                raise found
-            if not worker.busy:
+            self._attend()
+            if worker is None or not worker.busy:
                 continue
             worker.busy = False
             if isinstance(found, Exception):
@@ -380,10 +380,8 @@ class DaskCluster:
         """Say what other threads noticed, and raise an error if the scheduler is lost."""
         while self._notes:
             advise(self._notes.pop(0))
-        with contextlib.suppress(queue.Empty):
-            worker, error = self._events.get_nowait()
-            if worker is None:
-                raise error
+        if self._lost:
+            raise self._lost
 
     def _watch(self) -> None:
         while not self._closed.wait(_LOOK):
@@ -391,8 +389,9 @@ class DaskCluster:
                 alive = self._alive()
             except Exception:
                 # Dask raises several kinds of errors. All mean the same.
-                lost = ClusterError(f"{self._name}: the scheduler does not answer")
-                self._events.put((None, lost))
+                self._lost = ClusterError(f"{self._name}: the scheduler does not answer")
+                # Wake the main thread.
+                self._events.put((None, None))
                 return
             for worker in list(self._workers.values()):
                 if worker.name not in alive:

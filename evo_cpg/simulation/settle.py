@@ -275,7 +275,10 @@ class Settling:
                 alike = ground is None or ground.level is not None
                 if self.world.tree.hanging is None and alike:
                     state, friction = _put_back(start, found.state, found.friction)
-                    found = found._replace(state=state, friction=friction)
+                    # Its coordinates have the world's axes, so the compliance turns, too.
+                    here = self._at(np.zeros(len(self.free)), state, friction)
+                    give = _compliance(here.stiffness)
+                    found = found._replace(state=state, friction=friction, give=give)
                 return found
         raise NoRestError(f"it slides, rolls or drifts away (no rest within {seconds:.3g} s)")
 
@@ -300,8 +303,7 @@ class Settling:
                         f"the motor of {tree.dof_names[i]} would have to hold {torque[i]:.3g} N m, "
                         f"but its torque_limit is {tree.torque_limit[i]:.3g} N m"
                     )
-                stiff = np.abs(values) > _SOFTEST
-                give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
+                give = _compliance(here.stiffness)
                 return Rest(state, np.asarray(here.touch.normal_force), values, friction, give)
             direction = modes[:, 0] * np.sign(modes[np.abs(modes[:, 0]).argmax(), 0])
             y = _KICK * direction
@@ -528,6 +530,13 @@ def settled(
 def _is_compliant(tree: Tree) -> np.ndarray:
     """Return which degrees of freedom yield to a load: joints with a spring or without a motor."""
     return (tree.stiffness > 0) | (tree.servo_stiffness > 0) | (tree.servo_gain == 0)
+
+
+def _compliance(stiffness: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """Return the inverse of a stiffness, 0 in directions without stiffness."""
+    values, modes = np.linalg.eigh(stiffness)
+    stiff = np.abs(values) > _SOFTEST
+    return (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
 
 
 def _put_back(start: State, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
