@@ -63,6 +63,19 @@ def test_parts_that_no_configuration_names_are_refused(threads, tmp_path):
         evo.train(own, tmp_path / "run")
 
 
+def test_asking_for_workers_loses_no_result(threads, tmp_path):
+    evo.train(evo.load(CONFIG, [*PAIR, "evolution.generations=1"]), tmp_path / "run")
+    (worker,) = threads.workers()
+    threads.send(worker, [])
+    while threads._events.empty():
+        time.sleep(0.01)
+    threads.workers()
+    assert not threads._events.empty()
+    # There was nothing to evaluate.
+    with pytest.raises(ClusterError, match=worker):
+        threads.receive()
+
+
 def test_only_the_holder_of_the_certificate_can_join(threads):
     address = threads._client.scheduler.address
     assert address.startswith("tls://127.0.0.1")
