@@ -276,7 +276,7 @@ class DaskCluster:
         self._client, self._name = client, f"cluster {name}"
         self._job: Job | None = None
         self._workers: dict[str, _Worker] = {}
-        # Those of the last call of `workers`.
+        # The newest of each name that `workers` has returned.
         self._ready: dict[str, _Worker] = {}
         # Last sign of life of each worker by the scheduler's clock, and since when it is the last.
         self._signs: dict[str, tuple[float, float]] = {}
@@ -335,7 +335,7 @@ class DaskCluster:
             while not (ready := [each for each in list(self._workers.values()) if each.actor]):
                 self._attend()
                 time.sleep(_LOOK / 10)
-        self._ready = {each.name: each for each in ready}
+        self._ready |= {each.name: each for each in ready}
         return {each.name: each.threads for each in ready}
 
     def send(self, worker: str, pieces: Sequence[Piece]) -> None:
