@@ -254,13 +254,17 @@ def _compile(experiment: ExperimentParts) -> RunPrograms:
     """Return the functions of a single run, because run r equals a single run of seed + r."""
     alone = experiment._replace(runs=1)
 
-    def seeded(function: Callable) -> Callable:
+    def of_run(function: Callable) -> Callable:
+        if experiment.runs == 1:
+            # The very program of the main process, because another might round otherwise.
+            whole = jax.jit(functools.partial(function, experiment))
+            return lambda run, *given: whole(*given)
         return jax.jit(lambda run, *given: function(alone._replace(seed=alone.seed + run), *given))
 
     worth, used = used_results(alone)
     state = jax.tree.structure(jax.eval_shape(lambda: begin(alone))[1])
     judge = jax.jit(functools.partial(evaluated, experiment))
-    return RunPrograms(seeded(generation_keys), judge, seeded(next_generation), state, worth, used)
+    return RunPrograms(of_run(generation_keys), judge, of_run(next_generation), state, worth, used)
 
 
 def used_results(experiment: ExperimentParts) -> tuple[Evaluation, list[bool]]:
