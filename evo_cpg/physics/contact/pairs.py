@@ -160,13 +160,18 @@ class _NeutralPose(NamedTuple):
         lines = [not self.boxes[body].half_extents[1:].any() for body in pair]
         if lines[1]:
             pair, lines = (pair[1], pair[0]), lines[::-1]
-        tree, both, plain = self.tree, [self.boxes[body] for body in pair], (0, 1, 2)
+        both, plain = [self.boxes[body] for body in pair], (0, 1, 2)
         if any(box.radius > 0 for box in both):
             if lines[0]:
                 return _Case("lines" if lines[1] else "line and box", (plain, plain), pair)
             longest = (int(np.argmax(box.half_extents)) for box in both)
             one, two = ((x, (x + 1) % 3, (x + 2) % 3) for x in longest)
             return _Case("rounded", (one, two), pair)
+        return self.case_of_boxes(pair)
+
+    def case_of_boxes(self, pair: tuple[int, int]) -> _Case:
+        """Return the axes of two boxes without radius, whose sizes may be traced."""
+        tree, plain = self.tree, (0, 1, 2)
         chains = [set(chain_to_root(tree, body)) for body in pair]
         dofs = [i for i, body in enumerate(tree.dof_bodies) if body in chains[0] ^ chains[1]]
         boxes = _Case("boxes", (plain, plain), pair)
@@ -187,7 +192,7 @@ class _NeutralPose(NamedTuple):
         """Return whether a pair still has its kind and axes with the present numbers."""
         both = [self.boxes[body] for body in case.pair]
         if case.kind in ("flat", "boxes"):
-            return self.case(case.pair) == case
+            return self.case_of_boxes(case.pair) == case
         if case.kind == "rounded":
             # The axis that counts as x must be the longest.
             halves = zip(both, case.turned, strict=True)
