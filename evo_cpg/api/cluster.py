@@ -31,9 +31,10 @@ from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.run import changes, class_folders, fingerprint
 from evo_cpg.io.trust import is_trusted, trusting
-from evo_cpg.system import version_of
+from evo_cpg.system import command_for, version_of
 from evo_cpg.training.devices import available_cores, population_mesh, use_cores
 from evo_cpg.training.replica import Found, Piece, Replica
+from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.team import using
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class Evaluator:
 
     def __init__(self, job: Job) -> None:
         require_equal({"commit": program_commit() or "none"}, {"commit": job.commit})
-        self._replica, self.kind = _replica(job)
+        self._replica, self._kind = _replica(job)
 
     def evaluate(self, pieces: Sequence[Piece]) -> list[Found]:
         """See `Replica.evaluate`."""
@@ -97,7 +98,7 @@ class Evaluator:
 
     def described(self) -> dict[str, str]:
         """Return the kind of processor."""
-        return self.kind
+        return self._kind
 
 
 # A worker that was taken for lost does not compile again.
@@ -149,7 +150,7 @@ def cluster(where: int | str | Path) -> Iterator["DaskCluster"]:
         UsageError: Dask is not installed, or ``where`` is none of these.
     """
     if importlib.util.find_spec("distributed") is None:
-        raise UsageError("a cluster needs Dask. Install it with `pip install 'evo-cpg[cluster]'`")
+        raise UsageError(f"a cluster needs Dask. Install it with `{command_for('cluster')}`")
     text = str(where)
     if text.isdecimal() and not 0 < int(text) <= _MOST_LOCAL:
         raise UsageError(f"cluster: {text} workers. Allowed: 1 to {_MOST_LOCAL}")
@@ -278,6 +279,8 @@ class DaskCluster:
         self._workers: dict[str, _Worker] = {}
         # The newest of each name that `workers` has returned.
         self._ready: dict[str, _Worker] = {}
+        self._folders: list[RunFolder] = []
+        self._kinds: list[dict[str, str]] = []
         # Last sign of life of each worker by the scheduler's clock, and since when it is the last.
         self._signs: dict[str, tuple[float, float]] = {}
         # Words of other threads, for the main thread to say.
@@ -305,17 +308,11 @@ class DaskCluster:
             tuple((name, str(version_of(name))) for name in PACKAGES),
             program_commit() or "none",
         )
-        kinds = self._start(job)
-        noted = {
-            name: " and ".join(sorted({kind.get(name, "none") for kind in kinds})) for name in _KIND
-        }
-        for folder in folders:
-            folder.update_meta(**noted)
-        if len({tuple(kind.items()) for kind in kinds}) > 1:
-            advise(f"several kinds of processors take part: {noted['processor']}. Bits may differ")
+        self._folders, self._kinds = folders, []
+        self._start(job)
 
-    def _start(self, job: Job) -> list[dict[str, str]]:
-        """Make an `Evaluator` on every worker. Return the kinds of their processors."""
+    def _start(self, job: Job) -> None:
+        """Make an `Evaluator` on every worker, and wait until each is ready or refused."""
         self._job = job
         with working("building the experiment on the workers"):
             while True:
@@ -325,18 +322,38 @@ class DaskCluster:
                     if all(each.refused for each in known):
                         raise ClusterError(f"{self._name}: no worker can take part")
                     if all(each.actor or each.refused for each in known):
-                        return [each.kind for each in known if each.actor]
+                        return
                 time.sleep(_LOOK / 10)
 
     def workers(self) -> dict[str, int]:
         """See `evo_cpg.training.team.Cluster`."""
         self._attend()
-        with working(f"waiting for workers of the {self._name}"):
-            while not (ready := [each for each in list(self._workers.values()) if each.actor]):
-                self._attend()
-                time.sleep(_LOOK / 10)
+        if not (ready := self._able()):
+            with working(f"waiting for workers of the {self._name}"):
+                while not (ready := self._able()):
+                    self._attend()
+                    time.sleep(_LOOK / 10)
         self._ready |= {each.name: each for each in ready}
+        self._note_kinds([each.kind for each in ready])
         return {each.name: each.threads for each in ready}
+
+    def _able(self) -> list[_Worker]:
+        return [each for each in list(self._workers.values()) if each.actor]
+
+    def _note_kinds(self, kinds: Sequence[dict[str, str]]) -> None:
+        """Write new kinds of processors into meta.json, where `verify` finds them."""
+        new = [kind for kind in kinds if kind not in self._kinds]
+        if not new:
+            return
+        self._kinds += new
+        noted = {
+            name: " and ".join(sorted({kind.get(name, "none") for kind in self._kinds}))
+            for name in _KIND
+        }
+        for folder in self._folders:
+            folder.update_meta(**noted)
+        if any(kind != self._kinds[0] for kind in self._kinds):
+            advise(f"several kinds of processors take part: {noted['processor']}. Bits may differ")
 
     def send(self, worker: str, pieces: Sequence[Piece]) -> None:
         """See `evo_cpg.training.team.Cluster`."""

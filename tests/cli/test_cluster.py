@@ -47,7 +47,7 @@ def test_a_wrong_cluster_is_refused(given, cli, tmp_path):
     assert "llowed" in words and given in words and not (tmp_path / "run").exists()
 
 
-def test_the_workers_of_a_cluster_give_the_bits_of_one_process(threads, tmp_path):
+def test_workers_give_the_bits_of_one_process(threads, tmp_path):
     experiment = evo.load(CONFIG, PAIR)
     together = evo.train(experiment, tmp_path / "together")
     with cluster.using(None):
@@ -156,7 +156,7 @@ def disturb(fault: str, process, run: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["kill", "twenty kills", "stop", "full disk"])
-def test_a_fault_costs_no_more_than_work_in_flight(fault, alone, start, tmp_path):
+def test_a_fault_costs_only_work_in_flight(fault, alone, start, tmp_path):
     run = tmp_path / "run"
     with start("train", CONFIG, *PAIR, *ROUNDS, "--out", run, "--cluster", 4) as process:
         until(lambda: generations(run) > 3, process)
@@ -193,9 +193,7 @@ def scheduler(tmp_path, compiled):
 
 
 @pytest.mark.slow
-def test_a_worker_joins_and_a_dead_scheduler_names_the_command_that_continues(
-    scheduler, alone, start, finish, tmp_path
-):
+def test_a_worker_joins_and_a_scheduler_dies(scheduler, alone, start, finish, tmp_path):
     begin, file = scheduler
     run, worker = tmp_path / "run", ("distributed.cli.dask_worker", "--nthreads=1", "--no-nanny")
     first = begin("distributed.cli.dask_scheduler", "--protocol=tls", "--host=127.0.0.1")
@@ -218,7 +216,7 @@ def test_a_worker_joins_and_a_dead_scheduler_names_the_command_that_continues(
 
 
 @pytest.mark.slow
-def test_a_sweep_and_several_seeds_share_a_cluster_and_resume_after_a_kill(start, finish, tmp_path):
+def test_a_killed_sweep_resumes_on_a_cluster(start, finish, tmp_path):
     given = ("sweep", CONFIG, *PAIR, "simulation.seconds=20", "evolution.generations=60")
     axes = ("--grid", "evolution.mutation_rate=0.1,0.2,0.3,0.4", "--grid", "runs=1,8")
     done = finish(*given, *axes, "--out", tmp_path / "alone")
@@ -237,7 +235,7 @@ def test_a_sweep_and_several_seeds_share_a_cluster_and_resume_after_a_kill(start
 
 
 @pytest.mark.slow
-def test_the_job_script_of_the_docs_trains_and_continues(compiled, tmp_path):
+def test_the_documented_job_script_continues(compiled, tmp_path):
     page = (CONFIG.parents[1] / "docs" / "cluster.md").read_text(encoding="utf-8")
     blocks = [block.partition("```")[0] for block in page.split("```bash\n")]
     certificate, exports, job = (

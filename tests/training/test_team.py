@@ -89,7 +89,7 @@ def test_a_team_has_the_bits_of_one_process(kind, tmp_path):
     require_equal(alone, together)
 
 
-def test_genomes_travel_once_and_an_individual_costs_few_bytes(tmp_path):
+def test_genomes_travel_once_and_fitness_is_small(tmp_path):
     workers = Workers("a", "b")
     with using(workers):
         evolve(MADE._replace(generations=9), tmp_path / "run")
@@ -106,7 +106,7 @@ def test_genomes_travel_once_and_an_individual_costs_few_bytes(tmp_path):
     assert sum(x.nbytes for x in judged.worth if x is not None) + judged.alive.nbytes <= 5 * SIZE
 
 
-def test_a_lost_worker_a_new_one_and_one_that_rounds_otherwise_change_nothing(tmp_path):
+def test_changing_workers_change_nothing(tmp_path):
     several = KINDS["three runs"]._replace(generations=6)
     _, alone = evolve(several, tmp_path / "alone")
 
