@@ -47,6 +47,12 @@ def test_a_wrong_cluster_is_refused(given, cli, tmp_path):
     assert "llowed" in words and given in words and not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize("given", [CONFIG, "http://localhost:1", "tcp://localhost:x"])
+def test_a_cluster_that_cannot_be_joined_is_refused(given, cli, tmp_path):
+    words = cli.refuses("train", CONFIG, "--out", tmp_path / "run", f"--cluster={given}")
+    assert "cannot be joined" in words and str(given) in words
+
+
 def test_workers_give_the_bits_of_one_process(threads, tmp_path):
     experiment = evo.load(CONFIG, PAIR)
     together = evo.train(experiment, tmp_path / "together")
