@@ -22,7 +22,7 @@ from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import ExperimentParts, begin, situation_numbers, trial_keys
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-from evo_cpg.training.train import Running
+from evo_cpg.training.train import Running, evaluate_here
 
 # Most animals in a crowd. More of them hide each other, and take memory.
 _MOST = 400
@@ -110,11 +110,11 @@ def populations_at(
         again.create(folder.config.read_text(), {}, start)
         mesh = population_mesh()
         running = Running(experiment, again, mesh)
-        run_trials = compile_trials(experiment.simulation, mesh)
+        evaluate = evaluate_here(experiment, mesh)
         for generation in generations:
             while running.checkpoint.generation < generation:
                 began = time.perf_counter()
-                running.tell(run_trials(*running.trials(), experiment.trials), began)
+                running.tell(*evaluate([running]), began)
             found.append(np.asarray(running.checkpoint.genes))
     history = running.checkpoint.history
     if history:

@@ -342,7 +342,7 @@ def train_together(
         for experiment, folder in zip(experiments, folders, strict=True)
     ]
     cluster = current_cluster()
-    evaluate = Team(cluster, running).evaluate if cluster else _here(experiments[0], mesh)
+    evaluate = Team(cluster, running).evaluate if cluster else evaluate_here(experiments[0], mesh)
     compiled = False
     while left := [
         number
@@ -368,7 +368,7 @@ def train_together(
     return [each.checkpoint for each in running]
 
 
-def _here(
+def evaluate_here(
     experiment: ExperimentParts, mesh: Mesh
 ) -> Callable[[Sequence[Running]], list[Evaluated]]:
     """Return a function that evaluates the populations of several experiments in this process."""
