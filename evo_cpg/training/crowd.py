@@ -114,7 +114,8 @@ def populations_at(
         for generation in generations:
             while running.checkpoint.generation < generation:
                 began = time.perf_counter()
-                running.tell(*evaluate([running]), began)
+                (evaluated,) = evaluate([running])
+                running.tell(evaluated, began)
             found.append(np.asarray(running.checkpoint.genes))
     history = running.checkpoint.history
     if history:
