@@ -83,7 +83,7 @@ def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[s
     from benchmarks.machine import peak_memory
     from benchmarks.plan import experiment_of, random_genes
     from evo_cpg.simulation.backward import Backward
-    from evo_cpg.simulation.judge import score
+    from evo_cpg.simulation.judge import Scored
     from evo_cpg.simulation.rollout import rollout
     from evo_cpg.training.devices import use_cores
 
@@ -95,8 +95,7 @@ def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[s
     scales = {"energy": jnp.float32(1)}
 
     def fitness(genes):
-        outcome = rollout(simulation, genes, backward=Backward())
-        return score(simulation.task, outcome, scales).mean()
+        return rollout(simulation, genes, observers=Scored(scales), backward=Backward()).mean()
 
     genes = random_genes(simulation, size)
 

@@ -15,9 +15,10 @@ from evo_cpg.api.progress import working
 from evo_cpg.io.errors import nearest
 from evo_cpg.io.parameters import Parameters
 from evo_cpg.simulation.backward import Backward, retention
+from evo_cpg.simulation.judge import Scored
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.task import Task
-from evo_cpg.training.experiment import ExperimentParts, judge, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, mean_of_trials, situation_numbers
 
 
 def fitness_function(
@@ -63,8 +64,9 @@ def fitness_function(
         # JAX compiles derivatives after this function has returned, so no duration is known here.
         what = f"compiling the fitness of {parts.name!r}, and its derivatives if they are used"
         with working(f"{what} (up to a minute, once under jax.jit)"):
-            outcome = rollout(trial, genomes, keys, situations, backward=backward)
-            return judge(trial.task, outcome, scales)[0]
+            return mean_of_trials(
+                rollout(trial, genomes, keys, situations, Scored(scales), backward=backward)
+            )
 
     return fitness
 

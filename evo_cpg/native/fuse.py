@@ -6,6 +6,7 @@
 | `while_each` | iterate until every individual has converged |
 | `implicit` | differentiate the result of a search by the implicit function theorem |
 | `solve_symmetric` | solve linear equations with a symmetric positive definite matrix |
+| `self_adjoint` | evaluate a linear function that is its own transpose |
 | `symmetric` | say that a matrix is symmetric, so that half of it costs nothing |
 
 XLA:CPU makes a kernel of every small matrix product of an articulated body. Memory traffic and the
@@ -17,9 +18,8 @@ Fused functions may call other fused functions: a trial is one program, and a co
 program within it. If an operation is unsupported, only the smallest part around it runs on JAX.
 """
 
-import contextvars
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -30,16 +30,27 @@ from jaxtyping import Array, Float
 from evo_cpg.native import engine
 from evo_cpg.native import jax_internals as internals
 from evo_cpg.native.frontend.lower import is_supported
-from evo_cpg.native.frontend.primitives import Program, eliminate_p, fused_p
+from evo_cpg.native.frontend.primitives import (
+    Program,
+    eliminate_p,
+    fused_p,
+    is_tracing,
+    linear_map,
+    traced,
+)
 from evo_cpg.native.ir import Unsupported
 from evo_cpg.native.stopwatch import counted
 
 Value = TypeVar("Value")
 
-_tracing = contextvars.ContextVar("tracing", default=False)
 
-
-def fuse(function: Callable, *args: Any, batch_ndim: int, name: str = "") -> Any:
+def fuse(
+    function: Callable,
+    *args: Any,
+    batch_ndim: int,
+    name: str = "",
+    tangents: tuple[int, int] = (0, 0),
+) -> Any:
     """Return ``function(*args)``, computed individual by individual in native code.
 
     Args:
@@ -48,22 +59,25 @@ def fuse(function: Callable, *args: Any, batch_ndim: int, name: str = "") -> Any
         args: pytrees of arrays. The last ``batch_ndim`` axes have the same lengths in all arrays.
         batch_ndim: number of batch axes.
         name: name of the function, for messages.
+        tangents: see `Program.tangents`.
     """
-    if not _tracing.get() and not engine.is_native():
+    if not is_tracing() and not engine.is_native():
         return function(*args)
     name = name or getattr(function, "__qualname__", "") or type(function).__name__
-    if _tracing.get():
-        return _bind(function, args, batch_ndim, name)
+    if is_tracing():
+        return _bind(function, args, batch_ndim, name, tangents)
     try:
         with counted():
-            return _bind(function, args, batch_ndim, name)
+            return _bind(function, args, batch_ndim, name, tangents)
     except Exception as error:
         # Fall back to plain JAX after any error. If JAX fails, too, it raises its own error.
         with engine.smallest_fallback(name, error):
             return function(*args)
 
 
-def _bind(function: Callable, args: tuple, batch_ndim: int, name: str) -> Any:
+def _bind(
+    function: Callable, args: tuple, batch_ndim: int, name: str, tangents: tuple[int, int]
+) -> Any:
     """Return the results of the primitive.
 
     Raises:
@@ -74,19 +88,15 @@ def _bind(function: Callable, args: tuple, batch_ndim: int, name: str) -> Any:
     singles = [
         jax.ShapeDtypeStruct(leaf.shape[: leaf.ndim - batch_ndim], leaf.dtype) for leaf in leaves
     ]
-    token = _tracing.set(True)
-    try:
-        closed, result = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(singles))
-    finally:
-        _tracing.reset(token)
+    closed, result = traced(function, *structure.unflatten(singles))
     shared = [value for value in closed.consts if isinstance(value, internals.Tracer)]
     own = tuple(
         None if isinstance(value, internals.Tracer) else np.asarray(value)
         for value in closed.consts
     )
-    program = Program(name, internals.opened(closed), own, len(shared))
+    program = Program(name, internals.opened(closed), own, len(shared), tangents)
     unknown = sorted(each for each in program.primitives if not is_supported(each))
-    if unknown and not _tracing.get():
+    if unknown and not is_tracing():
         raise Unsupported(f"no rule for {', '.join(unknown)}")
     found = fused_p.bind(*shared, *leaves, program=program, batch=tuple(batch))
     return jax.tree.structure(result).unflatten(found)
@@ -97,7 +107,7 @@ def symmetric(m: jax.Array) -> jax.Array:
 
     In a fused function the lower triangle then costs nothing. Elsewhere the matrix is unchanged.
     """
-    if not _tracing.get():
+    if not is_tracing():
         return m
     size = m.shape[0]
     flat = jnp.unstack(m.reshape(-1, *m.shape[2:]))
@@ -110,6 +120,19 @@ def solve_symmetric(H: Float[Array, "v v *n"], b: Float[Array, "v *n"]) -> Float
     return jax.lax.custom_linear_solve(
         lambda x: (H * x[None]).sum(1), b, lambda _, b: eliminate_p.bind(H, b)[0], symmetric=True
     )
+
+
+def self_adjoint(run: Callable[[Value, jax.Array], jax.Array], fixed: Value, x: jax.Array) -> Any:
+    """Return ``run(fixed, x)`` for a function that is linear in x, with a symmetric matrix.
+
+    Its transpose is the function itself, so a gradient does not differentiate its operations.
+    """
+    leaves, structure = jax.tree.flatten(fixed)
+
+    def flat(leaves: Sequence[jax.Array], x: Sequence[jax.Array]) -> list[jax.Array]:
+        return [run(structure.unflatten(leaves), *x)]
+
+    return linear_map(flat, flat, leaves, [x], [x])[0]
 
 
 def while_each(

@@ -80,8 +80,9 @@ LONGEST_FUNCTION = 6000
 """Fitted: approximate number of lines of LLVM IR in one function. At a cut between functions, all
 values that are used again go through memory."""
 
-MANY_OPERATIONS = 200_000
-"""A limit: operations of a program above which its size is reported. No shipped animal has more."""
+MANY_OPERATIONS = 400_000
+"""A limit: operations of a program above which its size is reported, because compiling takes half a
+minute. No shipped animal has more, and its gradient has none either."""
 
 MOST_OPERATIONS = 600_000
 """A limit: operations of a program. A larger one would take minutes and much memory to compile."""
@@ -92,8 +93,9 @@ SHORTEST_BRANCH = 60
 LONGEST_ELIMINATION = 5000
 """Fitted: most products of an elimination in written-out code. Longer ones run in a loop."""
 
-LONGEST_LISTS = 1 << 17
-"""A limit: scalars that a loop may stack over its rounds. Each is a row of memory per vector."""
+LONGEST_LISTS = 1 << 22
+"""A limit: scalars that a loop may stack over its rounds. Each is a row of memory per vector, so
+the limit is 256 MiB for the widest vectors."""
 
 LONGEST_SELF_TEST = 120.0
 """A limit, s: time after which the self-test of native code has failed. It takes 2 s."""

@@ -6,7 +6,7 @@ compiled like any other program. For a gradient only the arguments of each progr
 backward pass computes the program again from them, in registers.
 """
 
-import functools
+import math
 import time
 import weakref
 from collections.abc import Callable, Iterable, Sequence
@@ -21,7 +21,14 @@ from evo_cpg.native import jax_internals as internals
 from evo_cpg.native.backend.code import Variant
 from evo_cpg.native.backend.machine import load
 from evo_cpg.native.compile import to_llvm
-from evo_cpg.native.frontend.primitives import Arrays, Program, fused_p, linear_map, plain
+from evo_cpg.native.frontend.primitives import (
+    Arrays,
+    Program,
+    fused_p,
+    is_tracing,
+    linear_map,
+    plain,
+)
 from evo_cpg.native.fuse import fuse
 from evo_cpg.native.stopwatch import Made, counted
 
@@ -111,74 +118,146 @@ def differentiate(
     primals: Arrays, tangents: Sequence[Any], *, program: Program, batch: tuple[int, ...]
 ) -> tuple[list[jax.Array], list[Any]]:
     """Return the results of a program and their tangents, symbolic zeros for integer results."""
-    if program.loops:
-        # JAX differentiates the whole program as plain JAX, because it has a loop. Programs within
-        # the program stay fused.
+    if program.loops and is_tracing():
+        # Within a larger program JAX differentiates the loop round by round, and keeps the inputs
+        # of the programs in it. As a whole, the loop would be computed once more to find them.
         changes = [internals.instantiate_zeros(tangent) for tangent in tangents]
         results, changes = jax.jvp(plain(program, batch), list(primals), changes)
         return results, changes
-    results = fused_p.bind(*primals, program=program, batch=batch)
     moving = [i for i, tangent in enumerate(tangents) if not isinstance(tangent, internals.Zero)]
-    smooth = [i for i, x in enumerate(results) if jnp.issubdtype(x.dtype, jnp.floating)]
-    ndim, name = len(batch), f"the derivative of {program.name}"
-
-    def derived(derivative: Callable[..., tuple], values: Arrays, x: Arrays) -> tuple:
-        """Return a derivative of the program, mapped over any number of trailing batch axes.
-
-        The derivative gets the program as a function from the differentiated inputs to the float
-        results, the values of these inputs, and their tangents or the results' cotangents.
-        """
-        if values[0].ndim > len(program.inputs[0].shape):
-            each = functools.partial(derived, derivative)
-            return jax.vmap(each, in_axes=-1, out_axes=-1)(values, x)
-
-        def run(*some: jax.Array) -> tuple:
-            every = list(values)
-            for i, value in zip(moving, some, strict=True):
-                every[i] = value
-            outputs = program(*every)
-            return tuple(outputs[i] for i in smooth)
-
-        return derivative(run, [values[i] for i in moving], x)
-
-    push = functools.partial(derived, lambda run, some, x: jax.jvp(run, some, x)[1])
-    pull = functools.partial(derived, lambda run, some, x: jax.vjp(run, *some)[1](tuple(x)))
-
-    def forward(fixed: Arrays, x: Arrays) -> tuple:
-        every = _for_all(fixed, range(len(fixed)), program, batch)
-        changes = _for_all(x, moving, program, batch)
-        return fuse(push, every, changes, batch_ndim=ndim, name=name)
-
-    def backward(fixed: Arrays, x: Arrays) -> list[jax.Array]:
-        every = _for_all(fixed, range(len(fixed)), program, batch)
-        found = fuse(pull, every, list(x), batch_ndim=ndim, name=name)
-        own = tuple(range(-ndim, 0))
-        return [x.sum(own) if i < program.shared else x for i, x in zip(moving, found, strict=True)]
-
-    like = [results[i] for i in smooth]
-    changes = linear_map(forward, backward, primals, [tangents[i] for i in moving], like)
-    known = dict(zip(smooth, changes, strict=True))
+    smooth = [i for i, x in enumerate(program.outputs) if jnp.issubdtype(x.dtype, jnp.floating)]
+    changes = [tangents[i] for i in moving]
+    rule = _Derivative(program, batch, moving, smooth)
+    if program.forward:
+        results, found = rule.with_tangents(primals, changes)
+    elif sum(program.outputs[i].size for i in smooth) == 1 and not is_tracing():
+        results, found = rule.with_gradient(primals, changes)
+    else:
+        results, found = rule.by_map(primals, changes)
+    known = dict(zip(smooth, found, strict=True))
     return results, [
         known[i] if i in known else internals.no_tangent(x) for i, x in enumerate(results)
     ]
 
 
-def _for_all(
-    values: Arrays, numbers: Iterable[int], program: Program, batch: tuple[int, ...]
-) -> list[jax.Array]:
-    """Return arguments of a program, given by their numbers, with the batch axes on all."""
-    return [
-        jnp.broadcast_to(x.reshape(*x.shape, *(1,) * len(batch)), (*x.shape, *batch))
-        if i < program.shared
-        else x
-        for i, x in zip(numbers, values, strict=True)
-    ]
+class _Derivative(NamedTuple):
+    """The derivative of a program, which is itself a program for one individual.
+
+    Attributes:
+        program: the program.
+        batch: lengths of the batch axes.
+        moving: numbers of the arguments that have tangents.
+        smooth: numbers of the results that are floats.
+    """
+
+    program: Program
+    batch: tuple[int, ...]
+    moving: Sequence[int]
+    smooth: Sequence[int]
+
+    def with_gradient(
+        self, primals: Arrays, changes: Arrays
+    ) -> tuple[list[jax.Array], list[jax.Array]]:
+        """Return the results, and the tangent of the only number among them.
+
+        Its gradient is computed together with it. So a backward pass need not compute the program
+        again, which saves a fifth of the time for a trial.
+        """
+
+        def graded(run: Callable[..., Any], some: Arrays, _: Arrays) -> tuple[Any, Any]:
+            def number(*some: jax.Array) -> tuple[jax.Array, Any]:
+                (value,), results = run(*some)
+                return value.sum(), results
+
+            every = tuple(range(len(some)))
+            return jax.grad(number, every, has_aux=True)(*some)
+
+        slopes, results = self._fused(graded, primals, ())
+        changes = self._for_all(changes, self.moving)
+        ndim, kept = len(self.batch), self.program.outputs[self.smooth[0]].shape
+        pairs = zip(slopes, changes, strict=True)
+        each = [(x * y).sum(tuple(range(x.ndim - ndim))) for x, y in pairs]
+        return list(results), [jnp.stack(each).sum(0).reshape(*kept, *self.batch)]
+
+    def with_tangents(
+        self, primals: Arrays, changes: Arrays
+    ) -> tuple[list[jax.Array], list[jax.Array]]:
+        """Return the results and their tangents, computed together."""
+
+        def both(run: Callable[..., Any], some: Arrays, x: Arrays) -> tuple[Any, Any]:
+            _, changes, results = jax.jvp(run, some, x, has_aux=True)
+            return results, changes
+
+        return self._fused(both, primals, self._for_all(changes, self.moving), tangents=True)
+
+    def by_map(self, primals: Arrays, changes: Arrays) -> tuple[list[jax.Array], list[jax.Array]]:
+        """Return the results and their tangents, by a linear map that JAX can transpose."""
+        results = fused_p.bind(*primals, program=self.program, batch=self.batch)
+
+        def push(run: Callable[..., Any], some: Arrays, x: Arrays) -> Any:
+            return jax.jvp(run, some, x, has_aux=True)[1]
+
+        quick = self._replace(program=self.program.in_forward_mode)
+
+        def pull(run: Callable[..., Any], some: Arrays, x: Arrays) -> Any:
+            return jax.vjp(run, *some, has_aux=True)[1](tuple(x))
+
+        def forward(fixed: Arrays, x: Arrays) -> tuple:
+            return quick._fused(push, fixed, self._for_all(x, self.moving), tangents=True)
+
+        def backward(fixed: Arrays, x: Arrays) -> list[jax.Array]:
+            found, own = self._fused(pull, fixed, list(x)), tuple(range(-len(self.batch), 0))
+            pairs = zip(self.moving, found, strict=True)
+            return [x.sum(own) if i < self.program.shared else x for i, x in pairs]
+
+        like = [results[i] for i in self.smooth]
+        return results, linear_map(forward, backward, primals, changes, like)
+
+    def _fused(
+        self, derivative: Callable[..., Any], values: Arrays, x: Arrays, tangents: bool = False
+    ) -> Any:
+        """Return a derivative for all individuals.
+
+        The derivative gets a function from the moving arguments to the float results and all
+        results, the values of these arguments, and their tangents or the results' cotangents.
+        """
+
+        def of_one(values: Arrays, x: Arrays) -> Any:
+            def run(*some: jax.Array) -> tuple[tuple, list]:
+                given = dict(zip(self.moving, some, strict=True))
+                results = self.program(*[given.get(i, value) for i, value in enumerate(values)])
+                return tuple(results[i] for i in self.smooth), results
+
+            return derivative(run, [values[i] for i in self.moving], x)
+
+        every = self._for_all(values, range(len(values)))
+        name, count = f"the derivative of {self.program.name}", (0, 0)
+        if tangents:
+            count = len(self.moving), len(self.smooth)
+        return fuse(of_one, every, x, batch_ndim=len(self.batch), name=name, tangents=count)
+
+    def _for_all(self, values: Arrays, numbers: Iterable[int]) -> list[jax.Array]:
+        """Return arguments of the program, given by their numbers, with the batch axes on all."""
+        batch = self.batch
+        return [
+            jnp.broadcast_to(x.reshape(*x.shape, *(1,) * len(batch)), (*x.shape, *batch))
+            if i < self.program.shared
+            else x
+            for i, x in zip(numbers, values, strict=True)
+        ]
 
 
 def batch_again(
     values: Arrays, axes: Sequence[int | None], *, program: Program, batch: tuple[int, ...]
 ) -> tuple[list[jax.Array], list[int]]:
-    """Map a program over one more batch axis, which becomes the last."""
+    """Map a program over one more batch axis, which becomes the last.
+
+    An axis of tangents alone becomes an axis of each individual instead, so that the tangents share
+    all other work. The tangents of few individuals rather fill the lanes of a vector.
+    """
+    first, few = len(values) - program.tangents[0], math.prod(batch) < machine_constants.LANES
+    if all(axis is None for axis in axes[:first]) and (is_tracing() or not few):
+        return _for_tangents(values, axes, program, batch)
     size = next(x.shape[axis] for x, axis in zip(values, axes, strict=True) if axis is not None)
     every = []
     for i, (x, axis) in enumerate(zip(values, axes, strict=True)):
@@ -192,6 +271,44 @@ def batch_again(
         lambda *x: tuple(program(*x)), *every, batch_ndim=len(batch) + 1, name=program.name
     )
     return list(results), [x.ndim - 1 for x in results]
+
+
+def _for_tangents(
+    values: Arrays, axes: Sequence[int | None], program: Program, batch: tuple[int, ...]
+) -> tuple[list[jax.Array], list[Any]]:
+    """Map a program over an axis that only its tangents have.
+
+    The parts of a program loop over the tangents. Work on other values is done before the loop, and
+    the code of one tangent serves all. Eight tangents side by side would be 4 MB of code, which
+    takes longer to fetch than to run.
+    """
+    last, part = program.tangents[1], is_tracing()
+    own = [None if axis is None else 0 for axis in axes]
+    out = [None] * (len(program.outputs) - last) + [0] * last
+    shared = list(values[: program.shared])
+
+    def run(*others: jax.Array) -> list[jax.Array]:
+        every = [*shared, *others]
+        if not part:
+            return jax.vmap(program, own, out)(*every)
+
+        def one(tangents: Arrays) -> list[jax.Array]:
+            given = iter(tangents)
+            return program(
+                *(x if axis is None else next(given) for x, axis in zip(every, own, strict=True))
+            )
+
+        mapped = [x for x, axis in zip(every, own, strict=True) if axis is not None]
+        results = jax.lax.map(one, mapped)
+        return [x[0] if axis is None else x for x, axis in zip(results, out, strict=True)]
+
+    moved = [
+        x if axis is None else jnp.moveaxis(x, axis, 0)
+        for x, axis in zip(values, axes, strict=True)
+    ]
+    how = {"name": program.name, "tangents": program.tangents}
+    results = fuse(run, *moved[program.shared :], batch_ndim=len(batch), **how)
+    return results, out
 
 
 internals.implement(

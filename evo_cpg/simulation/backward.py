@@ -49,19 +49,17 @@ class Backward(NamedTuple):
     Attributes:
         retention: fraction of a gradient that is left one control step further back. None or 1
             leaves the gradient exact.
-        copies: number of copies of the trial that `jax.vmap` computes at once in the same memory.
         rough: True for motion over ground, where gradients may grow a millionfold in 0.1 s. Their
             norm is then limited, and the gradient of the height fades, too.
         slides: degrees of freedom on which a root slides. Their gradients are those of its
             position, so they neither fade nor are limited.
     """
 
-    retention: Float[Array, " *#n"] | float | None = None
-    copies: int = 1
+    retention: Float[Array, ""] | float | None = None
     rough: bool = False
     slides: tuple[int, ...] = ()
 
-    def scan(self, advance: Callable, carry: Carry, steps: int) -> Carry:
+    def scan(self, advance: Callable, carry: Carry, steps: int, batch: tuple[int, ...]) -> Carry:
         """Run `jax.lax.scan` over the step numbers 0, 1, ..., and return the last carry.
 
         Args:
@@ -69,6 +67,8 @@ class Backward(NamedTuple):
                 dropped.
             carry: initial carry.
             steps: number of steps.
+            batch: lengths of the batch axes. A vector of individuals is computed at once even if
+                there is none, because native code and `jax.vmap` add their own.
         """
 
         def step(carry: Carry, number: ArrayLike) -> tuple[Carry, None]:
@@ -90,7 +90,8 @@ class Backward(NamedTuple):
                 moving.update(equation.outvars)
         left = {x for x in jaxpr.outvars if not isinstance(x, Literal) and x in moving}
         kept = sum(x.aval.size * x.aval.dtype.itemsize for x in left)
-        if self.copies * steps * kept <= machine_constants.LARGEST_RESIDUALS:
+        copies = max(machine_constants.LANES // math.prod(batch), 1)
+        if copies * steps * kept <= machine_constants.LARGEST_RESIDUALS:
             return segment(steps, carry, 0)[0]
         # This length minimises the memory for states between segments plus one segment.
         carried = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(carry))

@@ -116,6 +116,23 @@ class Judge(Observer):
 JUDGE = Judge()
 
 
+@dataclasses.dataclass(frozen=True)
+class Scored(Judge):
+    """Returns the fitness of a trial, one number, so that its gradient costs least.
+
+    Attributes:
+        scales: scales of the task.
+    """
+
+    scales: dict[str, Float[Array, ""]]
+
+    def finish(
+        self, simulation: Simulation, tally: tuple[PyTree, Array], steps: tuple
+    ) -> Float[Array, " *n"]:
+        """Return the fitness (`score`)."""
+        return score(simulation.task, super().finish(simulation, tally, steps), self.scales)
+
+
 def score(task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]) -> Float[Array, " *n"]:
     """Return the fitness of every individual, or -inf if it diverged or broke a rule."""
     fitness = task.fitness(outcome.terms, scales)

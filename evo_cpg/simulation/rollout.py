@@ -45,7 +45,7 @@ def rollout(
         trial: number of the situation of each individual, or None for the first situation.
         observers: one observer, or a tuple or dict of several.
         backward: settings of reverse-mode differentiation, or None. Do not combine it with
-            observers of every step.
+            observers of every step. A gradient is fastest with `Scored` as the observer.
         begin: function that changes the initial state of the trial.
 
     Returns:
@@ -90,12 +90,12 @@ def rollout(
         if backward is None:
             (_, tally), kept = jax.lax.scan(advance, carry, jnp.arange(steps))
         else:
-            _, tally = backward.scan(advance, carry, steps)
+            _, tally = backward.scan(advance, carry, steps, animal.state.position.shape[1:])
             kept = jax.tree.map(lambda one: (), observers)
         return jax.tree.map(lambda one, *own: one.finish(simulation, *own), observers, tally, kept)
 
     with using(simulation.engine):
         # Results stacked along time cannot become native code, but control steps can.
-        if any(one.every_step for one in jax.tree.leaves(observers)) or backward is not None:
+        if any(one.every_step for one in jax.tree.leaves(observers)):
             return run(genes, keys, trial)
         return fuse(run, genes, keys, trial, batch_ndim=genes.ndim - 1, name="a trial")

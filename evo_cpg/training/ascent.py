@@ -23,10 +23,16 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from evo_cpg.native.machine_constants import LANES
 from evo_cpg.simulation.backward import Backward, retention
+from evo_cpg.simulation.judge import Scored
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
-from evo_cpg.training.experiment import ExperimentParts, judge, situation_numbers, trial_keys
+from evo_cpg.training.experiment import (
+    ExperimentParts,
+    mean_of_trials,
+    situation_numbers,
+    trial_keys,
+)
 
 # Range of step sizes in water, in units of genes. They are drawn evenly on a logarithmic scale.
 _STEP_SIZES = 3e-4, 1e-2
@@ -241,9 +247,9 @@ def compile_ascent(
         trial = simulation
         if free:
             trial = free.simulation(free.at(shifts).astype(genes.dtype))
-        backward = Backward(kept, width, rough, simulation.world.tree.root_slides)
-        outcome = rollout(trial, replicas, keys, numbers, backward=backward)
-        return judge(simulation.task, outcome, scales)[0]
+        backward = Backward(kept, rough, simulation.world.tree.root_slides)
+        found = rollout(trial, replicas, keys, numbers, Scored(scales), backward=backward)
+        return mean_of_trials(found)
 
     def climb(
         genes: Array, settings: Any, scales: dict[str, Array], keys: Array | None

@@ -289,18 +289,18 @@ def judge(
         The mean fitness and the mean outcome. The fitness is -inf if the individual diverged or
         broke a rule in any trial.
     """
-
-    def mean(values: Shaped[Array, "*n trials"]) -> Float[Array, " *n"]:
-        # Convert Boolean values to numbers. Their mean is the fraction of trials with True.
-        values = values.astype(jnp.result_type(values, float))
-        # Add trials in turn. The order in which `mean` adds, and so its rounding, would depend on
-        # the number of individuals, and a replay has only one.
-        trials = values.shape[-1]
-        return sum((values[..., i] for i in range(1, trials)), values[..., 0]) * (1 / trials)
-
     fitness = jnp.moveaxis(judge_each(task, outcome, scales), 0, -1)
-    terms = {name: mean(term) for name, term in outcome.terms.items()}
-    return mean(fitness), Outcome(terms, outcome.alive.all(-1))
+    terms = {name: mean_of_trials(term) for name, term in outcome.terms.items()}
+    return mean_of_trials(fitness), Outcome(terms, outcome.alive.all(-1))
+
+
+def mean_of_trials(values: Shaped[Array, "*n trials"]) -> Float[Array, " *n"]:
+    """Return the mean over trials. The mean of Boolean values is the fraction with True."""
+    values = values.astype(jnp.result_type(values, float))
+    # Add trials in turn. The order in which `mean` adds, and so its rounding, would depend on the
+    # number of individuals, and a replay has only one.
+    trials = values.shape[-1]
+    return sum((values[..., i] for i in range(1, trials)), values[..., 0]) * (1 / trials)
 
 
 def judge_each(

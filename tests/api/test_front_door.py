@@ -268,7 +268,7 @@ def test_the_horizon_selects_decaying_cut_or_exact_gradients(
     """`simulation/test_fitness_gradients.py` compares exact gradients with finite differences."""
     experiment, budgets = evo.load(REPOSITORY / "configs" / f"{config}.yaml"), []
     monkeypatch.setattr(fitness, "rollout", lambda *_, backward: budgets.append(backward))
-    monkeypatch.setattr(fitness, "judge", lambda *_: [jnp.zeros(())])
+    monkeypatch.setattr(fitness, "mean_of_trials", lambda _: jnp.zeros(()))
     of_genome = fitness.fitness_function(experiment.parts, {}, None, horizon, None, None)
     of_genome(np.zeros(experiment.gene_count))
     (backward,) = budgets

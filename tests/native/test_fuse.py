@@ -239,6 +239,62 @@ def test_a_gradient_is_one_piece_of_code():
     assert text.count("stablehlo.multiply") == 0
 
 
+def walk(start, size):
+    """Return a number, what it grew by in each of three steps, and a truth value."""
+
+    def one(x, k):
+        x = x + size * jnp.sin(x + k)
+        return x, x[0] * size
+
+    (x, y), each = jax.lax.scan(one, start, jnp.arange(3.0))
+    return x * y, each.sum(0), x > 0
+
+
+@pytest.mark.parametrize("results", [slice(0, 1), slice(0, 3, 2), slice(0, 3)])
+def test_derivatives_of_loops_equal_those_of_jax(results, x64):
+    """Reverse mode, and forward mode along few and many directions. One number is special."""
+    starts, size = sample((2, 20), 3, np.float64), jnp.asarray(0.3)
+
+    def total(run, start, size):
+        found = [jnp.sin(x).sum() for x in run(start, size)[results] if x.dtype != bool]
+        return sum(found)
+
+    def native(start, size):
+        return fuse(lambda x: walk(x, size), start, batch_ndim=1)
+
+    for differentiate in (jax.grad, jax.jacfwd):
+        for places in (0, 1):
+            got, expected = (
+                jax.jit(differentiate(functools.partial(total, run), places))(starts, size)
+                for run in (native, walk)
+            )
+            np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("count", [1, 20])
+def test_tangents_share_the_work_of_a_program(count, x64):
+    """Many individuals share it within each program, and the tangents of one fill a vector."""
+
+    def parts(x, scale):
+        def one(x, k):
+            return fuse(lambda x: x * jnp.exp(-x * x) * scale, x, batch_ndim=x.ndim - 1), x[0]
+
+        x, heights = jax.lax.scan(one, x, None, length=4)
+        return x, heights[1:].sum(0)
+
+    starts = sample((2, count), 3, np.float64)
+
+    def outer(run, scale):
+        return run(starts * scale[:2, None] + scale[2], scale[0])
+
+    got, expected = (
+        jax.jit(jax.jacfwd(functools.partial(outer, run)))(jnp.array([0.5, 0.7, 0.2]))
+        for run in (lambda *x: fuse(lambda y: parts(y, x[1]), x[0], batch_ndim=1), parts)
+    )
+    for one, other in zip(got, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+
+
 def test_empty_results_keep_their_type(x64):
     """A float32 program and its derivatives stay in float32 if float64 is enabled."""
 

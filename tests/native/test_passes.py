@@ -94,6 +94,7 @@ def scalars(count, dtype=F32, rules=RULES):
 
 def graph_of(*results, reorder=True):
     builder, nodes = results[0].builder, [each.node for each in results]
+    builder.begin_part()
     builder.end_part((), nodes, reorder)
     return builder.graph([np.array([node], object) for node in nodes])
 
@@ -253,6 +254,7 @@ def test_values_stay_and_instructions_do_not_grow(data, reorder):
     found, builder = made[0], made[0].builder
     if seen:
         found = Scalar(builder, builder.make("neg", [each.opaque().node for each in seen][:1], "d"))
+    builder.begin_part()
     part = builder.end_part([each.node for each in seen], [found.node])
     expected = [each.node for each in (made[-1], *seen)]
     before, count = [value(node) for node in expected], instructions(expected)

@@ -4,6 +4,8 @@ MuJoCo 3's C library solves these rigid-body equations by another algorithm in o
 the composite rigid-body algorithm and a factorised mass matrix.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,6 +20,7 @@ from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
+from evo_cpg.physics.tree.generalized import generalized_equations
 from evo_cpg.physics.tree.joint_torque import passive_torque
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import State
@@ -46,11 +49,16 @@ def parameters(tree: Tree) -> list:
 
 def dry_accelerations(tree: Tree, state: State, tau) -> jax.Array:
     """Return accelerations of the root (angular, then linear) and the joints, without a step."""
+    return jnp.concatenate(solve(*equations_of(tree, state, tau)))
+
+
+def equations_of(tree: Tree, state: State, tau) -> tuple:
+    """Return the arguments of `solve` and of `generalized_equations`, without a step."""
     kin = kinematics(tree, state)
     inertia, bias = body_equations(World(tree, GRAVITY), kin, 0.0)
     passive, derivative = passive_torque(tree, state, 0.0)
     rotor = derivative + expand_dims_like(tree.armature, tau)
-    return jnp.concatenate(solve(tree, kin, inertia, bias, tau + passive, rotor))
+    return tree, kin, inertia, bias, tau + passive, rotor
 
 
 def relative_errors(number: int, dtype, stiffer: float = 1.0) -> list[float]:
@@ -115,3 +123,34 @@ def test_float32_keeps_four_digits(number):
 def test_the_comparison_can_fail():
     """Springs that are 1 % stiffer exceed the tolerance by far."""
     assert min(relative_errors(0, jnp.float64, stiffer=1.01)) > 1e-7
+
+
+@pytest.mark.parametrize("number", [0, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("held", [False, True])
+def test_derivatives_equal_those_of_the_dense_equations(number, held):
+    """Compare both modes with derivatives of the mass matrix and of a dense solution."""
+    rng = np.random.default_rng(number)
+    tree = build_tree(random_creature(rng, STRUCTURES[number], axes_seed=number))
+    state, free = random_state(tree, rng), slice(6 if held else 0, None)
+    direction = rng.normal(size=6 + tree.dof_count)[free]
+
+    def ours(q, mass, tau):
+        own = eqx.tree_at(lambda t: t.mass, tree, mass)
+        given = equations_of(own, dataclasses.replace(state, q=q), tau)
+        return jnp.concatenate(solve(*given, held=held))[free]
+
+    def dense(q, mass, tau):
+        own = eqx.tree_at(lambda t: t.mass, tree, mass)
+        given = equations_of(own, dataclasses.replace(state, q=q), tau)
+        matrix, force = generalized_equations(*given)
+        return jnp.linalg.solve(matrix[free, free], force[free])
+
+    at = state.q, jnp.asarray(tree.mass), rng.normal(size=tree.dof_count)
+    tangents = tuple(jnp.asarray(rng.normal(size=x.shape)) for x in at)
+    for differentiate in (
+        lambda f: lambda *x: jax.vjp(f, *x)[1](direction),
+        lambda f: lambda *x: jax.jvp(f, x, tangents),
+    ):
+        pairs = zip(*(quick_jit(differentiate(f))(*at) for f in (ours, dense)), strict=True)
+        for one, other in pairs:
+            np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-10 * np.abs(other).max())

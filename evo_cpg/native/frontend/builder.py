@@ -49,7 +49,9 @@ class Builder:
         self._made: list[Node] = []
         self._loops: dict[GraphBlock, Node] = {}
         self._parts: list[GraphPart] = []
+        # Equal nodes of the current part, and those of the parts around it.
         self._nodes: dict[Any, Node] = {}
+        self._outside: list[dict[Any, Node]] = []
         self._constants: dict[Any, Node] = {}
 
     def argument(self, shape: Sequence[int], dtype: Any, shared: bool = False) -> np.ndarray:
@@ -78,15 +80,17 @@ class Builder:
             },
         )
 
+    def begin_part(self) -> None:
+        """Begin a program within the program. It shares no nodes with the code around it."""
+        self._outside.append(self._nodes)
+        self._nodes = {}
+
     def end_part(
         self, arguments: Iterable[Node], results: Iterable[Node], reorder: bool = True
     ) -> int:
-        """End a program within the program (`GraphPart`) and return its number.
-
-        Equal nodes before and after its end are not shared.
-        """
+        """End a program within the program (`GraphPart`) and return its number."""
         self._parts.append(GraphPart(tuple(arguments), tuple(results), reorder))
-        self._nodes.clear()
+        self._nodes = self._outside.pop()
         return len(self._parts) - 1
 
     def constant(self, value: Any, dtype: Any) -> Node:

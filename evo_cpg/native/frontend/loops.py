@@ -3,7 +3,8 @@
 Both sides of a short branch are computed and one result is selected, as under `jax.vmap`. A vector
 skips a long branch if none of its individuals takes it.
 
-If a loop carries an array and only adds to its elements, the array stays in memory (`Sums`).
+Arrays stay in memory if a loop carries them and only adds to their elements (`Sums`), or if a loop
+stacks them over its rounds (`Stacked`). A backward pass reads what the forward pass has stacked.
 """
 
 import dataclasses
@@ -20,7 +21,7 @@ from evo_cpg.native import machine_constants
 from evo_cpg.native.frontend.builder import Builder, all_nodes, elementwise, node_array
 from evo_cpg.native.frontend.moves import SCATTER_ADD
 from evo_cpg.native.frontend.primitives import equations, programs_in
-from evo_cpg.native.ir import GraphBlock, GraphLoop, Node, Unsupported
+from evo_cpg.native.ir import GraphBlock, GraphLoop, Node, Unsupported, resolve
 
 Trace = Callable[..., list[Any]]
 
@@ -38,6 +39,46 @@ class Sums:
     shape: tuple[int, ...]
     memory: Node
     added: list[Node] = dataclasses.field(default_factory=list)
+
+
+@dataclasses.dataclass(eq=False)
+class Stacked:
+    """Results of all rounds of a loop, which stay in memory until an operation needs them as nodes.
+
+    Attributes:
+        shape: shape of the array, the rounds first.
+        columns: for each element of a round's result, its list, or the node of a constant result.
+    """
+
+    shape: tuple[int, ...]
+    columns: list[Node]
+
+    @property
+    def size(self) -> int:
+        """Number of numbers."""
+        return self.shape[0] * len(self.columns)
+
+    def row(self, builder: Builder, index: Node) -> np.ndarray:
+        """Return the results of one round."""
+        row = [builder.lookup(x, index) if x.op == "list" else x for x in self.columns]
+        return node_array(row, self.shape[1:])
+
+    def nodes(self, builder: Builder) -> np.ndarray:
+        """Return all results as nodes.
+
+        Raises:
+            Unsupported: if there are too many.
+        """
+        most = machine_constants.MOST_OPERATIONS
+        if self.size > most:
+            raise Unsupported(f"a loop stacks more than {most} numbers that are not read in a loop")
+        rounds = [builder.constant(k, np.int32) for k in range(self.shape[0])]
+        return np.stack([self.row(builder, k) for k in rounds])
+
+
+def as_nodes(builder: Builder, x: Any) -> Any:
+    """Return an array of nodes for a `Stacked` array, and any other array unchanged."""
+    return x.nodes(builder) if isinstance(x, Stacked) else x
 
 
 def add_to_sums(builder: Builder, operands: list, params: dict) -> list:
@@ -68,18 +109,18 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
     constant_count, carry_count = internals.scan_counts(params)
     length, closed = params["length"], params["jaxpr"]
     consts = operands[:constant_count]
-    start = operands[constant_count : constant_count + carry_count]
+    start = [as_nodes(builder, x) for x in operands[constant_count : constant_count + carry_count]]
     read = operands[constant_count + carry_count :]
     stacked = closed.out_avals[carry_count:]
     if length == 0:
         return [*start, *(np.empty((0, *aval.shape), object) for aval in stacked)]
-    if length * sum(aval.size for aval in stacked) > machine_constants.LONGEST_LISTS:
-        most = machine_constants.LONGEST_LISTS
-        raise Unsupported(f"a loop of {length} rounds stacks more than {most} numbers")
 
     def one_round(index: Node, carried: list[Any]) -> list[Any]:
         rows = []
         for x in read:
+            if isinstance(x, Stacked):
+                rows.append(x.row(builder, index))
+                continue
             columns = [builder.table(list(column)) for column in x.reshape(len(x), -1).T]
             row = [builder.lookup(column, index) for column in columns]
             rows.append(node_array(row, x.shape[1:]))
@@ -109,9 +150,14 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
             index = builder.apply("sub", builder.constant(length - 1, np.int32), counter)
         results = one_round(index, carried)
     following = [results[k] for k in others]
+    # A value that does not change within the loop needs no list, and equal values share one.
+    written = {resolve(x): x for x in all_nodes(results[carry_count:]) if body.encloses(x.block)}
+    if length * len(written) > machine_constants.LONGEST_LISTS:
+        most = machine_constants.LONGEST_LISTS
+        raise Unsupported(f"a loop of {length} rounds stacks more than {most} numbers")
     loop = GraphLoop(
         length, test, body, counter, all_nodes(placed), all_nodes(following), None, index,
-        all_nodes(results[carry_count:]),
+        tuple(written.values()),
     )  # fmt: skip
     ends, lists = builder.loop(all_nodes(begin), loop)
     found = dict(zip(others, _like(ends, begin), strict=True))
@@ -122,12 +168,13 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
             given, dtype = (x.memory, *x.added), x.memory.dtype
             totals = builder.new("totals", given, dtype, builder.block, False)
             found[k] = builder.rows(totals, x.shape)
-    columns = iter([builder.rows(each, (length,)) for each in lists])
+    column = dict(zip(written, lists, strict=True))
     stacks = [
-        np.array([*itertools.islice(columns, aval.size)], object)
-        .reshape(aval.size, length)
-        .T.reshape(length, *aval.shape)
-        for aval in stacked
+        Stacked(
+            (length, *x.shape),
+            [column[key] if (key := resolve(node)) in column else node for node in x.flat],
+        )
+        for x in results[carry_count:]
     ]
     return [*(found[k] for k in range(carry_count)), *stacks]
 

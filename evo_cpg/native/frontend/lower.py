@@ -17,7 +17,7 @@ from evo_cpg.native import jax_internals as internals
 from evo_cpg.native import machine_constants
 from evo_cpg.native.frontend.builder import Builder, all_nodes, elementwise, node_array
 from evo_cpg.native.frontend.elementary import FLOAT32
-from evo_cpg.native.frontend.loops import LOOPS, Sums, add_to_sums
+from evo_cpg.native.frontend.loops import LOOPS, Sums, add_to_sums, as_nodes
 from evo_cpg.native.frontend.moves import MOVES, SCATTER_ADD
 from evo_cpg.native.frontend.primitives import (
     Program,
@@ -26,6 +26,7 @@ from evo_cpg.native.frontend.primitives import (
     fused_p,
     linear_map_p,
     solve_written_out,
+    traced,
 )
 from evo_cpg.native.ir import ARITHMETIC, LIBRARY, Graph, Node, Unsupported
 
@@ -54,10 +55,12 @@ def trace_program(builder: Builder, program: Program, inputs: Sequence[np.ndarra
     its sums are ordered separately. So a control step has the same results alone and as a part of a
     trial. The shared arguments come first.
     """
+    builder.begin_part()
     inside = [elementwise(functools.partial(builder.alias, "opaque"), x) for x in inputs]
     given = iter(inside[: program.shared])
     consts = [next(given) if own is None else constants(builder, own) for own in program.constants]
     results = trace(builder, program.jaxpr, [*consts, *inside[program.shared :]])
+    results = [as_nodes(builder, x) for x in results]
     part = builder.end_part(all_nodes(inputs), all_nodes(results))
     hide = functools.partial(builder.alias, "opaque", part=part)
     return [elementwise(hide, x) for x in results]
@@ -87,9 +90,15 @@ def trace(
             return constants(builder, np.asarray(atom.val, atom.aval.dtype))  # pyright: ignore
         return known[atom]
 
+    def trace_inner(*args: Any) -> Arrays:
+        """Trace a program within a loop or a branch, whose results must be nodes."""
+        return [as_nodes(builder, x) for x in trace(*args)]
+
     for equation in program.eqns:
         operands = [read(atom) for atom in equation.invars]
         name, params = equation.primitive.name, equation.params
+        if name != "scan" and name not in _CALLS:
+            operands = [as_nodes(builder, x) for x in operands]
         if name in _PROGRAMS:
             results = _PROGRAMS[name](builder, equation, operands)
         elif any(isinstance(operand, Sums) for operand in operands) and name in SCATTER_ADD:
@@ -97,7 +106,7 @@ def trace(
         elif operands and all(operand.size == 0 for operand in operands):
             results = _evaluate(builder, equation, operands)
         elif name in LOOPS:
-            results = LOOPS[name](builder, operands, params, trace)
+            results = LOOPS[name](builder, operands, params, trace_inner)
         elif name in _RULES:
             results = _RULES[name](builder, operands, params)
         elif name in _ELEMENTWISE:
@@ -157,7 +166,7 @@ def _fused(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
 
 def _linear_map(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
     run = functools.partial(apply_map, **equation.params)
-    inner = jax.make_jaxpr(run)(*[atom.aval for atom in equation.invars])
+    inner, _ = traced(run, *[atom.aval for atom in equation.invars])
     return trace(builder, inner, operands)
 
 
@@ -234,6 +243,7 @@ def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
     dtype = next((node.dtype for node in operands[0].flat), np.dtype(np.float32))
     if dtype == np.float32 and name in FLOAT32:
         # The functions are written for scalars, but elementwise operations take arrays as well.
+        builder.begin_part()
         hide = functools.partial(builder.alias, "opaque")
         inside = [elementwise(hide, x) for x in np.broadcast_arrays(*operands)]
         (result,) = trace(builder, _in_float32(name, len(operands)), inside)

@@ -7,6 +7,7 @@
 | ``eliminate`` | the solution of symmetric equations | `evo_cpg.native.fuse.solve_symmetric` |
 """
 
+import contextvars
 import dataclasses
 import functools
 import itertools
@@ -30,6 +31,25 @@ fused_p = internals.primitive("fused")  # `evo_cpg.native.native` implements it.
 linear_map_p = internals.primitive("linear_map")
 eliminate_p = internals.primitive("eliminate")
 
+_tracing = contextvars.ContextVar("tracing", default=False)
+
+
+def is_tracing() -> bool:
+    """Return whether a program for one individual is being traced."""
+    return _tracing.get()
+
+
+def traced(function: Callable, *args: Any) -> tuple[ClosedJaxpr, Any]:
+    """Return a function as a program for one individual, and the shapes of its result.
+
+    Only the shapes of the arguments matter. Fused functions within it become its parts.
+    """
+    token = _tracing.set(True)
+    try:
+        return jax.make_jaxpr(function, return_shape=True)(*args)
+    finally:
+        _tracing.reset(token)
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Program:
@@ -40,12 +60,17 @@ class Program:
         jaxpr: JAX program of the function. Its constants are its first arguments.
         constants: values of the constants, or None for a traced constant, which is an argument.
         shared: number of traced constants, the first arguments, which all individuals share.
+        tangents: numbers of tangents among the arguments and among the results, which come last.
+            The other results do not depend on the tangents.
+        forward: whether the program is differentiated in forward mode only.
     """
 
     name: str
     jaxpr: Jaxpr
     constants: tuple[np.ndarray | None, ...]
     shared: int
+    tangents: tuple[int, int] = (0, 0)
+    forward: bool = False
 
     @property
     def inputs(self) -> list[Any]:
@@ -61,11 +86,24 @@ class Program:
         return [atom.aval for atom in self.jaxpr.outvars]
 
     def __call__(self, *arrays: jax.Array) -> list[Any]:
-        """Return the results for one individual. Constant results are NumPy arrays."""
+        """Return the results for one individual, or for each along further last axes."""
+        inputs = zip(arrays, self.inputs, strict=True)
+        axes = [-1 if x.ndim > len(aval.shape) else None for x, aval in inputs]
+        if any(axis is not None for axis in axes):
+            return jax.vmap(self, axes, -1)(*arrays)
         given = iter(arrays[: self.shared])
         consts = [next(given) if own is None else own for own in self.constants]
         run = jaxpr_as_fun(ClosedJaxpr(self.jaxpr, []))
-        return list(run(*consts, *arrays[self.shared :]))
+        return list(map(jnp.asarray, run(*consts, *arrays[self.shared :])))
+
+    @functools.cached_property
+    def in_forward_mode(self) -> "Program":
+        """The same program, whose parts compute their results and tangents together.
+
+        JAX cannot transpose such a program.
+        """
+        jaxpr = _in_forward_mode(self.jaxpr)
+        return dataclasses.replace(self, jaxpr=jaxpr, forward=True)
 
     @functools.cached_property
     def primitives(self) -> frozenset[str]:
@@ -87,6 +125,21 @@ class Program:
             else equation.primitive.name in ("scan", "while")
             for equation in equations(self.jaxpr, _OWN_RULES)
         )
+
+
+def _in_forward_mode(x: Any) -> Any:
+    """Replace the programs within a JAX program, or within a parameter of an equation."""
+    if isinstance(x, Program):
+        return x.in_forward_mode
+    if isinstance(x, ClosedJaxpr):
+        return ClosedJaxpr(_in_forward_mode(x.jaxpr), x.consts)
+    if isinstance(x, Jaxpr):
+        new = [
+            each.replace(params={key: _in_forward_mode(p) for key, p in each.params.items()})
+            for each in x.eqns
+        ]
+        return x.replace(eqns=new)
+    return tuple(map(_in_forward_mode, x)) if type(x) is tuple else x
 
 
 def equations(jaxpr: Jaxpr, closed: Iterable[str] = ()) -> Iterator[Any]:
@@ -118,12 +171,11 @@ def plain(program: Program, batch: tuple[int, ...]) -> Callable[..., list[jax.Ar
 
     def run(*arrays: jax.Array) -> list[jax.Array]:
         if not batch:
-            return list(map(jnp.asarray, program(*arrays)))
+            return program(*arrays)
         shared, count = program.shared, int(np.prod(batch, dtype=int))
         axes = [None] * shared + [-1] * (len(arrays) - shared)
         own = [x.reshape(*x.shape[: x.ndim - len(batch)], count) for x in arrays[shared:]]
-        one = lambda *x: list(map(jnp.asarray, program(*x)))  # noqa: E731
-        results = jax.vmap(one, axes, -1, axis_size=count)(*arrays[:shared], *own)
+        results = jax.vmap(program, axes, -1, axis_size=count)(*arrays[:shared], *own)
         return [x.reshape(*x.shape[:-1], *batch) for x in results]
 
     return run
@@ -191,11 +243,15 @@ def _transpose_map(cotangents, *values, forward, backward, shapes, count):
 
 
 def _batch_map(values, axes, *, forward, backward, shapes, count):
-    size, stacked = _mapped_axis(values, axes, 0)
+    # The fixed arrays are often the same for all tangents. Work on them alone is then done once.
+    first = count if all(axis is None for axis in axes[:count]) else 0
+    size, stacked = _mapped_axis(values[first:], axes[first:], 0)
+    how = (None, 0) if first else (0, 0)
     results = linear_map_p.bind(
+        *values[:first],
         *stacked,
-        forward=jax.vmap(forward),
-        backward=jax.vmap(backward),
+        forward=jax.vmap(forward, how),
+        backward=jax.vmap(backward, how),
         shapes=tuple(((size, *shape), dtype) for shape, dtype in shapes),
         count=count,
     )

@@ -22,17 +22,28 @@ accelerations in addition to A0_i. All is in world axes, so X_i is a shift by an
 | a_i | ``a``: spatial acceleration of the body |
 
 Each line holds for one body and for a group of like limbs side by side (`PerBody`).
+
+**Derivatives.** The solution y obeys ``r(x, y) = 0``. The residual r is inverse dynamics, and x are
+the inertias, offsets, axes and forces. So ``dy = -M^-1 dr``, with dr at constant y. The inverse is
+symmetric, so a gradient solves the equations once more, and with the same eliminated joints. JAX's
+derivative of the passes would take three times as many operations, because it also differentiates
+the elimination.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.algebra.linear import matvec, matvec_t
 from evo_cpg.creature.tree import Tree
+from evo_cpg.native.fuse import self_adjoint
 from evo_cpg.physics.tree import root
+from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force
 from evo_cpg.physics.tree.joint_kinds import joints_of
+from evo_cpg.physics.tree.joints import Subspace
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.per_body import PerBody, in_dof_order
 from evo_cpg.physics.tree.spatial_algebra import (
@@ -58,6 +69,17 @@ class Accelerations(NamedTuple):
     qdd: Float[Array, "d *n"]
 
 
+class _Given(NamedTuple):
+    """Quantities that the accelerations depend on, as in `solve`."""
+
+    offset: Float[Array, "3 b *n"]
+    axes: Subspace
+    inertia: Inertia
+    bias: Wrench
+    torque: Float[Array, "d *n"]
+    torque_derivative: Float[Array, "d *#n"]
+
+
 def solve(
     tree: Tree,
     kin: Kinematics,
@@ -78,16 +100,55 @@ def solve(
         torque_derivative: ``-dtau/dqdd`` (with armature), kg m^2.
         held: whether the root is held, and has no acceleration.
     """
+    eliminate = jax.custom_jvp(functools.partial(_eliminate, tree, held))
+
+    @eliminate.defjvp
+    def differentiate(primals: tuple[_Given], tangents: tuple[_Given]) -> tuple[Array, Array]:
+        (given,), y = primals, eliminate(*primals)
+        residual = functools.partial(_residual, tree, kin, jax.lax.stop_gradient(y))
+        change = jax.jvp(residual, primals, tangents)[1]
+        return y, self_adjoint(functools.partial(_solve_again, tree, held), given, -change)
+
+    given = _Given(kin.offset, kin.axes, inertia, bias, torque, torque_derivative)
+    y = eliminate(given)
+    return Accelerations(y[root.ROOT], y[root.JOINTS])
+
+
+def _residual(tree: Tree, kin: Kinematics, y: Array, given: _Given) -> Float[Array, "v *n"]:
+    """Return the generalized force that is missing for accelerations y (`solve`)."""
+    offset, axes, inertia, bias, torque, torque_derivative = given
+    kin = kin._replace(offset=offset, axes=axes)
+    a = body_accelerations(tree, kin, y)
+    moment = matvec(inertia.angular, a.angular) + matvec(inertia.mixed, a.linear)
+    force = matvec_t(inertia.mixed, a.angular) + matvec(inertia.linear, a.linear)
+    total = generalized_force(tree, kin, Wrench(moment + bias.moment, force + bias.force))
+    return total.at[root.JOINTS].add(torque_derivative * y[root.JOINTS] - torque)
+
+
+def _solve_again(
+    tree: Tree, held: bool, given: _Given, force: Float[Array, "v *n"]
+) -> Float[Array, "v *n"]:
+    """Return ``M^-1 f`` with the matrix M of `solve`."""
+    bias = jax.tree.map(jnp.zeros_like, given.bias)
+    if tree.hanging is None:
+        moment, push = -force[:3], -force[3 : root.ROOT_DOFS]
+        bias = Wrench(bias.moment.at[:, 0].set(moment), bias.force.at[:, 0].set(push))
+    return _eliminate(tree, held, given._replace(bias=bias, torque=force[root.JOINTS]))
+
+
+def _eliminate(tree: Tree, held: bool, given: _Given) -> Float[Array, "v *n"]:
+    """Return the accelerations of `solve` as one vector."""
+    offset, axes, inertia, bias, torque, torque_derivative = given
     batch_ndim = torque.ndim - 1
     I_A, p_A = PerBody.of(inertia, batch_ndim), PerBody.of(bias, batch_ndim)
-    joints = [(i, joints_of(i, kin.axes, torque, torque_derivative)) for i in tree.groups]
+    joints = [(i, joints_of(i, axes, torque, torque_derivative)) for i in tree.groups]
     eliminated = []
 
     # Second pass, from the tips to the root: articulated-body inertias and bias forces.
     for i, joint in reversed(joints):
         felt = joint.condensed(I_A[i.bodies], p_A[i.bodies])
-        I_A = I_A.plus(i.parents, inertia_at_parent(felt.inertia, kin.offset[:, i.bodies]))
-        p_A = p_A.plus(i.parents, wrench_at_parent(felt.bias, kin.offset[:, i.bodies]))
+        I_A = I_A.plus(i.parents, inertia_at_parent(felt.inertia, offset[:, i.bodies]))
+        p_A = p_A.plus(i.parents, wrench_at_parent(felt.bias, offset[:, i.bodies]))
         eliminated.append(felt)
 
     # Third pass, from the root to the tips: accelerations.
@@ -97,14 +158,14 @@ def solve(
         a = PerBody([jax.tree.map(jnp.zeros_like, free) if held else free], batch_ndim)
         of_root = jnp.concatenate(a.root())
     else:
-        joint = joints_of(tree.hanging, kin.axes, torque, torque_derivative)
-        still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
+        joint = joints_of(tree.hanging, axes, torque, torque_derivative)
+        still = Motion(*(jnp.zeros_like(offset[:, :1]) for _ in range(2)))
         a_0, x = joint.accelerations(joint.condensed(I_A[:1], p_A[:1]), still)
         a = PerBody.of(a_0, batch_ndim)
         qdd.append(in_dof_order(x, batch_ndim))
         of_root = jnp.zeros((root.ROOT_DOFS, *torque.shape[1:]), torque.dtype)
     for (i, joint), felt in zip(joints, reversed(eliminated), strict=True):
-        a_i, x = joint.accelerations(felt, motion_at_child(a[i.parents], kin.offset[:, i.bodies]))
+        a_i, x = joint.accelerations(felt, motion_at_child(a[i.parents], offset[:, i.bodies]))
         a = a.followed_by(a_i)
         qdd.append(in_dof_order(x, batch_ndim))
-    return Accelerations(of_root, jnp.concatenate(qdd))
+    return jnp.concatenate([of_root, *qdd])
