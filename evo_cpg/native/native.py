@@ -21,14 +21,7 @@ from evo_cpg.native import jax_internals as internals
 from evo_cpg.native.backend.code import Variant
 from evo_cpg.native.backend.machine import load
 from evo_cpg.native.compile import to_llvm
-from evo_cpg.native.frontend.primitives import (
-    Arrays,
-    Program,
-    fused_p,
-    is_tracing,
-    linear_map,
-    plain,
-)
+from evo_cpg.native.frontend.primitives import Arrays, Program, fused_p, is_tracing, linear_map
 from evo_cpg.native.fuse import fuse
 from evo_cpg.native.stopwatch import Made, counted
 
@@ -88,7 +81,7 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
         native = codes[variant]
     except Exception as error:
         engine.warn_of_fallback(program.name, error)
-        return plain(program, batch)(*arrays)
+        return program(*arrays)
     # A vector must be full: copies of the last individual fill the remaining lanes.
     lanes = max(count, native.width)
     given = [
@@ -122,8 +115,7 @@ def differentiate(
         # Within a larger program JAX differentiates the loop round by round, and keeps the inputs
         # of the programs in it. As a whole, the loop would be computed once more to find them.
         changes = [internals.instantiate_zeros(tangent) for tangent in tangents]
-        results, changes = jax.jvp(plain(program, batch), list(primals), changes)
-        return results, changes
+        return jax.jvp(program, primals, changes)
     moving = [i for i, tangent in enumerate(tangents) if not isinstance(tangent, internals.Zero)]
     smooth = [i for i, x in enumerate(program.outputs) if jnp.issubdtype(x.dtype, jnp.floating)]
     changes = [tangents[i] for i in moving]

@@ -163,24 +163,6 @@ def programs_in(equation: Any) -> Iterator[Jaxpr]:
                 yield inner
 
 
-def plain(program: Program, batch: tuple[int, ...]) -> Callable[..., list[jax.Array]]:
-    """Return a function that computes the program for all individuals by plain JAX.
-
-    ``batch`` has the lengths of the trailing batch axes of its own arguments and of its results.
-    """
-
-    def run(*arrays: jax.Array) -> list[jax.Array]:
-        if not batch:
-            return program(*arrays)
-        shared, count = program.shared, int(np.prod(batch, dtype=int))
-        axes = [None] * shared + [-1] * (len(arrays) - shared)
-        own = [x.reshape(*x.shape[: x.ndim - len(batch)], count) for x in arrays[shared:]]
-        results = jax.vmap(program, axes, -1, axis_size=count)(*arrays[:shared], *own)
-        return [x.reshape(*x.shape[:-1], *batch) for x in results]
-
-    return run
-
-
 def _mapped_axis(values: Arrays, axes: Sequence[int | None], to: int) -> tuple[int, list]:
     """Return the length of the mapped axis, and all values with this axis moved to ``to``."""
     size = next(x.shape[axis] for x, axis in zip(values, axes, strict=True) if axis is not None)
