@@ -16,22 +16,25 @@ separate pass, because lowering depends on it: the place of a slice must be a kn
 
 Passes from graph to graph and rewrite rules are optional (`PASSES`, `RULES`). Without them the
 program takes more operations and computes the same. Only sums round differently without
-multiply-adds.
+multiply-adds. They are not free to change places: a pass that could do nothing in its place raises
+`passes.WrongOrder`.
 
 | environment variable | after each pass |
 |---|---|
 | ``EVO_CPG_SHOW_PASSES`` | the graph is printed to standard error (`inspect.show`) |
 | ``EVO_CPG_VERIFY_PASSES`` | the graph is checked (`inspect.verify`), as in the tests |
+
+`evo_cpg.native.inspect` shows one part of a trial, measures it, and finds the pass with a fault.
 """
 
 import gc
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from evo_cpg.native.backend.allocate import Allocator
-from evo_cpg.native.backend.code import Variant
+from evo_cpg.native.backend.code import Code, Variant
 from evo_cpg.native.backend.llvm import Printer, print_handler
 from evo_cpg.native.frontend.builder import Builder
 from evo_cpg.native.frontend.lower import lower
@@ -51,11 +54,26 @@ class Module(NamedTuple):
         text: LLVM IR.
         scratch: bytes of working memory.
         operations: number of nodes of the graph that the module computes.
+        code: the program with registers and places.
+        ticks: parts of each number of the global ``@ticks``, if the code is timed.
     """
 
     text: str
     scratch: int
     operations: int
+    code: Code
+    ticks: Sequence[Mapping[str, int]]
+
+
+def stages(
+    program: Program, passes: Sequence[Pass] | None = None, rules: Rules = RULES
+) -> Iterator[tuple[str, Graph]]:
+    """Iterate over lowering and the passes from graph to graph: the name of each and its graph."""
+    graph = lower(program, Builder(rules))
+    yield "lower", _inspected(program.name, "lower", graph)
+    for each in PASSES if passes is None else passes:
+        graph = each(graph)
+        yield each.__name__, _inspected(program.name, each.__name__, graph)
 
 
 def optimize(program: Program, passes: Sequence[Pass] | None = None, rules: Rules = RULES) -> Graph:
@@ -64,23 +82,20 @@ def optimize(program: Program, passes: Sequence[Pass] | None = None, rules: Rule
     Raises:
         Unsupported: if there is no rule for a part of the program, or the program is too large.
     """
-    graph = lower(program, Builder(rules))
-    _inspect("lower", graph)
-    for each in PASSES if passes is None else passes:
-        graph = each(graph)
-        _inspect(each.__name__, graph)
+    *_, (_, graph) = stages(program, passes, rules)
     return graph
 
 
-def _inspect(name: str, graph: Graph) -> None:
+def _inspected(program: str, name: str, graph: Graph) -> Graph:
     """Print and verify the graph that a pass has made, if the environment variables are set."""
     if os.environ.get("EVO_CPG_SHOW_PASSES"):
-        print(f"--- {name}", show(graph), sep="\n", file=sys.stderr)
+        print(f"--- {program}: {name}", show(graph), sep="\n", file=sys.stderr)
     if os.environ.get("EVO_CPG_VERIFY_PASSES"):
         try:
             verify(graph)
         except InvalidGraph as error:
             raise InvalidGraph(f"{name}: {error}") from None
+    return graph
 
 
 def to_llvm(
@@ -96,14 +111,19 @@ def to_llvm(
     collects = gc.isenabled()
     gc.disable()
     try:
-        graph = optimize(program, passes, rules)
-        code = Allocator(graph, variant).allocated()
-        text, scratch = Printer(code).text()
+        return module_of(optimize(program, passes, rules), variant)
     finally:
         if collects:
             gc.enable()
+
+
+def module_of(graph: Graph, variant: Variant, timed: bool = False) -> Module:
+    """Return LLVM IR of a graph's code, which measures itself if ``timed``, and of its entry."""
+    code = Allocator(graph, variant).allocated()
+    printer = Printer(code, timed)
+    text, scratch = printer.text()
     entry = print_handler("handler", len(code.arguments), len(code.results))
     size = 8 * variant.target.bytes
     vector = f'"prefer-vector-width"="{size}" "min-legal-vector-width"="{size}"'
     text = f"{text}\n{entry}\nattributes #0 = {{ nounwind {vector} }}\n"
-    return Module(text, scratch, graph.operations)
+    return Module(text, scratch, graph.operations, code, printer.ticks)

@@ -68,6 +68,8 @@ class Node:
         number: order of creation. Operands come before their users.
         value: value of a constant, else None.
         detail: other data of the operation (a `GraphLoop`, the place of an input, an index).
+        part: name of the program within the program that the node comes from, and after a slash
+            the `jax.named_scope` in it.
     """
 
     op: str
@@ -78,6 +80,7 @@ class Node:
     number: float
     value: Any = None
     detail: Any = None
+    part: str = ""
 
     def __repr__(self) -> str:
         inside = self.value if self.value is not None else [o.number for o in self.operands]
@@ -120,11 +123,13 @@ class GraphPart(NamedTuple):
         arguments: first nodes of the part.
         results: last nodes of the part.
         reorder: whether the order of summation may change.
+        name: name of the part.
     """
 
     arguments: tuple[Node, ...]
     results: tuple[Node, ...]
     reorder: bool
+    name: str
 
 
 class GraphRun(NamedTuple):

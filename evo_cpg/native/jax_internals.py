@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.core
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir, partial_eval
 
 from evo_cpg.native.ir import Unsupported
@@ -187,6 +187,18 @@ def opened(closed: ClosedJaxpr) -> Jaxpr:
     """
     jaxpr = closed.jaxpr
     return jaxpr.replace(constvars=(), invars=[*jaxpr.constvars, *jaxpr.invars])
+
+
+def alone(jaxpr: Jaxpr, equation: Any) -> tuple[list[Any], Callable]:
+    """Return the variables that an equation of a program reads, and the equation as a function."""
+    read = list(dict.fromkeys(atom for atom in equation.invars if not isinstance(atom, Literal)))
+    own = jaxpr.replace(constvars=(), invars=read, outvars=equation.outvars, eqns=[equation])
+    return read, jaxpr_as_fun(ClosedJaxpr(own, []))
+
+
+def scope(equation: Any) -> str:
+    """Return the names of `jax.named_scope` around an equation, with slashes between them."""
+    return str(equation.source_info.name_stack)
 
 
 def scan_counts(params: dict[str, Any]) -> tuple[int, int]:

@@ -26,16 +26,32 @@ class Replacement(NamedTuple):
     number: float
 
 
-def rewrite(graph: Graph, changes: Mapping[Node, Replacement]) -> Graph:
-    """Return a graph in which some nodes and all uses of them are replaced."""
-    if not changes:
+class WrongOrder(ValueError):
+    """Raised if a pass could do nothing, because of the pass before it."""
+
+
+def rewrite(
+    graph: Graph, changes: Mapping[Node, Replacement], inserted: Sequence[Node] = ()
+) -> Graph:
+    """Return a graph in which some nodes and all uses of them are replaced.
+
+    Replacements and new nodes may use ``inserted`` nodes, whose numbers give their places among the
+    old nodes.
+
+    Raises:
+        WrongOrder: if the graph is scheduled, because its runs would keep the old nodes.
+    """
+    if graph.runs:
+        raise WrongOrder("a scheduled graph cannot be rewritten. Schedule after the other passes")
+    if not changes and not inserted:
         return graph
     new: dict[Node, Node] = {}
 
     def mapped(nodes: Iterable[Node]) -> tuple[Node, ...]:
         return tuple([new.get(node, node) for node in nodes])
 
-    nodes = sorted(graph.nodes, key=lambda node: changes.get(node, node).number)
+    every = [*graph.nodes, *inserted]
+    nodes = sorted(every, key=lambda node: changes.get(node, node).number)
     for i, node in enumerate(nodes):
         change = changes.get(node)
         op, operands, number = (node.op, node.operands, node.number) if change is None else change
@@ -56,14 +72,17 @@ def rewrite(graph: Graph, changes: Mapping[Node, Replacement]) -> Graph:
             )
         if changed:
             nodes[i] = new[node] = Node(
-                op, operands, node.dtype, node.block, node.uniform, number, None, detail
+                op, operands, node.dtype, node.block, node.uniform, number, None, detail, node.part
             )
     return dataclasses.replace(
         graph,
         results=tuple((buffer, mapped(rows)) for buffer, rows in graph.results),
         nodes=nodes,
         loops=dict(zip(graph.loops, mapped(graph.loops.values()), strict=True)),
-        parts=tuple(GraphPart(mapped(a), mapped(results), r) for a, results, r in graph.parts),
+        parts=tuple(
+            part._replace(arguments=mapped(part.arguments), results=mapped(part.results))
+            for part in graph.parts
+        ),
         kept=dict(zip(mapped(graph.kept), graph.kept.values(), strict=True)),
     )
 
@@ -84,7 +103,12 @@ def contract_multiply_adds(graph: Graph) -> Graph:
     | ``fma`` | a b + c |
     | ``fms`` | a b - c |
     | ``fnma`` | c - a b |
+
+    Raises:
+        WrongOrder: if the parts are not known, because another pass has removed dead code.
     """
+    if not graph.parts:
+        raise WrongOrder("sums are contracted part by part, before dead code is eliminated")
     changes: dict[Node, Replacement] = {}
     reached: set[Node] = set()
 
@@ -198,7 +222,13 @@ def _goes_with(operand: Node, node: Node) -> bool:
 
 
 def eliminate_dead_code(graph: Graph) -> Graph:
-    """Return the program with only the nodes and carried values that its results need."""
+    """Return the program with only the nodes and carried values that its results need.
+
+    Raises:
+        WrongOrder: if the graph is scheduled, because its runs would keep the dead code.
+    """
+    if graph.runs:
+        raise WrongOrder("dead code is eliminated before the schedule")
     needed: dict[Node, None] = {}
     kept: dict[Node, list[int]] = {}
     places: dict[Node, tuple[Node, int]] = {}

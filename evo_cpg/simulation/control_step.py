@@ -201,7 +201,7 @@ def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalSta
 
     ndim = state.position.ndim - 1
     strength, cosine, sine, depth = fuse(
-        read_built_in, state, constants.light, batch_ndim=ndim, name="sensors"
+        read_built_in, state, constants.light, batch_ndim=ndim, name="eyes and depth"
     )
     custom = None
     if simulation.extra_sensors:
@@ -213,7 +213,7 @@ def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalSta
             lambda force: body_loads(world, force),
             animal.forces.contact_force,
             batch_ndim=ndim,
-            name="sensors",
+            name="load sensors",
         )
     seen = strength, animal.pressure, cosine, sine, state.q, state.qd, depth, custom, load
     return Observation(*seen)
@@ -288,7 +288,7 @@ def move(
 
     pressure = animal.pressure
     if world.contact_model is not None and simulation.sensors.pressure_bodies:
-        pressure = fuse(touch, moved, ground_force, batch_ndim=len(batch), name="sensors")
+        pressure = fuse(touch, moved, ground_force, batch_ndim=len(batch), name="pressure sensors")
     kept = forces if animal.forces else None
     after = AnimalState(moved, animal.nerves, pressure, kept, warmstart)
     means = observation, command, forces, energy, airborne

@@ -96,7 +96,7 @@ class Judge(Observer):
 
         name = f"{type(simulation.task).__name__}.update"
         own = fuse(update, own, effects, constants.light, batch_ndim=ndim, name=name)
-        sane = fuse(is_sane, animal.state, batch_ndim=ndim)
+        sane = fuse(is_sane, animal.state, batch_ndim=ndim, name="divergence")
         if simulation.rules is not None:
             duration = 1 / simulation.control_rate
             given = simulation.rules, simulation.world

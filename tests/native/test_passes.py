@@ -434,8 +434,9 @@ def test_program_is_printed_after_each_pass(monkeypatch, capsys):
     monkeypatch.setenv("EVO_CPG_SHOW_PASSES", "1")
     optimize(traced(lambda x: x[0] * x[1] + x[2]))
     lowered, *_, scheduled = capsys.readouterr().err.split("--- ")[1:]
-    assert lowered.startswith("lower\nargument 0: float32[3]\n") and "mul" in lowered
-    last = ["%8: float32 = fma %1, %2, %3", "result 0: float32[1] = %8"]
+    name = "test_program_is_printed_after_each_pass.<locals>.<lambda>"
+    assert lowered.startswith(f"{name}: lower\nargument 0: float32[3]\n") and "mul" in lowered
+    last = [f"%8: float32 = fma %1, %2, %3  ; {name}", "result 0: float32[1] = %8"]
     assert scheduled.splitlines()[-2:] == last
 
 

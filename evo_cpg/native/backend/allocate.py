@@ -10,6 +10,7 @@ goes to memory that all vectors share.
 The result is a program in the types of `evo_cpg.native.backend.code`.
 """
 
+import collections
 import dataclasses
 
 import numpy as np
@@ -38,9 +39,10 @@ class Allocator:
 
     An unscheduled program keeps the order of its nodes.
 
-    ``steps`` belong to the current function, ``functions`` are the earlier functions of the current
-    stretch, and ``items`` are the code of the current block. ``registers`` and ``names`` hold the
-    places of the stretch's values. ``packed`` belongs to the current packed loop, if ``packing``.
+    ``part`` is the part of the program that the current code is for. ``steps`` belong to the
+    current function, ``functions`` are the earlier functions of the current stretch, and ``items``
+    are the code of the current block. ``registers`` and ``names`` hold the places of the stretch's
+    values. ``packed`` belongs to the current packed loop, if ``packing``.
     """
 
     def __init__(self, graph: Graph, variant: Variant):
@@ -58,6 +60,8 @@ class Allocator:
         self.tables: dict[Node, int | str] = {}
         self.constants: dict[str, np.ndarray] = {}
         self.count = 0
+        self.part = ""
+        self.spills: collections.Counter[str] = collections.Counter()
         # Places of values used across stretches, and of values spilled in the current stretch.
         self.slots: dict[Node, int] = {}
         self.spilled: dict[Node, int] = {}
@@ -85,7 +89,7 @@ class Allocator:
                 runs.append([node])
         for run in runs:
             size = self._row_bytes(run[0])
-            start = self.memory.reserve(size * len(run))
+            start = self.memory.reserve(size * len(run), run[0].part)
             self.slots.update((node, start + i * size) for i, node in enumerate(run))
             number, row = run[0].detail
             self._let(self.select.copy_row(run[0].dtype), f"%b{number}", row, size, start)
@@ -95,7 +99,7 @@ class Allocator:
         counters = [node for node in graph.nodes if node.op == "counter"]
         for node in [*carried, *counters, *across]:
             if node not in self.slots:
-                self.slots[node] = self.memory.reserve(self._row_bytes(node))
+                self.slots[node] = self.memory.reserve(self._row_bytes(node), node.part)
         self._block(graph.top, graph.result_nodes)
         for k, (buffer, nodes) in enumerate(graph.results):
             base = f"%b{len(graph.arguments) + k}"
@@ -107,6 +111,7 @@ class Allocator:
                 self._used()
                 self._cut()
         self._end()
+        self.registers.expect((), ())
         return code.Code(
             graph.arguments,
             tuple(buffer for buffer, _ in graph.results),
@@ -117,6 +122,8 @@ class Allocator:
             self.memory.size,
             self.memory.frame,
             self.grouped,
+            self.spills,
+            self.memory.places,
         )
 
     # Steps and stretches.
@@ -128,6 +135,7 @@ class Allocator:
         first = self.count + 1
         self.count += template.names
         self.lines += template.lines
+        self.parts[self.part] = self.parts.get(self.part, 0) + template.lines
         self.steps.append(code.Step(template, operands, first))
         if template.result:
             return f"%v{first + template.result - 1}"
@@ -137,6 +145,8 @@ class Allocator:
         """Begin an empty stretch."""
         self.steps: list[code.Step] = []
         self.lines = 0
+        # Lines of each part in the current function.
+        self.parts: dict[str, int] = {}
         # Names of values that LLVM finds registers for: truth values and uniform integers.
         self.names: dict[Node, str] = {}
         self.buffers: dict[str, None] = {}
@@ -149,15 +159,18 @@ class Allocator:
         """
         if self.lines >= machine_constants.LONGEST_FUNCTION:
             self._empty_registers()
-            self.functions.append(code.FunctionCode(self.steps, tuple(self.buffers)))
-            self.steps, self.lines = [], 0
+            self._end_function()
 
     def _end(self, result: str = "", kind: str = "void") -> None:
         """End the stretch."""
         if self.steps or result or self.functions:
-            self.functions.append(code.FunctionCode(self.steps, tuple(self.buffers)))
+            self._end_function()
             self.items.append(StretchCode(self.functions, result, kind))
-            self.steps, self.lines, self.functions = [], 0, []
+            self.functions = []
+
+    def _end_function(self) -> None:
+        self.functions.append(code.FunctionCode(self.steps, tuple(self.buffers), self.parts))
+        self.steps, self.lines, self.parts = [], 0, {}
 
     # Registers.
 
@@ -177,6 +190,7 @@ class Allocator:
             return
         self.spilled[node] = place = self.memory.borrow(self._row_bytes(node))
         self.buffers[FRAME] = None
+        self.spills[self.part] += 1
         self._let(self.select.store(node.dtype, node.uniform, FRAME), name, place - FRAME_ORIGIN)
 
     def _used(self) -> None:
@@ -217,6 +231,7 @@ class Allocator:
         """Load a value from memory and return its name."""
         if node in self.spilled:
             self.buffers[FRAME] = None
+            self.spills[self.part] += 1
             template = self.select.load(node.dtype, node.uniform, FRAME)
             name = self._let(template, self.spilled[node] - FRAME_ORIGIN)
         elif node.op == "input" and node not in self.slots:
@@ -264,6 +279,7 @@ class Allocator:
                 self.memory.release(self._row_bytes(node), place)
             self.spilled = {}
             for node in run:
+                self.part = node.part
                 self._operation(node)
                 self._used()
                 self._cut()
@@ -313,7 +329,7 @@ class Allocator:
             self.tables[node] = self.tables[node.operands[0]]
             return
         size, count, first = self._row_bytes(node), len(node.operands), node.operands[0]
-        start = self.tables[node] = self.memory.reserve(size * count)
+        start = self.tables[node] = self.memory.reserve(size * count, node.part)
         if node.op == "sums" and first.value is not None and {*node.operands} == {first}:
             to = self._address(start)
             self._let(self.select.fill(node.dtype), to, self._ref(first), count)
@@ -336,13 +352,15 @@ class Allocator:
     def _loop(self, node: Node, loop: GraphLoop) -> None:
         """Allocate a loop. Its carried values are in their slots."""
         kept, lists = self.graph.kept[node], self.lists[node]
+        self.part = node.part
         for k in kept:
             self._store(self._ref(node.operands[k]), loop.carried[k], self.slots[loop.carried[k]])
             self._used()
             self._cut()
             self.packed.written.add(loop.carried[k])
         for one in lists:
-            self.tables[one] = self.memory.reserve(self._row_bytes(one) * (loop.count or 1))
+            size = self._row_bytes(one) * (loop.count or 1)
+            self.tables[one] = self.memory.reserve(size, node.part)
             self.packed.written.add(one)
         self._end()
         self._begin()
@@ -409,7 +427,9 @@ class Allocator:
         assert condition is not None
         self._begin()
         self._block(loop.test, [condition])
-        return self._ref(condition)
+        name = self._ref(condition)
+        self._used()
+        return name
 
     def _round(self, node: Node, loop: GraphLoop) -> list[code.Item]:
         """Allocate a round of a loop and return its code."""
@@ -425,6 +445,7 @@ class Allocator:
         for k in kept:
             uses += [ends[k], *([] if condition is None else [loop.carried[k]])]
         self._block(loop.body, [*uses, *([] if condition is None else [condition])])
+        self.part = node.part
         for one, value in zip(lists, written, strict=True):
             assert loop.index is not None
             pointer = self._element(one, loop.index)
@@ -434,7 +455,7 @@ class Allocator:
         places = []
         for k in moved:
             one, value = loop.carried[k], self._unless_done(loop, k, self._ref(ends[k]))
-            places.append(self.memory.reserve(self._row_bytes(one)))
+            places.append(self.memory.reserve(self._row_bytes(one), node.part))
             self._store(value, one, places[-1])
             self._used()
         for k in kept:
@@ -445,6 +466,8 @@ class Allocator:
                 self._used()
             self._store(value, loop.carried[k], self.slots[loop.carried[k]])
             self._cut()
+        if condition is not None:
+            self._used()
         for k, place in zip(moved, places, strict=True):
             one = loop.carried[k]
             value = self._let(self.select.load(one.dtype, one.uniform, SCRATCH), place)

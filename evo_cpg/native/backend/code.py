@@ -79,10 +79,12 @@ class FunctionCode(NamedTuple):
     Attributes:
         steps: steps in order.
         buffers: pointers to arguments, results and shared memory that the steps use.
+        parts: number of lines of each part of the program, by name.
     """
 
     steps: Sequence[Step]
     buffers: tuple[str, ...]
+    parts: Mapping[str, int]
 
 
 class StretchCode(NamedTuple):
@@ -166,6 +168,9 @@ class Code:
         frame: bytes of memory that vectors share.
         grouped: whether several vectors run together, as a group
             (`evo_cpg.native.backend.packing`).
+        spills: number of stores and loads of values that left their registers within a stretch, by
+            the part of the program that they are for.
+        places: bytes of scratch memory of each part.
     """
 
     arguments: tuple[Buffer, ...]
@@ -177,3 +182,5 @@ class Code:
     size: int
     frame: int
     grouped: bool
+    spills: Mapping[str, int]
+    places: Mapping[str, int]

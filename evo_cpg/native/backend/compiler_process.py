@@ -7,7 +7,7 @@ code.
 
 | line | keys |
 |---|---|
-| request | ``processor``, ``features``, ``effort``, ``size`` of the text in bytes |
+| request | ``processor``, ``features``, ``effort``, ``assembly``, ``size`` of the text in bytes |
 | answer | ``size`` of the object code in bytes, or ``error`` |
 """
 
@@ -17,7 +17,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
@@ -37,12 +37,14 @@ class Request(NamedTuple):
         processor: LLVM's name of the processor.
         features: LLVM's list of processor features.
         effort: optimisation level, 0 to 3.
+        assembly: whether the answer is the text of the instructions instead of object code.
     """
 
     text: str
     processor: str
     features: str
     effort: int
+    assembly: bool = False
 
 
 def object_code(request: Request) -> bytes:
@@ -54,17 +56,17 @@ def object_code(request: Request) -> bytes:
     return _on_large_stack(lambda: _object_code(*request))
 
 
-def _object_code(text: str, *machine_of: Any) -> bytes:
+def _object_code(text: str, processor: str, features: str, effort: int, assembly: bool) -> bytes:
     import llvmlite.binding as llvm
 
-    machine = _machine(*machine_of)
+    machine = _machine(processor, features, effort)
     module = llvm.parse_assembly(text)
     # The order of instructions and the use of registers are fixed (`storage`). A search for a
     # better order takes longer than the rest of compilation. The option is global, so it is set
     # back afterwards.
     llvm.set_option("", "-enable-misched=false")
     try:
-        return machine.emit_object(module)
+        return machine.emit_assembly(module).encode() if assembly else machine.emit_object(module)
     finally:
         llvm.set_option("", "-enable-misched=true")
 

@@ -11,7 +11,7 @@ vector's width.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from evo_cpg.native import machine_constants
 from evo_cpg.native.backend.code import Code, Item, LoopCode, RowCopies, Step, StretchCode
@@ -34,10 +34,14 @@ class Printer:
 
     If vectors form groups, the driver calls a function for all vectors of a group. In a packed loop
     and in a branch per vector, ``grouped`` is false and each call is for one vector.
+
+    If ``timed``, the code adds the clock ticks of each function to the global ``@ticks``, and those
+    of the whole program as its first number. ``ticks`` are then the parts of each number.
     """
 
-    def __init__(self, code: Code):
-        self.code = code
+    def __init__(self, code: Code, timed: bool = False):
+        self.code, self.timed = code, timed
+        self.ticks: list[Mapping[str, int]] = []
         variant, size = code.variant, code.size
         # An odd number of cache lines for each vector. So equal places of different vectors are in
         # different cache sets.
@@ -57,6 +61,7 @@ class Printer:
 
     def text(self) -> tuple[str, int]:
         """Return the LLVM IR of the whole program, and its bytes of working memory."""
+        begin, end = self._clock({})
         self._items(self.code.items)
         vectors, width = self.group.vectors, self.group.width
         lines = [
@@ -82,6 +87,7 @@ class Printer:
         driver = [
             f"define internal void @program({self.buffers}ptr %scratch, i64 %n) #0 {{",
             "entry:",
+            *begin,
             # The shared memory begins after the scratch memory of all vectors.
             f"{FRAME} = getelementptr i8, ptr %scratch, i64 {self.own + FRAME_ORIGIN}",
             "br label %vector",
@@ -90,10 +96,11 @@ class Printer:
             *lines,
             "br i1 %more, label %vector, label %done",
             "done:",
+            *end,
             "ret void",
             "}",
         ]
-        tables = []
+        tables = [f"@ticks = global [{len(self.ticks)} x i64] zeroinitializer"] * self.timed
         for name, values in self.code.tables.items():
             dtype = values.dtype
             t = "i8" if dtype.kind == "b" else TYPES[dtype.char]
@@ -108,10 +115,12 @@ class Printer:
         result = ""
         for item in items:
             if isinstance(item, StretchCode):
-                *before, last = [
-                    (_lines(each.steps), each.buffers, "".join(f"ptr {b}, " for b in each.buffers))
-                    for each in item.functions
-                ]
+                functions = []
+                for steps, buffers, parts in item.functions:
+                    begin, end = self._clock(parts)
+                    lines = [*begin, *_lines(steps), *end]
+                    functions.append((lines, buffers, "".join(f"ptr {b}, " for b in buffers)))
+                *before, last = functions
                 lines, buffers, given = last
                 found, kind = item.result, item.kind
                 if before:
@@ -160,6 +169,21 @@ class Printer:
         return result
 
     # Functions.
+
+    def _clock(self, parts: Mapping[str, int]) -> tuple[list[str], list[str]]:
+        """Return the lines before and after code of some parts whose ticks are counted."""
+        if not self.timed:
+            return [], []
+        # Programs may not read the cycles of an ARM processor, but a slower clock.
+        clock = "steady" if self.code.variant.target.name == "neon" else "cycle"
+        now = f"call i64 @llvm.read{clock}counter()"
+        self.ticks.append(parts)
+        return [f"%clock.begin = {now}"], [
+            f"%clock.end = {now}",
+            "%clock.took = sub i64 %clock.end, %clock.begin",
+            f"%clock.place = getelementptr i64, ptr @ticks, i64 {len(self.ticks) - 1}",
+            "%clock.old = atomicrmw add ptr %clock.place, i64 %clock.took monotonic",
+        ]
 
     def _function(
         self, lines: Sequence[str], buffers: Sequence[str], result: str = "", kind: str = "void"

@@ -20,7 +20,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from evo_cpg.files import in_one_piece
 from evo_cpg.native import machine_constants
@@ -122,9 +122,16 @@ def load(text: str, target: Target) -> tuple[str, int]:
                     file.write_bytes(code + hashlib.sha256(code).digest())
         builder = _llvm().JITLibraryBuilder()
         builder.add_object_img(code).add_current_process().export_symbol("handler")
+        if text.startswith("@ticks"):
+            builder.export_symbol("ticks")
         tracker = builder.link(_linker(), name)
         _loaded[name] = tracker["handler"], len(code), tracker
     return name, _loaded[name][0]
+
+
+def address_of_ticks(name: str) -> int:
+    """Return the address of the clock ticks of a loaded module (`llvm.Printer`)."""
+    return cast(Any, _loaded[name][2])["ticks"]
 
 
 @functools.cache

@@ -77,17 +77,20 @@ class MemoryMap:
 
     Attributes:
         size: bytes of scratch memory of each vector.
+        places: bytes of it for each part of the program, by name.
         frame: bytes of shared memory. Vectors use it in turn, so that it stays in the cache.
     """
 
     def __init__(self):
         self._free: dict[int, list[int]] = {}
         self.size = self.frame = 0
+        self.places: dict[str, int] = {}
 
-    def reserve(self, size: int) -> int:
-        """Return a permanent place in scratch memory."""
+    def reserve(self, size: int, part: str) -> int:
+        """Return a permanent place in scratch memory, for a part of the program."""
         place = self.size
         self.size += _whole_lines(size)
+        self.places[part] = self.places.get(part, 0) + self.size - place
         return place
 
     def borrow(self, size: int) -> int:
@@ -141,6 +144,10 @@ class Registers:
             nodes: nodes that will be computed, in order.
             result_nodes: nodes that will be used after these, in order.
         """
+        # A missing call of `pass_on` would have kept values in the registers for too long.
+        assert self._now == len(self._steps), (
+            f"{self._now} of {len(self._steps)} expected uses came"
+        )
         self.names, self._next_use, self.uses, self._now = {}, {}, {}, 0
         self._steps = [tuple(dict.fromkeys(map(resolve, node.operands))) for node in nodes]
         self._steps += [(resolve(node),) for node in result_nodes]

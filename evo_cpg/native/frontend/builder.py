@@ -39,11 +39,13 @@ class Builder:
         top: block of the whole program.
         block: block in which loops are currently made.
         active: node that is true for individuals that run the block, or None if all individuals do.
+        part: name of the part whose nodes are currently made.
     """
 
     def __init__(self, rules: Mapping[str, Sequence[RewriteRule]] = RULES):
         self.top = self.block = GraphBlock()
         self.active: Node | None = None
+        self.part = ""
         self._rules = {op: [rule.apply for rule in each] for op, each in rules.items()}
         self._arguments: list[Buffer] = []
         self._made: list[Node] = []
@@ -89,7 +91,7 @@ class Builder:
         self, arguments: Iterable[Node], results: Iterable[Node], reorder: bool = True
     ) -> int:
         """End a program within the program (`GraphPart`) and return its number."""
-        self._parts.append(GraphPart(tuple(arguments), tuple(results), reorder))
+        self._parts.append(GraphPart(tuple(arguments), tuple(results), reorder, self.part))
         self._nodes = self._outside.pop()
         return len(self._parts) - 1
 
@@ -262,7 +264,8 @@ class Builder:
         detail: Any = None,
     ) -> Node:
         """Return a new node in any case."""
-        node = Node(op, operands, dtype, block, uniform, len(self._made) + 1, value, detail)
+        number = len(self._made) + 1
+        node = Node(op, operands, dtype, block, uniform, number, value, detail, self.part)
         self._made.append(node)
         return node
 

@@ -56,12 +56,14 @@ def trace_program(builder: Builder, program: Program, inputs: Sequence[np.ndarra
     trial. The shared arguments come first.
     """
     builder.begin_part()
+    around, builder.part = builder.part, program.name
     inside = [elementwise(functools.partial(builder.alias, "opaque"), x) for x in inputs]
     given = iter(inside[: program.shared])
     consts = [next(given) if own is None else constants(builder, own) for own in program.constants]
     results = trace(builder, program.jaxpr, [*consts, *inside[program.shared :]])
     results = [as_nodes(builder, x) for x in results]
     part = builder.end_part(all_nodes(inputs), all_nodes(results))
+    builder.part = around
     hide = functools.partial(builder.alias, "opaque", part=part)
     return [elementwise(hide, x) for x in results]
 
@@ -94,7 +96,10 @@ def trace(
         """Trace a program within a loop or a branch, whose results must be nodes."""
         return [as_nodes(builder, x) for x in trace(*args)]
 
+    around = builder.part
     for equation in program.eqns:
+        scope = internals.scope(equation)
+        builder.part = f"{around}/{scope}" if scope else around
         operands = [read(atom) for atom in equation.invars]
         name, params = equation.primitive.name, equation.params
         if name != "scan" and name not in _CALLS:
@@ -123,6 +128,7 @@ def trace(
         else:
             raise Unsupported(f"no rule for {name}")
         known.update(zip(equation.outvars, results, strict=True))
+    builder.part = around
     return [read(atom) for atom in program.outvars]
 
 

@@ -15,6 +15,7 @@ Its root is found by regula falsi with the Illinois rule.
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -91,9 +92,11 @@ def damped_step(
     The line leads from the accelerations ``start`` to those under the laws linearized there. If the
     potential hardly decreases along the line, its end is returned without a search.
     """
-    velocity = problem.velocity(start)
-    linear = problem.linearized(radius, start[JOINTS], velocity)
-    direction, h = problem.motion(linear) - start, problem.h
+    velocity, h = problem.velocity(start), problem.h
+    with jax.named_scope("linearized laws"):
+        linear = problem.linearized(radius, start[JOINTS], velocity)
+    with jax.named_scope("linear equations"):
+        direction = problem.motion(linear) - start
     # If the potential falls more slowly than this (W per length), rounding would determine the
     # step's length.
     tolerance, _ = tolerances(start)
@@ -159,5 +162,6 @@ def damped_step(
         evaluations=none,
         pair_sums=end_sums,
     )
-    last = while_each(unfinished, narrowed, first)
+    with jax.named_scope("line"):
+        last = while_each(unfinished, narrowed, first)
     return Iterate(*at(last.length), last.pair_sums)

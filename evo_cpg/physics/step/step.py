@@ -96,7 +96,7 @@ def step(
     if not isinstance(command, MotorCommand):
         command = MotorCommand(command)
     given = state, command, warmstart, friction_scale
-    return fuse(run, *given, batch_ndim=state.q.ndim - 1)
+    return fuse(run, *given, batch_ndim=state.q.ndim - 1, name="a physics step")
 
 
 def first_warmstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmstart | None:

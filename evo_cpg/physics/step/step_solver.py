@@ -79,14 +79,15 @@ def solve_step(
     Steps with neither are solved at once, joint limits included (`equations.solve_at_once`).
     """
     equations = prepare(world, h, state, command)
-    problem = StepProblem.of(world, h, equations)
-    # The velocity products are means over the start and the end of the free motion. Individuals
-    # whose free motion is wrong keep the initial ones.
-    free = free_motion(problem)
-    later = with_mean_products(world, h, equations, free[ROOT], free[JOINTS])
-    unlike = problem.needs_contact_or_other_limits(free)
-    bias = where_each(unlike, equations.bias, later.bias)
-    problem = StepProblem.of(world, h, equations._replace(bias=bias))
+    with jax.named_scope("free motion"):
+        problem = StepProblem.of(world, h, equations)
+        # The velocity products are means over the start and the end of the free motion. Individuals
+        # whose free motion is wrong keep the initial ones.
+        free = free_motion(problem)
+        later = with_mean_products(world, h, equations, free[ROOT], free[JOINTS])
+        unlike = problem.needs_contact_or_other_limits(free)
+        bias = where_each(unlike, equations.bias, later.bias)
+        problem = StepProblem.of(world, h, equations._replace(bias=bias))
     batch = state.q.shape[1:]
     if warmstart is None:
         warmstart = coldstart(world, batch, state.q.dtype)
@@ -94,12 +95,13 @@ def solve_step(
     first = start.motion(start.linearized(radius, warmstart.qdd, warmstart.velocity))
     visited, none = Visited.first(problem, first), jnp.zeros(batch, jnp.int32)
     template = SearchRecord(visited.cones, visited.biases, jnp.ones(batch, state.q.dtype), none)
-    answer = implicit(
-        functools.partial(_solve, problem, radius),
-        functools.partial(replay, problem, radius),
-        first,
-        template,
-    )
+    with jax.named_scope("search"):
+        answer = implicit(
+            functools.partial(_solve, problem, radius),
+            functools.partial(replay, problem, radius),
+            first,
+            template,
+        )
     # The forces of the laws at the solution.
     end, y, radius = problem.under(answer.restitution, answer.bias), answer.y, answer.radius
     qdd, velocity = y[JOINTS], end.velocity(y)

@@ -20,8 +20,9 @@ from evo_cpg.native.ir import (
 def show(graph: Graph) -> str:
     """Return a program as text.
 
-    A line has the number of a node, its type (with ``u`` if it is uniform), its operation, and the
-    numbers of its operands. The blocks of a loop are indented. Only computed nodes are shown.
+    A line has the number of a node, its type (with ``u`` if it is uniform), its operation, the
+    numbers of its operands, and the part that it comes from. The blocks of a loop are indented.
+    Only computed nodes are shown.
     """
     runs = graph.runs or runs_of(graph)
     lines = [
@@ -29,7 +30,9 @@ def show(graph: Graph) -> str:
         for k, each in enumerate(graph.arguments)
     ]
     lines += _block_lines(graph, runs, graph.top)
-    lines += [f"part {k}: {_names(part.results)}" for k, part in enumerate(graph.parts)]
+    lines += [
+        f"part {k}, {part.name}: {_names(part.results)}" for k, part in enumerate(graph.parts)
+    ]
     for k, (buffer, nodes) in enumerate(graph.results):
         lines.append(f"result {k}: {buffer.dtype}[{buffer.rows}] = {_names(nodes)}")
     return "\n".join(lines)
@@ -44,7 +47,8 @@ def _block_lines(
             if isinstance(node.detail, bytes):
                 detail = f" {np.frombuffer(node.detail, node.dtype).tolist()}"
             kind = f"{node.dtype}{' u' if node.uniform else ''}"
-            yield f"{_names([node])}: {kind} = {node.op} {_names(node.operands)}{detail}".rstrip()
+            made = f"{_names([node])}: {kind} = {node.op} {_names(node.operands)}{detail}".rstrip()
+            yield f"{made}  ; {node.part}" if node.part else made
         if run.loop is None:
             continue
         loop, kept = run.loop.detail, graph.kept.get(run.loop, ())
