@@ -14,7 +14,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
 from evo_cpg.native import jax_internals as internals
-from evo_cpg.native.frontend.primitives import Program, equations, fused_p, plain
+from evo_cpg.native.frontend.primitives import Program, equations, fused_p
 
 Arrays = list[np.ndarray]
 
@@ -66,7 +66,7 @@ def _holds_parts(equation: Any) -> bool:
 def calls_of(program: Program, inputs: Arrays) -> list[tuple[TrialPart, Call]]:
     """Return a program and its parts, each with its last call, by plain JAX."""
     recorder = _Recorder()
-    recorder.part(program, inputs, inputs[0].shape[-1:])
+    recorder.part(program, inputs)
     calls = zip(parts_of(program), recorder.calls.values(), strict=True)
     return [(part._replace(program=own), call) for part, (own, call) in calls]
 
@@ -82,14 +82,12 @@ class _Recorder:
         self._traced: dict[int, tuple[ClosedJaxpr, Any]] = {}
         self.calls: dict[int, Any] = {}
 
-    def part(
-        self, program: Program, inputs: Sequence[Any], batch: tuple[int, ...], key: int = 0
-    ) -> Sequence[Any]:
+    def part(self, program: Program, inputs: Sequence[Any], key: int = 0) -> Sequence[Any]:
         """Return the results of a part, which an equation of the number ``key`` calls."""
         # An outer part has its place before its inner parts.
         self.calls.setdefault(key)
         if key not in self._traced:
-            closed = jax.make_jaxpr(plain(program, batch))(*inputs)
+            closed = jax.make_jaxpr(program)(*inputs)
             self._traced[key] = closed, internals.quick_jit(jaxpr_as_fun(closed))
         closed, compiled = self._traced[key]
         is_outer = any(map(_holds_parts, closed.jaxpr.eqns))
@@ -110,7 +108,7 @@ class _Recorder:
         for equation in jaxpr.eqns:
             params, operands = equation.params, [read(atom) for atom in equation.invars]
             if equation.primitive is fused_p:
-                found = self.part(params["program"], operands, params["batch"], id(equation))
+                found = self.part(params["program"], operands, id(equation))
             elif _holds_parts(equation):
                 found = self._scan(params, operands)
             else:
