@@ -82,7 +82,7 @@ values that are used again go through memory."""
 
 MANY_OPERATIONS = 400_000
 """A limit: operations of a program above which its size is reported, because compiling takes half a
-minute. No shipped animal has more, and its gradient has none either."""
+minute. No shipped animal has more."""
 
 MOST_OPERATIONS = 600_000
 """A limit: operations of a program. A larger one would take minutes and much memory to compile."""
