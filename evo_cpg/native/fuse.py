@@ -7,6 +7,7 @@
 | `implicit` | differentiate the result of a search by the implicit function theorem |
 | `solve_symmetric` | solve linear equations with a symmetric positive definite matrix |
 | `self_adjoint` | evaluate a linear function that is its own transpose |
+| `unset` | begin a list that a loop fills |
 | `symmetric` | say that a matrix is symmetric, so that half of it costs nothing |
 
 XLA:CPU makes a kernel of every small matrix product of an articulated body. Memory traffic and the
@@ -37,6 +38,7 @@ from evo_cpg.native.frontend.primitives import (
     is_tracing,
     linear_map,
     traced,
+    unset_p,
 )
 from evo_cpg.native.ir import Unsupported
 from evo_cpg.native.stopwatch import counted
@@ -133,6 +135,19 @@ def self_adjoint(run: Callable[[Value, jax.Array], jax.Array], fixed: Value, x: 
         return [run(structure.unflatten(leaves), *x)]
 
     return linear_map(flat, flat, leaves, [x], [x])[0]
+
+
+def unset(shape: tuple[int, ...], like: jax.Array) -> jax.Array:
+    """Return an array of zeros with the type of ``like``, for a loop that sets elements in turn.
+
+    Native code does not clear its memory, so elements must not be read before they are set. In a
+    derivative they are zeros, because it may multiply such an element by 0.
+
+    Args:
+        shape: shape of the array.
+        like: an array that has a tangent if anything has.
+    """
+    return unset_p.bind(like, shape=shape)[0]
 
 
 def while_each(

@@ -176,7 +176,7 @@ class Graph:
         return sum(len(run.nodes) + (run.loop is not None) for run in runs)
 
     def around(self, node: Node) -> list[Node]:
-        """Return the loops around a node that adds to sums, up to the block of the sums."""
+        """Return the loops around a node that writes to sums, up to the block of the sums."""
         found, block, memory = [], node.block, node.operands[-1]
         while block is not memory.block:
             assert block.parent is not None
@@ -288,7 +288,8 @@ OPERATIONS: dict[str, Operation] = {
     # Multiply-adds: x y + z, x y - z, z - x y.
     **dict.fromkeys(("fma", "fms", "fnma"), Operation("f f f -> f")),
     # Inputs of a block.
-    "constant": Operation("-> *"),
+    # The detail is true for an element of an `unset` array.
+    "constant": Operation("-> *", bool | None),
     "input": Operation("-> *", tuple),
     "carried": Operation("-> *"),
     "counter": Operation("-> k"),
@@ -301,7 +302,9 @@ OPERATIONS: dict[str, Operation] = {
     "solve": Operation("f... -> f", int),
     "sums": Operation("n... -> n"),
     "totals": Operation("n... -> n"),
-    "accumulate": Operation("k n n -> n"),
+    # Some numbers for places from an index on, for individuals with the flag. The detail is their
+    # count, and whether they are added.
+    "write": Operation("k b n... -> n", tuple),
     "lookup": Operation("a k -> a"),
     # Loops. A list holds the values that each round has written.
     "loop": Operation("*... -> b", GraphLoop),

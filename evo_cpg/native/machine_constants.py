@@ -68,8 +68,7 @@ individual (`evo_cpg.native.backend.packing`)."""
 LARGEST_GROUP = 5 * 2**20
 """Fitted, bytes: memory of the vectors that run together. Fewer vectors run together if their
 memory is larger. 16 vectors of the quadruped have 1.4 MB and take 0.91 times as long as groups of
-4. 16 vectors of the humanoid of gymnasium have 12 MB and take 1.15 times as long as groups of 4,
-and 1.13 times as long as groups of 6."""
+4. For the humanoid of gymnasium, groups of 3 to 16 vectors take equally long."""
 
 LARGEST_RESIDUALS = 256 * 2**20
 """Fitted, bytes: memory on a device for intermediate results of all control steps of a trial, for

@@ -144,7 +144,7 @@ def _uses_in_part(graph: Graph, result_nodes: Iterable[Node]) -> dict[Node, Sequ
             fresh = node.detail not in entered
             uses = graph.parts[node.detail].arguments if fresh else ()
             entered.add(node.detail)
-        elif node.op == "accumulate":
+        elif node.op == "write":
             uses = (*node.operands, *graph.around(node))
         elif node.op == "loop":
             loop = node.detail
@@ -259,7 +259,7 @@ def eliminate_dead_code(graph: Graph) -> Graph:
             waiting += [loop, loop.detail.written[node.detail], loop.detail.index]
         else:
             waiting += node.operands
-            if node.op == "accumulate":
+            if node.op == "write":
                 # The loops around it must run even if they carry no needed value.
                 for loop in graph.around(node):
                     open_loop(loop)

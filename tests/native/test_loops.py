@@ -6,14 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from against_jax import assert_agrees, fused, sample
+from against_jax import assert_agrees, fused, sample, with_instructions
 from jax import lax
 from jax.test_util import check_grads
 
 from evo_cpg.native import machine_constants
 from evo_cpg.native.frontend.builder import Builder
 from evo_cpg.native.frontend.lower import trace
-from evo_cpg.native.fuse import fuse, implicit, while_each
+from evo_cpg.native.fuse import fuse, implicit, unset, while_each
 from evo_cpg.native.passes import eliminate_dead_code, schedule
 
 COUNTS = [1, 2, 5, 16, 19]
@@ -471,14 +471,96 @@ def test_derivatives_of_branches_and_sums_agree_with_jax():
     np.testing.assert_allclose(got, expected, rtol=1e-3, atol=1e-3)
 
 
-def test_sums_at_places_of_each_individual_run_on_jax():
-    def function(x):
-        own = jnp.clip(jnp.floor(5 * x[0]), 0, 9).astype(jnp.int32)
+INSTRUCTIONS = ["avx512", "avx2", "sse"]
 
-        def turn(total, k):
-            return total.at[own].add(x[1], mode="promise_in_bounds"), None
 
-        return lax.scan(turn, jnp.zeros(10, x.dtype), jnp.arange(4))[0]
+def histogram(x, mode="drop"):
+    """Add twice to a place of each individual, which may lie outside the array."""
+    own = jnp.floor(4 * x[0]).astype(jnp.int32)
 
-    with pytest.warns(UserWarning, match="no rule for adding to places that differ"):
-        assert_agrees(function, sample((3, 21)))
+    def turn(total, k):
+        total = total.at[jnp.stack([own, own])].add(k * x[:2], mode=mode)
+        return total.at[own + k.astype(jnp.int32) % 3].add(x[1], mode=mode), None
+
+    return lax.scan(turn, jnp.full(8, 0.5, x.dtype), jnp.arange(5, dtype=x.dtype))[0]
+
+
+def chosen(x):
+    """List the positive numbers of each individual, and sum their squares until they are large."""
+
+    def append(carry, k):
+        rows, count = carry
+        place = jnp.where(x[k] > 0, count, 9)
+        rows = rows.at[place].set(jnp.stack([x[k], x[k] * x[0]]), mode="drop")
+        return (rows, count + (x[k] > 0)), None
+
+    start = unset((9, 2), x), jnp.int32(0)
+    (rows, count), _ = lax.scan(append, start, jnp.arange(9))
+
+    def total(y):
+        def add(sums, k):
+            square = (y * rows[k] ** 2).sum()
+            return lax.cond(k < count, lambda s: s + square, lambda s: s, sums), None
+
+        return lax.scan(add, 0 * y, jnp.arange(9))[0]
+
+    larger = lax.while_loop(lambda y: (y > 0) & (y < 9), lambda y: y + 0.1 + total(y), x[1])
+    return larger, total(x[2]), count
+
+
+def histogram_in_packed_loop(x):
+    """Individuals that have finished add nothing."""
+
+    def advance(state):
+        y, rounds = state
+        return y + 0.01 * histogram(y)[:3], rounds + 1
+
+    return lax.while_loop(lambda s: s[1] < 1 + jnp.floor(3 * s[0][2]), advance, (x, 0.0))
+
+
+@pytest.mark.parametrize("instructions", INSTRUCTIONS)
+@pytest.mark.parametrize(
+    ("function", "rows", "count"),
+    [(histogram, 3, 1), (histogram, 3, 37), (chosen, 9, 301), (histogram_in_packed_loop, 3, 301)],
+)
+def test_each_individual_writes_to_its_own_places(function, rows, count, instructions):
+    def check():
+        assert_agrees(lambda x: function(x), sample((rows, count)), rtol=1e-4, atol=1e-4)
+
+    with_instructions(instructions, check)
+
+
+@pytest.mark.parametrize("instructions", INSTRUCTIONS)
+def test_broken_promises_write_within_the_array(instructions):
+    """A place outside the array is clamped, although the program promises that there is none."""
+    x = 1e6 * sample((3, 40))
+
+    def check():
+        run = functools.partial(histogram, mode="promise_in_bounds")
+        (got,) = fused(run, x)
+        np.testing.assert_array_equal(got[1:-1], 0.5)
+
+    with_instructions(instructions, check)
+
+
+@pytest.mark.parametrize("function", [histogram, lambda x: chosen(x)[1]])
+def test_derivatives_of_own_places_agree_with_jax(function):
+    x = sample((9, 21))
+
+    def derivative(run):
+        return jax.grad(lambda x: (run(x) ** 2).sum())
+
+    got = jax.jit(derivative(lambda x: fuse(function, x, batch_ndim=1)))(x)
+    expected = jax.jit(derivative(jax.vmap(function, -1, -1)))(x)
+    np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-4)
+    if function is histogram:
+        # The derivative of sums is a native program itself.
+        assert_agrees(derivative(function), x, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("instructions", ["avx512", "avx2"])
+def test_own_places_have_the_same_bits(instructions):
+    x = sample((3, 300))
+    (expected,) = with_instructions("host", lambda: fused(lambda x: histogram(x), x))
+    (got,) = with_instructions(instructions, lambda: fused(lambda x: histogram(x), x))
+    np.testing.assert_array_equal(got, expected)

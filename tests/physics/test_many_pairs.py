@@ -114,8 +114,13 @@ def test_loops_measure_the_same_gaps(x64, loops, shape):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
-def test_points_that_are_not_watched_exert_no_force(x64, loops):
-    """Points that are not watched in a step are too far away to touch, at any reachable rate."""
+def listed_points(contacts):
+    """Return 1 for each point that an individual lists."""
+    return contacts.of_points(lambda _: 1.0)
+
+
+def test_points_that_are_not_listed_exert_no_force(x64, loops):
+    """Points that are not listed in a step are too far away to touch, at any reachable rate."""
     world, state = clapping("capsules", "z")
     tree, pairs = world.tree, world.pairs
     state = dataclasses.replace(state, qd=8.0 * state.qd)
@@ -123,15 +128,13 @@ def test_points_that_are_not_watched_exert_no_force(x64, loops):
     def watch(state):
         kin = kinematics(tree, state)
         contacts = ManyPairContacts(tree, pairs, kin, state.qd, H)
-        return separations(pairs, kin).gap, jnp.concatenate(
-            [run.points.watched for run in contacts.runs]
-        )
+        return separations(pairs, kin).gap, listed_points(contacts)
 
     loops(True)
     watched = np.asarray(jax.jit(watch)(state)[1])
     later = dataclasses.replace(state, q=state.q + H * state.qd)
     gap_later = np.asarray(jax.jit(watch)(later)[0])
-    # A further point may appear, but one point of the pair is watched.
+    # A further point may appear, but one point of the pair is listed.
     owners = list(zip(*pairs.owners, strict=True))
     points = [[k for k, own in enumerate(owners) if own == pair] for pair in sorted(set(owners))]
     comes = np.array([gap_later[own].min(0) < 0 for own in points])
@@ -142,7 +145,7 @@ def test_points_that_are_not_watched_exert_no_force(x64, loops):
 
 @pytest.mark.slow
 def test_points_that_are_left_out_change_no_bit(loops, monkeypatch):
-    """Sums over the watched points equal sums over all points, one by one."""
+    """Sums over the listed points equal sums over all points."""
     world, state = clapping("capsules", "z", jnp.float32)
     tree, pairs = world.tree, world.pairs
     loops(True)
@@ -153,24 +156,36 @@ def test_points_that_are_left_out_change_no_bit(loops, monkeypatch):
             kin = kinematics(tree, state)
             contacts = ManyPairContacts(tree, pairs, kin, state.qd, H)
             forces, again = (contacts.at(jnp.zeros_like(state.q)) for _ in range(2))
-            watched = jnp.concatenate([run.points.watched for run in contacts.runs])
             matrix = forces.newton()
-            return watched, matrix, forces.sums, again.sums
+            return listed_points(contacts), matrix, forces.sums, again.sums
 
         return quick_jit(evaluate)(state)
 
-    watched, *found = evaluated()
+    listed, *found = evaluated()
     monkeypatch.setattr(many_pairs, "_MARGIN", 1e6)
     monkeypatch.setattr(many_pairs, "_TOGETHER", 1)
     everything, *expected = evaluated()
-    assert len(watched) % 5, "the test needs an incomplete group"
+    assert len(listed) % 5, "the test needs an incomplete group"
     # The second point of a pair need not exist.
-    assert everything.sum() > 1.5 * watched.sum() and (found[-1].load > 0).sum() >= 5
+    assert everything.sum() > 1.5 * listed.sum() and (found[-1].load > 0).sum() >= 5
     jax.tree.map(np.testing.assert_array_equal, found, expected)
     _, with_matrix, alone = found
     np.testing.assert_allclose(with_matrix.load, alone.load, rtol=1e-6)
     scale = np.abs(alone.torque).max()
     np.testing.assert_allclose(with_matrix.torque, alone.torque, rtol=0, atol=1e-6 * scale)
+
+
+@pytest.mark.slow
+def test_neighbours_change_no_bit_of_a_step(loops):
+    """The lists of other individuals in a vector may be longer or shorter."""
+    world, state = clapping("capsules", "yz", jnp.float32)
+    loops(True)
+    together, effort = one_step(world, state)
+    assert len(np.unique((np.asarray(effort.pair_force) > 0).sum(0))) > 1
+    order = np.random.default_rng(0).permutation(COUNT)[:17]
+    some, its_effort = one_step(world, jax.tree.map(lambda x: x[..., order], state))
+    np.testing.assert_array_equal(some.qd, together.qd[:, order])
+    np.testing.assert_array_equal(its_effort.pair_force, effort.pair_force[:, order])
 
 
 def snake(count):

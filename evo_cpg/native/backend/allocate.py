@@ -18,11 +18,12 @@ import numpy as np
 from evo_cpg.native import machine_constants
 from evo_cpg.native.backend import code
 from evo_cpg.native.backend.code import Slot, StretchCode, Template, Variant
+from evo_cpg.native.backend.operations import suffix
 from evo_cpg.native.backend.select import FRAME, SCRATCH, Selector
 from evo_cpg.native.backend.storage import FRAME_ORIGIN, MemoryMap, Registers, live_across
 from evo_cpg.native.ir import Graph, GraphBlock, GraphLoop, Node, home, resolve, row_count, runs_of
 
-_BOOL = np.dtype(bool)
+_BOOL, _INDEX = np.dtype(bool), np.dtype(np.int32)
 
 
 @dataclasses.dataclass
@@ -59,6 +60,8 @@ class Allocator:
         self.memory = MemoryMap()
         self.tables: dict[Node, int | str] = {}
         self.constants: dict[str, np.ndarray] = {}
+        # Places of the number of rows in use, of tables that are not written at their start.
+        self.extents: dict[Node, int] = {}
         self.count = 0
         self.part = ""
         self.spills: collections.Counter[str] = collections.Counter()
@@ -255,13 +258,6 @@ class Allocator:
     def _address(self, place: int) -> str:
         return self._let(f"getelementptr i8, ptr {SCRATCH}, i64 {{0}}", place)
 
-    def _element(self, table: Node, index: Node) -> str:
-        """Return the address of a table's number at an index that all individuals share."""
-        start = self.tables[table]
-        assert isinstance(start, int)
-        steps = self._let("mul i32 {0}, {1}", self._ref(index, True), self._row_bytes(table))
-        return self._let("getelementptr i8, ptr {0}, i32 {1}", self._address(start), steps)
-
     # Code without branches.
 
     def _block(self, block: GraphBlock, result_nodes: list[Node]) -> None:
@@ -292,24 +288,15 @@ class Allocator:
         if node.op in ("constants", "rows", "solve", "sums", "totals"):
             self._table(node)
             return
-        if node.op == "accumulate":
-            # Add a value to the number at an index of an array in memory.
-            index, value, memory = node.operands
-            pointer = self._element(memory, index)
-            before = self._let(self.select.load(node.dtype, False, ""), pointer)
-            word = "fadd" if node.dtype.kind == "f" else "add"
-            t = self.select.type_of(node.dtype, False)
-            total = self._let(f"{word} {t} {{0}}, {{1}}", before, self._ref(value))
-            self._let(self.select.store(node.dtype, False, ""), total, pointer)
+        if node.op == "write":
+            self._write(node)
             return
         if node.op == "lookup":
             table, index = node.operands
-            where = self.tables[table]
             self.packed.tables[table] = None
-            base = where if isinstance(where, str) else self._address(where)
-            place = self._ref(index, index.uniform)
             shared = table.op == "constants" or table.uniform
-            name = self._let(self.select.look_up(node.dtype, shared, index.uniform), base, place)
+            template = self.select.read(node.dtype, shared, index.uniform)
+            name = self._let(template, self._places(table, index))
         else:
             operands = [self._ref(one, node.uniform) for one in node.operands]
             name = self._let(self.select.operation(node), *operands)
@@ -317,6 +304,37 @@ class Allocator:
         if node in self.slots:
             self._store(name, node, self.slots[node])
             self.packed.written.add(node)
+
+    def _places(self, table: Node, index: Node) -> str:
+        """Return the address of a table's number at an index, or each individual's address."""
+        where = self.tables[table]
+        base = where if isinstance(where, str) else self._address(where)
+        shared = table.op == "constants" or table.uniform
+        template = self.select.places(table.dtype, shared, index.uniform)
+        return self._let(template, base, self._ref(index, index.uniform))
+
+    def _write(self, node: Node) -> None:
+        """Write to the numbers of a table from an index on, for individuals with a flag."""
+        (index, valid, *_), memory, (count, adds) = node.operands, node.operands[-1], node.detail
+        places, going = self._places(memory, index), self._ref(valid)
+        one, known = index.uniform or self.width == 1, valid.value is not None
+        step = f"getelementptr i8, {'ptr' if one else f'<{self.width} x ptr>'} {{0}}, i64 {{1}}"
+        template = self.select.write(node.dtype, (one, adds, known))
+        for k, value in enumerate(node.operands[2 : 2 + count]):
+            own = self._let(step, places, k * self._row_bytes(memory))
+            self._let(template, self._ref(value), own, going)
+        if memory in self.extents:
+            self._extend(self.extents[memory], index, count, going)
+
+    def _extend(self, slot: int, index: Node, count: int, going: str) -> None:
+        """Note that a table has rows up to an index and some more, for individuals with a flag."""
+        t, flags = (self.select.type_of(each, False) for each in (_INDEX, _BOOL))
+        none, size = (self.select.literal(x, _INDEX, False) for x in (0, count))
+        end = self._let(f"add {t} {{0}}, {{1}}", self._ref(index), size)
+        end = self._let(f"select {flags} {{0}}, {t} {{1}}, {t} {{2}}", going, end, none)
+        last = self._let(self.select.load(_INDEX, False, SCRATCH), slot)
+        last = self._let(f"call {t} @llvm.umax.{suffix(t)}({t} {{0}}, {t} {{1}})", last, end)
+        self._let(self.select.store(_INDEX, False, SCRATCH), last, slot)
 
     def _table(self, node: Node) -> None:
         """Give a table its place, and write its numbers to memory."""
@@ -330,6 +348,13 @@ class Allocator:
             return
         size, count, first = self._row_bytes(node), len(node.operands), node.operands[0]
         start = self.tables[node] = self.memory.reserve(size * count, node.part)
+        if node.op == "sums" and first.detail is True and {*node.operands} == {first}:
+            place = self.extents[node] = self.memory.reserve(
+                _INDEX.itemsize * self.width, node.part
+            )
+            none = self.select.literal(0, _INDEX, False)
+            self._let(self.select.store(_INDEX, False, SCRATCH), none, place)
+            return
         if node.op == "sums" and first.value is not None and {*node.operands} == {first}:
             to = self._address(start)
             self._let(self.select.fill(node.dtype), to, self._ref(first), count)
@@ -412,14 +437,21 @@ class Allocator:
             [Slot(self.slots[x], x.dtype.itemsize, x.uniform) for x in each]
             for each in (carries, reads)
         )
+        growing = []
         for table in packed.tables:
             start, size = self.tables[table], self._row_bytes(table)
-            if table not in packed.written and isinstance(start, int):
+            extent = self.extents.get(table.operands[0]) if table.op == "totals" else None
+            if extent is not None and table not in packed.written:
+                assert isinstance(start, int)
+                growing.append(code.GrowingTable(start, table.dtype.itemsize, size, extent))
+            elif table not in packed.written and isinstance(start, int):
                 reads += [
                     Slot(start + i * size, table.dtype.itemsize, table.uniform)
                     for i in range(row_count(table))
                 ]
-        self.items.append(code.LoopCode(loop, 0, None, test, body, packed=(reads, carries)))
+        self.items.append(
+            code.LoopCode(loop, 0, None, test, body, packed=(reads, carries, growing))
+        )
 
     def _active(self, loop: GraphLoop) -> str:
         """Allocate the test of a loop and return the name of the condition."""
@@ -448,7 +480,7 @@ class Allocator:
         self.part = node.part
         for one, value in zip(lists, written, strict=True):
             assert loop.index is not None
-            pointer = self._element(one, loop.index)
+            pointer = self._places(one, loop.index)
             self._let(self.select.store(one.dtype, False, ""), self._ref(value), pointer)
             self._used()
             self._cut()

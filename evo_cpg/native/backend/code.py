@@ -126,6 +126,22 @@ class Slot(NamedTuple):
     shared: bool = False
 
 
+class GrowingTable(NamedTuple):
+    """A table in scratch memory of which only the first rows are in use.
+
+    Attributes:
+        start: offset of the first row, bytes.
+        size: bytes of one individual's number.
+        step: bytes from one row to the next.
+        extent: offset of each individual's number of rows in use, bytes.
+    """
+
+    start: int
+    size: int
+    step: int
+    extent: int
+
+
 @dataclasses.dataclass(frozen=True)
 class LoopCode:
     """A loop or a branch.
@@ -138,7 +154,8 @@ class LoopCode:
             follows.
         body: code of a round.
         per_vector: whether the loop is a branch that each vector of a group takes separately.
-        packed: slots that the loop reads and slots that it carries, or None if it is not packed.
+        packed: slots that the loop reads, slots that it carries, and growing tables that it reads,
+            or None if it is not packed.
     """
 
     loop: GraphLoop
@@ -147,7 +164,7 @@ class LoopCode:
     test: "Sequence[Item]"
     body: "Sequence[Item]"
     per_vector: bool = False
-    packed: tuple[Sequence[Slot], Sequence[Slot]] | None = None
+    packed: tuple[Sequence[Slot], Sequence[Slot], Sequence[GrowingTable]] | None = None
 
 
 Item = StretchCode | RowCopies | LoopCode

@@ -14,9 +14,9 @@ depend on the other individuals.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from evo_cpg.native.backend.code import Slot
+from evo_cpg.native.backend.code import GrowingTable, Slot
 
 # A vector runs separately while more than this fraction of its individuals is active. Fitted:
 # quadrupeds and hexapods take at most 1.07 times as long with fractions from 1/4 to 1/2.
@@ -31,6 +31,9 @@ _COMPRESS, _NARROWEST, _VECTOR = "llvm.x86.avx512.mask.compress", 4, 64
 _FEWEST_ROUNDS = 16
 
 # IR types by bytes of a number.
+Slots = Sequence[Slot]
+Tables = Sequence[GrowingTable]
+
 _WORDS = {1: "i8", 2: "i16", 4: "i32", 8: "i64"}
 
 
@@ -51,7 +54,7 @@ class VectorGroup(NamedTuple):
 
 
 def packed_loop(
-    name: str, parameters: str, group: VectorGroup, reads: Sequence[Slot], carries: Sequence[Slot]
+    name: str, parameters: str, group: VectorGroup, reads: Slots, carries: Slots, tables: Tables
 ) -> str:
     """Return the function ``@name.group``, which runs a loop for all vectors of a group.
 
@@ -65,11 +68,12 @@ def packed_loop(
         group: the vectors.
         reads: slots that the loop reads.
         carries: slots that the loop changes.
+        tables: growing tables that the loop reads.
     """
     own = sorted({slot for slot in reads if not slot.shared} | set(carries))
     shared = sorted({slot for slot in reads if slot.shared})
     width, stride, most = group.width, group.stride, group.vectors * group.width
-    compress = group.compresses and all(slot.size * width <= _VECTOR for slot in own)
+    compress = group.compresses and all(x.size * width <= _VECTOR for x in (*own, *tables))
     alike = "\n".join(
         f"  %from{i} = getelementptr i8, ptr %scratch, i64 {slot.start}\n"
         f"  %to{i} = getelementptr i8, ptr %pack, i64 {slot.start}\n"
@@ -180,11 +184,11 @@ done:
   ret void
 }}"""
     moves = [
-        _move(f"@{name}.in", own, group, "far", "near"),
-        _move(f"@{name}.out", sorted(carries), group, "near", "far"),
+        _move(f"@{name}.in", own, group, True, tables),
+        _move(f"@{name}.out", sorted(carries), group, False),
     ]
     if compress:
-        moves.append(_move_compressed(f"@{name}.in_compressed", own, group))
+        moves.append(_move_compressed(f"@{name}.in_compressed", own, group, tables))
     return "\n".join([*moves, body])
 
 
@@ -251,17 +255,17 @@ class _Series(NamedTuple):
         start: first place, bytes.
         size: bytes of one individual's number.
         step: bytes from one place to the next.
-        count: number of places.
+        count: number of places, or its LLVM name.
     """
 
     start: int
     size: int
     step: int
-    count: int
+    count: Any
 
 
-def _series(slots: Iterable[Slot]) -> list[_Series]:
-    """Group slots at equal distances, if there are at least ``_FEWEST_ROUNDS``."""
+def _series(slots: Iterable[Slot], tables: Tables) -> list[_Series]:
+    """Group slots at equal distances, if there are at least ``_FEWEST_ROUNDS``, and add tables."""
     found: list[_Series] = []
     for start, size, _ in slots:
         if found and found[-1].size == size:
@@ -279,7 +283,20 @@ def _series(slots: Iterable[Slot]) -> list[_Series]:
             if one.count >= _FEWEST_ROUNDS
             else [_Series(one.start + k * one.step, one.size, 0, 1) for k in range(one.count)]
         )
-    ]
+    ] + [_Series(t.start, t.size, t.step, f"%rows{k}") for k, t in enumerate(tables)]
+
+
+def _rows_in_use(tables: Tables, base: str, width: int) -> str:
+    """Write code that finds the most rows in use for any of some individuals, for each table."""
+    t = f"<{width} x i32>"
+    return "".join(
+        f"""  %extent{k} = getelementptr i8, ptr {base}, i64 {table.extent}
+  %extents{k} = load {t}, ptr %extent{k}, align 4
+  %most{k} = call i32 @llvm.vector.reduce.umax.v{width}i32({t} %extents{k})
+  %rows{k} = zext i32 %most{k} to i64
+"""
+        for k, table in enumerate(tables)
+    )
 
 
 def _through(series: list[_Series], lines: Callable[[int, int, str], list[str]]) -> str:
@@ -313,7 +330,9 @@ def _through(series: list[_Series], lines: Callable[[int, int, str], list[str]])
     return "\n".join(f"  {line}" for line in written)
 
 
-def _move(name: str, slots: list[Slot], group: VectorGroup, source: str, target: str) -> str:
+def _move(
+    name: str, slots: list[Slot], group: VectorGroup, enters: bool, tables: Tables = ()
+) -> str:
     """Write a function that moves an individual's numbers into a packed lane, or back."""
     lanes = "".join(
         f"""  %far_lane{size} = mul i64 %home_lane, {size}
@@ -321,8 +340,10 @@ def _move(name: str, slots: list[Slot], group: VectorGroup, source: str, target:
   %far{size} = getelementptr i8, ptr %base, i64 %far_lane{size}
   %near{size} = getelementptr i8, ptr %pack, i64 %near_lane{size}
 """
-        for size in sorted({slot.size for slot in slots})
+        for size in sorted({4, *(slot.size for slot in slots), *(table.size for table in tables)})
     )
+
+    source, target = ("far", "near") if enters else ("near", "far")
 
     def move(i: int, size: int, start: str) -> list[str]:
         return [
@@ -339,12 +360,12 @@ entry:
   %home_lane = urem i64 %individual, {group.width}
   %offset = mul i64 %vector, {group.stride}
   %base = getelementptr i8, ptr %scratch, i64 %offset
-{lanes}{_through(_series(slots), move)}
+{lanes}{_rows_in_use(tables, "%far4", 1)}{_through(_series(slots, tables), move)}
   ret void
 }}"""
 
 
-def _move_compressed(name: str, slots: list[Slot], group: VectorGroup) -> str:
+def _move_compressed(name: str, slots: list[Slot], group: VectorGroup, tables: Tables) -> str:
     """Write a function that moves the chosen individuals of a vector into consecutive lanes.
 
     The first vector fills all lanes, because every lane must hold valid numbers. Its individuals
@@ -384,7 +405,7 @@ entry:
   %written_wide = select i1 %begins, i64 -1, i64 %entering
   %written_bits = trunc i64 %written_wide to {bits}
   %written = bitcast {bits} %written_bits to {flags}
-{_through(_series(slots), move)}
+{_rows_in_use(tables, "%base", width)}{_through(_series(slots, tables), move)}
   ret void
 }}"""
 

@@ -90,29 +90,52 @@ class Selector(Writer):
         self._store(value, dtype, self._row(base, row, dtype, False), False)
 
     @functools.partial(_made_once, 2)
-    def look_up(
-        self, dtype: np.dtype, shared: bool, same_index: bool, base: str, index: str
-    ) -> str:
-        """Read a number of a table. All individuals may share the table, or the index, or both."""
+    def places(self, dtype: np.dtype, shared: bool, same_index: bool, base: str, index: str) -> str:
+        """Return a pointer to a number of a table, or a vector of each individual's pointers.
+
+        All individuals may share the table, or the index, or both.
+        """
         t = TYPES[_kept_as(dtype).char]
-        if same_index or self.width == 1:
-            steps = (
-                index if shared or self.width == 1 else self.let(f"mul i32 {index}, {self.width}")
-            )
-            pointer = self.let(f"getelementptr {t}, ptr {base}, i32 {steps}")
-            return self._load(dtype, pointer, same_index and shared)
-        whole, result, indices = self.type_of(dtype, False), "poison", self.type_of(_INDEX, False)
-        for i in range(self.width):
-            own = self.let(f"extractelement {indices} {index}, i32 {i}")
-            if not shared:
-                own = self.let(f"mul i32 {own}, {self.width}")
-                own = self.let(f"add i32 {own}, {i}")
-            pointer = self.let(f"getelementptr {t}, ptr {base}, i32 {own}")
-            value = self._load(dtype, pointer, True)
-            result = self.let(
-                f"insertelement {whole} {result}, {TYPES[dtype.char]} {value}, i32 {i}"
-            )
-        return result
+        if self.width == 1 or same_index:
+            row = t if shared else f"[{self.width} x {t}]"
+            return self.let(f"getelementptr {row}, ptr {base}, i32 {index}")
+        kind = self.type_of(_INDEX, False)
+        if not shared:
+            lanes = ", ".join(f"i32 {i}" for i in range(self.width))
+            index = self.let(f"mul {kind} {index}, splat (i32 {self.width})")
+            index = self.let(f"add {kind} {index}, <{lanes}>")
+        return self.let(f"getelementptr {t}, ptr {base}, {kind} {index}")
+
+    @functools.partial(_made_once, 1)
+    def read(self, dtype: np.dtype, shared: bool, same_index: bool, places: str) -> str:
+        """Read the number at `places`."""
+        one = self.width == 1 or same_index
+        return self._load(dtype, places, shared and same_index, not one)
+
+    @functools.partial(_made_once, 3)
+    def write(
+        self, dtype: np.dtype, how: tuple[bool, bool, bool], value: str, places: str, flags: str
+    ) -> None:
+        """Write a number at `places`, for individuals with a flag.
+
+        ``how`` says whether there is only one pointer, whether the number is added, and whether
+        the flag is true for everyone.
+        """
+        one, adds, everyone = how
+        t, bits, before = self.type_of(dtype, False), self.type_of(np.dtype(bool), False), ""
+        if adds or (one and not everyone):
+            before = self._load(dtype, places, False, not one)
+        if adds:
+            value = self.let(f"{'fadd' if dtype.kind == 'f' else 'add'} {t} {before}, {value}")
+        if one and not everyone:
+            value = self.let(f"select {bits} {flags}, {t} {value}, {t} {before}")
+        if one:
+            self._store(value, dtype, places, False)
+            return
+        self.lines.append(
+            f"call void @llvm.masked.scatter.{suffix(t)}.v{self.width}p0({t} {value}, "
+            f"<{self.width} x ptr> {places}, i32 {dtype.itemsize}, {bits} {flags})"
+        )
 
     @functools.partial(_made_once, 1)
     def spread(self, dtype: np.dtype, name: str) -> str:
@@ -155,9 +178,16 @@ class Selector(Writer):
         text = f"store volatile {kept} {value}, ptr {pointer}, align {dtype.itemsize}"
         self.lines.append(text)
 
-    def _load(self, dtype: np.dtype, pointer: str, uniform: bool) -> str:
-        t = self.type_of(_kept_as(dtype), uniform)
-        value = self.let(f"load volatile {t}, ptr {pointer}, align {dtype.itemsize}")
+    def _load(self, dtype: np.dtype, pointer: str, uniform: bool, gathers: bool = False) -> str:
+        """Read a value from a pointer, or from a pointer for each individual."""
+        t, width = self.type_of(_kept_as(dtype), uniform), self.width
+        if gathers:
+            value = self.let(
+                f"call {t} @llvm.masked.gather.{suffix(t)}.v{width}p0(<{width} x ptr> {pointer}, "
+                f"i32 {dtype.itemsize}, <{width} x i1> splat (i1 true), {t} poison)"
+            )
+        else:
+            value = self.let(f"load volatile {t}, ptr {pointer}, align {dtype.itemsize}")
         if dtype.kind != "b":
             return value
         return self.let(f"icmp ne {t} {value}, {self.literal(0, _BYTE, uniform)}")

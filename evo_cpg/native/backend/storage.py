@@ -21,8 +21,8 @@ AVX-512 encodes offsets of up to 128 vectors (8192 bytes), forwards or backwards
 """
 
 _IN_MEMORY = {
-    "accumulate", "carried", "counter", "result", "constant", "rows", "constants", "list", "loop",
-    "solve", "sums", "totals",
+    "carried", "constant", "constants", "counter", "list", "loop", "result", "rows", "solve",
+    "sums", "totals", "write",
 }  # fmt: skip
 
 

@@ -3,8 +3,9 @@
 Both sides of a short branch are computed and one result is selected, as under `jax.vmap`. A vector
 skips a long branch if none of its individuals takes it.
 
-Arrays stay in memory if a loop carries them and only adds to their elements (`Sums`), or if a loop
-stacks them over its rounds (`Stacked`). A backward pass reads what the forward pass has stacked.
+Arrays stay in memory if a loop carries them and only writes to their elements (`Sums`), or if a
+loop stacks them over its rounds (`Stacked`). A backward pass reads what the forward pass has
+stacked.
 """
 
 import dataclasses
@@ -19,7 +20,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from evo_cpg.native import jax_internals as internals
 from evo_cpg.native import machine_constants
 from evo_cpg.native.frontend.builder import Builder, all_nodes, elementwise, node_array
-from evo_cpg.native.frontend.moves import SCATTER_ADD
+from evo_cpg.native.frontend.moves import SCATTER_ADD, clamped
 from evo_cpg.native.frontend.primitives import equations, programs_in
 from evo_cpg.native.ir import GraphBlock, GraphLoop, Node, Unsupported, resolve
 
@@ -28,17 +29,28 @@ Trace = Callable[..., list[Any]]
 
 @dataclasses.dataclass(eq=False)
 class Sums:
-    """An array in memory that a loop carries and only adds to.
+    """An array in memory that a loop carries and only writes to.
 
     Attributes:
         shape: shape of the array.
         memory: node of its memory.
-        added: nodes that add to the array.
+        written: nodes that write to the array.
     """
 
     shape: tuple[int, ...]
     memory: Node
-    added: list[Node] = dataclasses.field(default_factory=list)
+    written: list[Node] = dataclasses.field(default_factory=list)
+
+    def read(self, builder: Builder) -> np.ndarray:
+        """Return the elements after all writes."""
+        given = self.memory, *self.written
+        totals = builder.new("totals", given, self.memory.dtype, builder.block, False)
+        return builder.rows(totals, self.shape)
+
+
+def _in_memory(builder: Builder, x: np.ndarray) -> Sums:
+    """Put an array of nodes in memory."""
+    return Sums(x.shape, builder.new("sums", tuple(x.flat), x.flat[0].dtype, builder.block, False))
 
 
 @dataclasses.dataclass(eq=False)
@@ -81,23 +93,47 @@ def as_nodes(builder: Builder, x: Any) -> Any:
     return x.nodes(builder) if isinstance(x, Stacked) else x
 
 
-def add_to_sums(builder: Builder, operands: list, params: dict) -> list:
-    """Add to numbers in memory, at places that are equal for all individuals.
+def _write(builder: Builder, operands: list, params: dict, adds: bool) -> list:
+    """Add to rows of an array, or set them, at places that may differ by individual.
+
+    A place outside the array is clamped, or nothing is written if JAX drops it. An array of nodes
+    is put in memory and read again.
 
     Raises:
-        Unsupported: if the places differ between individuals.
+        Unsupported: if the elements at a place are no whole row.
     """
     sums, indices, updates = operands
-    places, dtype = indices.reshape(-1), sums.memory.dtype
-    if not all(node.uniform for node in places):
-        raise Unsupported("no rule for adding to places that differ between individuals")
-    for place, value in zip(places, updates.reshape(-1), strict=True):
-        index = builder.apply("convert", place, dtype=np.int32)
+    if not isinstance(sums, Sums):
+        if not _writes_rows(params, [x.shape for x in operands]):
+            raise Unsupported("no rule for a scatter to parts of rows at computed places")
+        memory = _in_memory(builder, sums)
+        _write(builder, [memory, indices, updates], params, adds)
+        return [memory.read(builder)]
+    dtype, count, size = sums.memory.dtype, sums.shape[0], int(np.prod(sums.shape[1:], dtype=int))
+    for place, values in zip(indices.reshape(-1), updates.reshape(-1, size), strict=True):
+        index = clamped(builder, place, count - 1)
+        valid = builder.constant(True, bool)
         if builder.active is not None and not builder.active.uniform:
-            value = builder.apply("select", builder.active, value, builder.constant(0, dtype))
-        given = index, value, sums.memory
-        sums.added.append(builder.new("accumulate", given, dtype, builder.block, False))
+            valid = builder.active
+        if "DROP" in str(params["mode"]):
+            same = builder.apply("convert", index, dtype=place.dtype)
+            valid = builder.apply("and", valid, builder.apply("eq", same, place))
+        index = builder.apply("mul", index, builder.constant(size, np.int32))
+        # Later values replace earlier ones, so a write follows the other writes of its block.
+        earlier = [node for node in sums.written if node.block is builder.block]
+        given = index, valid, *values, *earlier[-1:], sums.memory
+        detail = size, adds
+        sums.written.append(builder.new("write", given, dtype, builder.block, False, detail=detail))
     return [sums]
+
+
+SCATTER = ("scatter",)
+
+WRITES: dict[str, Callable[[Builder, list, dict], list]] = {
+    **dict.fromkeys(SCATTER_ADD, functools.partial(_write, adds=True)),
+    **dict.fromkeys(SCATTER, functools.partial(_write, adds=False)),
+}
+"""Rules by the name of JAX's primitive, for an array in memory."""
 
 
 def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> list[Any]:
@@ -126,20 +162,20 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
             rows.append(node_array(row, x.shape[1:]))
         return trace(builder, closed, [*consts, *carried, *rows])
 
-    if length == 1:
+    sums: dict[int, Any] = {k: x for k, x in enumerate(start) if isinstance(x, Sums)}
+    written = [
+        k
+        for k, x in enumerate(start)
+        if k not in sums and _only_writes(closed.jaxpr, constant_count + k, k, _writers(x))
+    ]
+    if length == 1 and not written:
         results = one_round(builder.constant(0, np.int32), start)
         return [*results[:carry_count], *(x[None] for x in results[carry_count:])]
     test = GraphBlock(builder.block)
     body = GraphBlock(test)
     counter = builder.new("counter", (), np.dtype(np.int32), body, uniform=True)
-    sums = {}
-    for k, x in enumerate(start):
-        if isinstance(x, Sums):
-            sums[k] = x
-        elif _only_adds(closed.jaxpr, constant_count + k, k):
-            nodes = tuple(x.flat)
-            memory = builder.new("sums", nodes, nodes[0].dtype, builder.block, False)
-            sums[k] = Sums(x.shape, memory)
+    for k in written:
+        sums[k] = _in_memory(builder, start[k])
     others = [k for k in range(carry_count) if k not in sums]
     begin = [start[k] for k in others]
     placed = [_placeholders(builder, x, body) for x in begin]
@@ -151,13 +187,13 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
         results = one_round(index, carried)
     following = [results[k] for k in others]
     # A value that does not change within the loop needs no list, and equal values share one.
-    written = {resolve(x): x for x in all_nodes(results[carry_count:]) if body.encloses(x.block)}
-    if length * len(written) > machine_constants.LONGEST_LISTS:
+    listed = {resolve(x): x for x in all_nodes(results[carry_count:]) if body.encloses(x.block)}
+    if length * len(listed) > machine_constants.LONGEST_LISTS:
         most = machine_constants.LONGEST_LISTS
         raise Unsupported(f"a loop of {length} rounds stacks more than {most} numbers")
     loop = GraphLoop(
         length, test, body, counter, all_nodes(placed), all_nodes(following), None, index,
-        tuple(written.values()),
+        tuple(listed.values()),
     )  # fmt: skip
     ends, lists = builder.loop(all_nodes(begin), loop)
     found = dict(zip(others, _like(ends, begin), strict=True))
@@ -165,10 +201,8 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
         found[k] = x
         # The sums of a loop around this loop are not complete yet, so they are not read.
         if x is not start[k]:
-            given, dtype = (x.memory, *x.added), x.memory.dtype
-            totals = builder.new("totals", given, dtype, builder.block, False)
-            found[k] = builder.rows(totals, x.shape)
-    column = dict(zip(written, lists, strict=True))
+            found[k] = x.read(builder)
+    column = dict(zip(listed, lists, strict=True))
     stacks = [
         Stacked(
             (length, *x.shape),
@@ -179,8 +213,28 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
     return [*(found[k] for k in range(carry_count)), *stacks]
 
 
-def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
-    """Return whether a program only adds to argument ``into``, and returns it as result ``out``."""
+def _writers(start: np.ndarray) -> tuple[str, ...]:
+    """Return the primitives that may write to an array in memory, by its initial elements.
+
+    Elements are set only in an array from `unset`, whose other elements are never read.
+    """
+    is_unset = start.size and start.flat[0].op == "constant" and start.flat[0].detail
+    return SCATTER if is_unset else SCATTER_ADD
+
+
+def _writes_rows(params: dict, shapes: Sequence[tuple[int, ...]]) -> bool:
+    """Return whether a scatter writes whole rows, at indices of the first axis."""
+    numbers, (whole, (*batch, depth), new) = params["dimension_numbers"], shapes
+    rows = depth == 1 and numbers.inserted_window_dims == (0,) and not numbers.operand_batching_dims
+    window = tuple(range(len(batch), len(new)))
+    return rows and numbers.update_window_dims == window and new[len(batch) :] == whole[1:]
+
+
+def _only_writes(jaxpr: Jaxpr, into: int, out: int, writers: tuple[str, ...]) -> bool:
+    """Return whether a program only writes to argument ``into``, and returns it as ``out``.
+
+    ``writers`` are the names of the primitives that may write.
+    """
     array: Any = jaxpr.invars[into]
     for equation in jaxpr.eqns:
         places = [k for k, atom in enumerate(equation.invars) if atom is array]
@@ -189,12 +243,9 @@ def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
         if len(places) > 1:
             return False
         (place,), name, params = places, equation.primitive.name, equation.params
-        if name in SCATTER_ADD:
-            numbers = params["dimension_numbers"]
-            simple = numbers.inserted_window_dims == (0,) and not numbers.update_window_dims
-            # The caller must promise that the places are within the array.
-            simple = simple and "PROMISE" in str(params["mode"])
-            if place or len(array.aval.shape) != 1 or not simple:
+        if name in writers:
+            shapes = [atom.aval.shape for atom in equation.invars]  # pyright: ignore
+            if place or not _writes_rows(params, shapes):
                 return False
             array = equation.outvars[0]
         elif name in ("jit", "pjit") or (name == "cond" and place):
@@ -204,15 +255,15 @@ def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
             outs = [
                 k
                 for k in range(len(inner[0].jaxpr.outvars))
-                if all(_only_adds(each.jaxpr, place, k) for each in inner)
+                if all(_only_writes(each.jaxpr, place, k, writers) for each in inner)
             ]
             if not outs:
                 return False
             array = equation.outvars[outs[0]]
         elif name == "scan":
             constants, carries = internals.scan_counts(params)
-            inner = place - constants
-            if not 0 <= inner < carries or not _only_adds(params["jaxpr"].jaxpr, place, inner):
+            inner, program = place - constants, params["jaxpr"].jaxpr
+            if not 0 <= inner < carries or not _only_writes(program, place, inner, writers):
                 return False
             array = equation.outvars[inner]
         else:
@@ -265,9 +316,9 @@ def _cond(builder: Builder, operands: list, params: dict, trace: Trace) -> list:
         place = int(np.clip(int(number.value), 0, len(branches) - 1))
         return trace(builder, branches[place], given)
     sums = [x for x in given if isinstance(x, Sums)]
-    before = [len(x.added) for x in sums]
+    before = [len(x.written) for x in sums]
     results = trace(builder, branches[0], given)
-    if before != [len(x.added) for x in sums]:
+    if before != [len(x.written) for x in sums]:
         raise Unsupported("a branch adds to an array even if its condition is false")
     for k, branch in enumerate(branches[1:], 1):
         more = "eq" if k + 1 < len(branches) else "ge"

@@ -17,8 +17,8 @@ from evo_cpg.native import jax_internals as internals
 from evo_cpg.native import machine_constants
 from evo_cpg.native.frontend.builder import Builder, all_nodes, elementwise, node_array
 from evo_cpg.native.frontend.elementary import FLOAT32
-from evo_cpg.native.frontend.loops import LOOPS, Sums, add_to_sums, as_nodes
-from evo_cpg.native.frontend.moves import MOVES, SCATTER_ADD
+from evo_cpg.native.frontend.loops import LOOPS, WRITES, Sums, as_nodes
+from evo_cpg.native.frontend.moves import MOVES
 from evo_cpg.native.frontend.primitives import (
     Program,
     apply_map,
@@ -27,6 +27,7 @@ from evo_cpg.native.frontend.primitives import (
     linear_map_p,
     solve_written_out,
     traced,
+    unset_p,
 )
 from evo_cpg.native.ir import ARITHMETIC, LIBRARY, Graph, Node, Unsupported
 
@@ -106,8 +107,8 @@ def trace(
             operands = [as_nodes(builder, x) for x in operands]
         if name in _PROGRAMS:
             results = _PROGRAMS[name](builder, equation, operands)
-        elif any(isinstance(operand, Sums) for operand in operands) and name in SCATTER_ADD:
-            results = add_to_sums(builder, operands, params)
+        elif name in WRITES and _is_written(*operands[:2]):
+            results = WRITES[name](builder, operands, params)
         elif operands and all(operand.size == 0 for operand in operands):
             results = _evaluate(builder, equation, operands)
         elif name in LOOPS:
@@ -130,6 +131,11 @@ def trace(
         known.update(zip(equation.outvars, results, strict=True))
     builder.part = around
     return [read(atom) for atom in program.outvars]
+
+
+def _is_written(array: Any, indices: np.ndarray) -> bool:
+    """Return whether a scatter writes to memory: to an array in it, or to computed places."""
+    return isinstance(array, Sums) or any(node.value is None for node in indices.flat)
 
 
 def constants(builder: Builder, values: np.ndarray) -> np.ndarray:
@@ -383,6 +389,13 @@ def _rounded(builder: Builder, operands: Arrays, params: dict) -> Arrays:
     return [elementwise(away_from_zero, *operands)]
 
 
+def _unset(builder: Builder, operands: Arrays, params: dict) -> Arrays:
+    """Return elements that count as zeros, and are not written to memory (`loops.Sums`)."""
+    dtype = operands[0].flat[0].dtype
+    node = builder.new("constant", (), dtype, builder.top, True, value=dtype.type(0), detail=True)
+    return [np.full(params["shape"], node, object)]
+
+
 _ELEMENTWISE: dict[str, Callable[..., Node]] = {
     "add_any": lambda b, x, y: b.apply("add", x, y),
     "clamp": lambda b, low, x, high: b.apply("min", b.apply("max", low, x), high),
@@ -410,6 +423,7 @@ _RULES: dict[str, Rule] = {
     "cumprod": functools.partial(_cumulative, "mul"),
     "cumsum": functools.partial(_cumulative, "add"),
     "dot_general": _dot_general,
+    unset_p.name: _unset,
     "integer_pow": lambda b, operands, params: [
         elementwise(lambda x: b.power(x, params["y"]), *operands)
     ],

@@ -28,7 +28,7 @@ def _dynamic_slice(builder, operands, params):
     x, *starts = operands
     sizes = params["slice_sizes"]
     first = [
-        _clamped(builder, start.item(), whole - size)
+        clamped(builder, start.item(), whole - size)
         for start, whole, size in zip(starts, x.shape, sizes, strict=True)
     ]
     return [_taken(builder, x, first, np.indices(sizes))]
@@ -39,7 +39,7 @@ def _dynamic_update_slice(builder, operands, params):
     x, update, *starts = operands
     first, reach = [], []
     for start, whole, size in zip(starts, x.shape, update.shape, strict=True):
-        node = _clamped(builder, start.item(), whole - size)
+        node = clamped(builder, start.item(), whole - size)
         first.append(node)
         reach.append(range(whole - size + 1) if node.value is None else [int(node.value)])
     result = x.copy()
@@ -87,7 +87,7 @@ def _gather(builder, operands, params):
         valid = builder.constant(True, bool)
         for axis, node in zip(numbers.start_index_map, row, strict=True):
             most = x.shape[axis] - sizes[axis]
-            first[axis] = _clamped(builder, node, most)
+            first[axis] = clamped(builder, node, most)
             if filled:
                 same = builder.apply("convert", first[axis], dtype=node.dtype)
                 valid = builder.apply("and", valid, builder.apply("eq", same, node))
@@ -144,7 +144,7 @@ def _taken(builder, x, first, window):
     return elementwise(functools.partial(builder.lookup, table), places)
 
 
-def _clamped(builder, place, most):
+def clamped(builder, place, most):
     """Return an index clamped to ``[0, most]``, int32."""
     if place.dtype.kind == "u":
         place = builder.apply("min", place, builder.constant(most, place.dtype))
@@ -171,8 +171,6 @@ def _pad(builder, operands, params):
 def _scatter(builder, operands, params, adds=False):
     """Put or add elements at constant places. A gather by JAX finds the places."""
     x, indices, updates = operands
-    if any(node.value is None for node in indices.flat):
-        raise Unsupported("no rule for a scatter to computed places")
     numbers = params["dimension_numbers"]
     alone = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
     window = iter([updates.shape[i] for i in numbers.update_window_dims])

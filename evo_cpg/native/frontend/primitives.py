@@ -5,6 +5,7 @@
 | ``fused`` | a program that runs as native code for all individuals | `evo_cpg.native.fuse.fuse` |
 | ``linear_map`` | a function that is linear in some arguments, and its transpose | `linear_map` |
 | ``eliminate`` | the solution of symmetric equations | `evo_cpg.native.fuse.solve_symmetric` |
+| ``unset`` | an array whose elements are set before they are read | `evo_cpg.native.fuse.unset` |
 """
 
 import contextvars
@@ -30,6 +31,7 @@ _OWN_RULES = {"custom_jvp_call", "custom_vjp_call"}
 fused_p = internals.primitive("fused")  # `evo_cpg.native.native` implements it.
 linear_map_p = internals.primitive("linear_map")
 eliminate_p = internals.primitive("eliminate")
+unset_p = internals.primitive("unset")
 
 _tracing = contextvars.ContextVar("tracing", default=False)
 
@@ -269,4 +271,21 @@ internals.implement(
     solve_written_out,
     None,
     _batch_solution,
+)
+
+
+def _batch_unset(values, axes, *, shape):
+    (like,), (axis,) = values, axes
+    return unset_p.bind(like, shape=(like.shape[axis], *shape)), [0]
+
+
+internals.implement(
+    unset_p,
+    lambda like, shape: [jax.ShapeDtypeStruct(shape, like.dtype)],
+    lambda like, shape: [jnp.zeros(shape, like.dtype)],
+    lambda primals, tangents, shape: (
+        [zeros := jnp.zeros(shape, primals[0].dtype)],
+        [internals.no_tangent(zeros)],
+    ),
+    _batch_unset,
 )

@@ -70,9 +70,12 @@ class _Interpreter:
             rows = [np.broadcast_to(self.value(x), self.lanes.shape) for x in node.operands]
             table = np.array(rows, node.dtype)
             self.tables[node] = _solution(table, node.detail) if node.op == "solve" else table
-        elif node.op == "accumulate":
-            index, value = map(self.value, node.operands[:2])
-            self.tables[node.operands[-1]][index, self.lanes] += value
+        elif node.op == "write":
+            (size, adds), table = node.detail, self.tables[node.operands[-1]]
+            index, valid, *values = map(self.value, node.operands[: 2 + size])
+            for k, value in enumerate(values):
+                old = table[index + k, self.lanes]
+                table[index + k, self.lanes] = np.where(valid, old * adds + value, old)
         elif node.op == "lookup":
             table, index = self.tables[node.operands[0]], self.value(node.operands[1])
             self.values[node] = table[index] if table.ndim == 1 else table[index, self.lanes]

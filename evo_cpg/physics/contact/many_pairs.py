@@ -1,17 +1,17 @@
-"""Contacts between many pairs of bodies of one creature, in loops over the pairs.
+"""Contacts between many pairs of bodies of one creature, in loops whose code does not grow.
 
 `evo_cpg.physics.contact.pairs` has the contact law, and `evo_cpg.physics.contact.pair_contacts` the
-members of both classes. The code there grows with the number of pairs. This code has the same size
-for any number, and skips pairs that cannot act:
+members of both classes. The code there grows with the number of pairs. Here, each individual lists
+the points that can act in the step, because most points are too far apart:
 
-1. A pair whose bounding balls are too far apart is skipped.
-2. A point whose gap is too large is left out of the step. The threshold is the distance that any
-   points of the two bodies can approach in a step at present joint rates, plus the approach of
-   these two points in a further step, plus a tenth of the thickness. The balls' threshold has the
-   first distance twice.
-3. A point that does not push adds nothing to the torques and the matrix.
+1. A pair whose bounding balls are too far apart has no points.
+2. A point is listed if its gap is small. The threshold is the distance that any points of the two
+   bodies can approach in a step at present joint rates, plus the approach of these two points in a
+   further step, plus a tenth of the thickness. The balls' threshold has the first distance twice.
+3. A listed point that does not push adds nothing to the torques and the matrix.
 
-Most points are left out in most steps. One test therefore skips several consecutive points.
+Each individual handles its own k-th point in round k of a loop. A loop therefore takes as many
+rounds as the longest list of a vector, and not as many as the vector has different points.
 
 All positions refer to the root's origin. A body's twist at constant rates has the angular velocity
 w and the velocity v_0 of its point at the origin. Points p_1 and p_2 with the normal n separate at
@@ -21,17 +21,19 @@ w and the velocity v_0 of its point at the origin. Points p_1 and p_2 with the n
 and the entry of J for a joint axis a through o is ``+-(a . (p x n) - n . (a x o))``.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec, where_each
+from evo_cpg.creature.algebra.linear import cross, dot, matvec
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
+from evo_cpg.native.fuse import unset
 from evo_cpg.physics.contact.contact import rest_velocity
 from evo_cpg.physics.contact.pairs import (
     KINDS,
@@ -50,73 +52,34 @@ from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 # Further approach within a step, because rates change in it, as a fraction of the thickness.
 _MARGIN = 0.1
 
-# Number of consecutive points that one test skips. Fitted: 4 to 8 need equally many tests for
-# vectors of 16 humanoids, 1 and 12 need a third more.
-_TOGETHER = 6
+# Number of rounds that one test skips, because no individual's list is that long.
+_TOGETHER = 8
 
 # Type of indices, because indices without sign need no test of their sign.
 _NO_SIGN = np.uint32
 
+# Numbers of a listed point: its number, gap, normal, both places, and `Separation.carried`.
+_POINT = 13
 
-class _Points(NamedTuple):
-    """The points of pairs of one kind, ``(points, *n)`` each. Points that are left out have zeros.
+
+class _Lists(NamedTuple):
+    """The points that each individual lists. Rows behind the end of a list have no meaning.
 
     Attributes:
-        watched: 1 where a point counts in this step.
-        gap: distance between the bodies, m, negative where they overlap.
+        count: number of listed points.
+        points: `_POINT` numbers of each listed point.
+        laws: v* (m/s), c (N s/m) and J (m) of each listed point.
         drift: mean change of the separation velocity over the step by velocity products, m/s.
-        normal: x, y and z, from the first body to the second.
-        first: the first body's point, x, y and z from the root's origin, m.
-        second: the second body's point, x, y and z from the root's origin, m.
-        carried: fractions of the normal that turn with the first and the second body.
     """
 
-    watched: Array
-    gap: Array
-    drift: Array
-    normal: tuple[Array, Array, Array]
-    first: tuple[Array, Array, Array]
-    second: tuple[Array, Array, Array]
-    carried: tuple[Array, Array]
-
-
-class _Paths(NamedTuple):
-    """Tables of the joint axes between the bodies of every pair of a run, ``(pairs, k)`` each.
-
-    Attributes:
-        dofs: indices of the axes in ascending order, padded with the number of all axes.
-        signs: 1 for an axis that moves the second body, -1 for the first, 0 for padding.
-        rows: start of each axis's row in a packed lower triangle.
-    """
-
-    dofs: np.ndarray
-    signs: np.ndarray
-    rows: np.ndarray
-
-
-class _Run(NamedTuple):
-    """A run: consecutive pairs of one kind, with their points in this step.
-
-    Attributes:
-        kind: the kind, and the number of pairs.
-        first: first body of each pair.
-        second: second body of each pair.
-        stiffness: c h of each point, kg.
-        paths: joint axes between the bodies.
-        near: 1 for each group of `_TOGETHER` points with one that counts, ``(groups, *n)``.
-    """
-
-    kind: Alike
-    first: np.ndarray
-    second: np.ndarray
-    stiffness: Any
-    paths: _Paths
-    points: _Points
-    near: Array
+    count: Int[Array, "*n"]
+    points: Float[Array, "p k *n"]
+    laws: Float[Array, "p l *n"]
+    drift: Float[Array, "p *n"]
 
 
 class ManyPairContacts:
-    """Nearest points of many pairs (see `evo_cpg.physics.contact.pair_contacts.PairContacts`).
+    """Listed points of many pairs (see `evo_cpg.physics.contact.pair_contacts.PairContacts`).
 
     Args:
         tree: the creature.
@@ -124,7 +87,7 @@ class ManyPairContacts:
         kin: kinematics at the start of the step.
         qd: joint rates at the start of the step, rad/s.
         h: step, s.
-        runs: runs with points that were found before in this step, or None to find them.
+        lists: lists that were found before in this step, or None to find them.
         bias: joint accelerations that lead to the rates of the velocity-product bias, or None for
             the rates at the start.
     """
@@ -136,30 +99,39 @@ class ManyPairContacts:
         kin: Kinematics,
         qd: Float[Array, "d *n"],
         h: float,
-        runs: tuple[_Run, ...] | None = None,
+        lists: _Lists | None = None,
         bias: Float[Array, "d *n"] | None = None,
     ):
         self.tree, self.pairs, self.kin, self.qd, self.h = tree, pairs, kin, qd, h
         self.places = kin.origin - kin.origin[:, :1]
         self.bias = jnp.zeros_like(qd) if bias is None else bias
-        if runs is None:
-            runs = _find(self)
-            runs = _with_drift(runs, self.drifts_of(runs, self.bias))
-        self.runs = runs
+        self.owners = np.array(pairs.owners)
+        self.size = self.owners.shape[1]
+        self.lists = self._found() if lists is None else lists
 
     def with_bias(self, bias: Float[Array, "d *n"]) -> "ManyPairContacts":
         """Return the contacts with the velocity-product bias at other joint rates."""
-        old, other = [run.points.drift for run in self.runs], (bias != self.bias).any(0)
-        # The bias of most steps never changes.
-        new = jax.lax.cond(jnp.any(other), lambda: self.drifts_of(self.runs, bias), lambda: old)
-        drift = [where_each(other, *both) for both in zip(new, old, strict=True)]
-        runs = _with_drift(self.runs, drift)
-        return ManyPairContacts(self.tree, self.pairs, self.kin, self.qd, self.h, runs, bias)
+        lists, differs = self.lists, (bias != self.bias).any(0)
+
+        accelerations = self.accelerations(bias)
+
+        def value(k: Array) -> Array:
+            old = _at(lists.drift, k)
+            # The bias of most steps never changes.
+            new = jax.lax.cond(
+                jnp.any(differs),
+                lambda: self.drift(_at(lists.points, k), accelerations),
+                lambda: old,
+            )
+            return jnp.where(differs, new, old)
+
+        lists = lists._replace(drift=_table(lists.count, self.size, value, self.qd))
+        return ManyPairContacts(self.tree, self.pairs, self.kin, self.qd, self.h, lists, bias)
 
     def bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Return `bias` for the joint rates after the step: the joint accelerations themselves.
 
-        `drifts_of` computes the velocity-product accelerations from them.
+        `accelerations` computes the velocity-product accelerations from them.
         """
         return qdd
 
@@ -173,92 +145,133 @@ class ManyPairContacts:
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
         """Return for which individuals any pair pushes at joint accelerations."""
-        twists = self.twists(self.qd + self.h * qdd)
+        return self.at(qdd).load > 0
 
-        def look(run: _Run, found: Array, q: Array) -> Array:
-            point = _point(run, q)
-            velocity = _turning_apart(run, point, q, twists) + point.drift
-            return found | (point.watched & (rest_velocity(point.gap, self.h) > velocity))
+    def drifts(
+        self, qdd: Float[Array, "d *n"], bias: Float[Array, "d *n"], asked: Bool[Array, "*n"]
+    ) -> Bool[Array, "*n"]:
+        """Return which of some individuals need an update of their velocity-product bias.
 
-        return _over_points(self.runs, look, jnp.zeros(qdd.shape[1:], bool))
+        Another bias would move a touching pair by more than `LARGEST_DRIFT`.
+        """
+        rates, count = self.qd + self.h * qdd, jnp.where(asked, self.lists.count, 0)
+        none = jnp.zeros(count.shape, bool)
 
-    def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
-        """Return for which individuals another bias moves a touching pair by > `LARGEST_DRIFT`."""
-        twists, accelerations = self.twists(self.qd + self.h * qdd), self.accelerations(bias)
+        def found() -> Array:
+            accelerations = self.accelerations(bias)
 
-        def look(run: _Run, found: Array, q: Array) -> Array:
-            point = _point(run, q)
-            velocity = _turning_apart(run, point, q, twists) + point.drift
-            other = velocity - point.drift + self.drift(run, point, q, accelerations)
-            rest = rest_velocity(point.gap, self.h)
-            pushes = point.watched & ((rest > velocity) | (rest > other))
-            return found | (pushes & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT))
+            def look(found: Array, k: Array) -> Array:
+                law, velocity = self.law(k, rates)
+                drift = self.drift(_at(self.lists.points, k), accelerations) - _at(
+                    self.lists.drift, k
+                )
+                pushes = (k < count) & (law[0] > velocity + jnp.minimum(drift, 0.0))
+                return found | (pushes & (self.h * jnp.abs(drift) > LARGEST_DRIFT))
 
-        return _over_points(self.runs, look, jnp.zeros(qdd.shape[1:], bool))
+            return _over_lists(count, self.size, look, none)
+
+        return jax.lax.cond(jnp.any(count > 0), found, lambda: none)
 
     def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
-        """Return ``J rates`` of all points, m/s, or 0 for points that are left out."""
-        twists = self.twists(rates)
-        return jnp.concatenate(
-            _of_points(self.runs, lambda run, q: _turning_apart(run, _point(run, q), q, twists))
-        )
+        """Return ``J rates`` of all points, m/s, or 0 for points that are not listed."""
+        return self.of_points(lambda k: (_at(self.lists.laws, k)[2:] * rates).sum(0))
 
     # Quantities of bodies, as tables.
 
-    def twists(self, rates: Float[Array, "d *n"]) -> tuple[Array, Array]:
-        """Return the twists of all bodies at joint rates: rad/s, and m/s at the root's origin."""
-        motion = self.motion(rates)
-        return motion.angular, motion.linear - cross(motion.angular, self.places)
+    def accelerations(self, qdd: Float[Array, "d *n"]) -> Float[Array, "12 b *n"]:
+        """Return twists and accelerations of all bodies at joint accelerations.
 
-    def accelerations(self, qdd: Float[Array, "d *n"]) -> tuple[Array, ...]:
-        """Return twists, and d_0 and A of the accelerations ``d_0 + A p`` at constant rates."""
+        The acceleration of a body's point p is ``d_0 + e x p + w x (w x p)`` at constant rates. The
+        rows are w, v_0, e and d_0.
+        """
         motion = self.motion(self.qd + self.h * qdd)
         a, A = acceleration_field(motion)
-        linear = motion.linear - cross(motion.angular, self.places)
-        return motion.angular, linear, a - matvec(A, self.places), A
+        spin, turning = motion.angular, motion.bias_angular
+        linear = motion.linear - cross(spin, self.places)
+        return jnp.concatenate([spin, linear, turning, a - matvec(A, self.places)])
 
     def motion(self, rates: Float[Array, "d *n"]) -> BodyMotion:
         """Return the motion of all bodies at joint rates, with the root at rest."""
         still = jnp.zeros((ROOT_DOFS, *rates.shape[1:]), rates.dtype)
         return motion_of_bodies(self.tree, self.kin, still, rates)
 
-    def axes(self) -> tuple[Array, Array]:
-        """Return joint axes a and ``a x o``, padded with a zero axis: ``(3, d + 1, *n)``."""
-        S, origins = self.kin.axes, self.places[:, np.array(self.tree.dof_bodies, int)]
-        moments = cross(S.angular, origins)
+    # Quantities of listed points.
+
+    def law(self, k: Array, rates: Float[Array, "d *n"]) -> tuple[Array, Array]:
+        """Return a row of `_Lists.laws`, and the separation velocity at joint rates, m/s."""
+        law = _at(self.lists.laws, k)
+        return law, (law[2:] * rates).sum(0) + _at(self.lists.drift, k)
+
+    def drift(self, point: Float[Array, "k *n"], accelerations: Float[Array, "12 b *n"]) -> Array:
+        """Return `_Lists.drift` of a listed point, from `accelerations`."""
+        number, normal, places, carried = _parts(point)
+        points = []
+        for owners, p in zip(self.owners, places, strict=True):
+            body = _constant(owners, number)
+            spin, linear, turning, base = _own(accelerations, body).reshape(4, 3, *body.shape)
+            velocity, acceleration = linear + cross(spin, p), base + cross(turning, p)
+            acceleration = acceleration + cross(spin, cross(spin, p))
+            points.append(PointMotion(spin, velocity, acceleration))
+        return 0.5 * self.h * parting_acceleration(normal, carried, points)
+
+    def of_points(self, value: Callable[[Array], Array]) -> Float[Array, "p *n"]:
+        """Return a function of the rounds for all points, 0 for points that are not listed."""
+        count, points = self.lists.count, self.lists.points
+
+        def look(values: Array, k: Array) -> Array:
+            number = _parts(_at(points, k))[0]
+            return _add(values, number, jnp.where(k < count, value(k), 0.0))
+
+        start = jnp.zeros((self.size, *count.shape), points.dtype)
+        return _over_lists(count, self.size, look, start)
+
+    # The lists.
+
+    def _found(self) -> _Lists:
+        """Find the listed points at the start of the step."""
+        pairs, h = self.pairs, self.h
+        # Positions are relative to the root's origin.
+        kin = self.kin._replace(origin=self.places)
+        centre, half, radius = placed_boxes(pairs, kin)
+        own = self.motion(self.qd)
+        size = jnp.sqrt((half * half).sum(0)) + radius
+        passing = own.linear + cross(own.angular, centre - self.places)
+        speed = jnp.sqrt(dot(passing, passing)) + jnp.sqrt(dot(own.angular, own.angular)) * size
+        approach, margin = h * speed, _MARGIN * (half.min(0) + radius)
+        twists = own.angular, own.linear - cross(own.angular, self.places)
+        boxes, ball = (centre, kin.rotation, half, radius), size + 2.0 * approach + margin
+        bodies = _Bodies(boxes, twists, ball, approach + margin, h)
+        points, count = _near_points(pairs, bodies, self.qd)
+        accelerations = self.accelerations(jnp.zeros_like(self.qd))
+        drift = _table(
+            count, self.size, lambda k: self.drift(_at(points, k), accelerations), self.qd
+        )
+        return _Lists(count, points, self._laws(points, count), drift)
+
+    def _laws(self, points: Float[Array, "p k *n"], count: Int[Array, "*n"]) -> Array:
+        """Return `_Lists.laws` of listed points."""
+        bodies = np.array(self.tree.dof_bodies, int)
+        chains = [np.isin(bodies, chain_to_root(self.tree, b)) for b in range(self.tree.body_count)]
+        moves = np.array(chains, np.float32)
+        signs = moves[self.owners[1]] - moves[self.owners[0]]
+        S = self.kin.axes
+        moments = cross(S.angular, self.places[:, bodies])
         if S.linear is not None:
             moments = moments - S.linear
-        none = jnp.zeros_like(moments[:, :1])
-        return jnp.concatenate([S.angular, none], 1), jnp.concatenate([moments, none], 1)
+        signs = signs.astype(points.dtype)
+        stiffness = jnp.asarray(self.pairs.stiffness, points.dtype) / self.h
 
-    # Quantities of points.
+        def law(k: Array) -> Array:
+            point = _at(points, k)
+            number, normal, places, _ = _parts(point)
+            first, second = (cross(p, normal)[:, None] for p in places)
+            sign = _constant(signs.T, number)
+            turned = dot(S.angular, jnp.where(sign[None] > 0, second, first))
+            J = sign * (turned - dot(normal[:, None], moments))
+            first_two = [rest_velocity(point[1], self.h), _constant(stiffness, number)]
+            return jnp.concatenate([jnp.stack(first_two), J])
 
-    def drift(self, run: _Run, point: "_Point", q: Array, accelerations: Any) -> Array:
-        """Return `_Points.drift` of a point, from `accelerations`."""
-        spin, linear, base, A = accelerations
-        points = []
-        for body, p in zip(_bodies(run, q), (point.first, point.second), strict=True):
-            angular = _at(spin, body, 1)
-            velocity = _at(linear, body, 1) + cross(angular, p)
-            acceleration = _at(base, body, 1) + matvec(_at(A, body, 2), p)
-            points.append(PointMotion(angular, velocity, acceleration))
-        return 0.5 * self.h * parting_acceleration(point.normal, point.carried, points)
-
-    def drifts_of(self, runs: tuple[_Run, ...], bias: Float[Array, "d *n"]) -> list[Array]:
-        """Return `_Points.drift` of all points of some runs, with a velocity-product bias."""
-        accelerations = self.accelerations(bias)
-        return _of_points(runs, lambda run, q: self.drift(run, _point(run, q), q, accelerations))
-
-    def jacobian(self, run: _Run, point: "_Point", q: Array, axes: Any) -> tuple[Array, Array]:
-        """Return the nonzero entries of J, ``(k, *n)``, and their axes, ``(k,)``."""
-        pair = q % run.kind.count
-        dofs, signs = (jnp.asarray(x)[pair] for x in (run.paths.dofs, run.paths.signs))
-        a, moments = (jnp.take(x, dofs, axis=1, mode="clip") for x in axes)
-        signs = expand_dims_like(signs.astype(a.dtype), a[0])
-        n = point.normal[:, None]
-        first, second = (cross(p, point.normal)[:, None] for p in (point.first, point.second))
-        moment = jnp.where(signs[None] > 0, second, first)
-        return signs * (dot(a, moment) - dot(n, moments)), dofs
+        return _table(count, self.size, law, self.qd)
 
 
 class _Sums(NamedTuple):
@@ -281,17 +294,12 @@ class ManyPairForces:
         self, contacts: ManyPairContacts, qdd: Float[Array, "d *n"], sums: _Sums | None = None
     ):
         self._contacts, self._qdd, self._sums = contacts, qdd, sums
-        # Computed before any loop, so that the iterations only read the tables.
-        self._twists = contacts.twists(contacts.qd + contacts.h * qdd)
-        none = jnp.zeros_like(qdd[:1])
-        # The row behind the torques is for the padding of `_Paths`.
-        self._no_sums = _Sums(jnp.concatenate([jnp.zeros_like(qdd), none]), none.sum(0))
+        self._rates = contacts.qd + contacts.h * qdd
 
     @property
     def force(self) -> Float[Array, "p *n"]:
         """Force of every point, N."""
-        runs = self._contacts.runs
-        return jnp.concatenate(_of_points(runs, lambda run, q: self._push(run, q)[1]))
+        return self._contacts.of_points(lambda k: self._push(k)[1])
 
     @property
     def load(self) -> Float[Array, "*n"]:
@@ -307,15 +315,8 @@ class ManyPairForces:
     def sums(self) -> _Sums:
         """Joint torques and the sum of all forces, computed once."""
         if self._sums is None:
-            contacts = self._contacts
-            axes = contacts.axes()
-
-            def add(run: _Run, sums: _Sums, q: Array, point: "_Point", push: Array) -> _Sums:
-                J, dofs = contacts.jacobian(run, point, q, axes)
-                return _Sums(_plus(sums.torque, dofs, J * push[None]), sums.load + push)
-
-            torque, load = self._where_pushing(add, self._no_sums)
-            self._sums = _Sums(torque[: contacts.tree.dof_count], load)
+            total = self._over_pushing(lambda law, push: [law[2:] * push[None], push[None]])
+            self._sums = _Sums(total[:-1], total[-1])
         return self._sums
 
     def power(self, change: Float[Array, "d *n"]) -> Float[Array, "*n"]:
@@ -327,245 +328,213 @@ class ManyPairForces:
 
         The loop over the points computes `sums`, too, unless they are known.
         """
-        contacts, qdd, known = self._contacts, self._qdd, self._sums is not None
-        h, batch, count = contacts.h, qdd.shape[1:], contacts.tree.dof_count
-        rates = jnp.concatenate([qdd, jnp.zeros((1, *batch), qdd.dtype)])
-        axes, size = contacts.axes(), (count + 1) * (count + 2) // 2
+        h, qdd, known = self._contacts.h, self._qdd, self._sums is not None
+        count = len(qdd)
+        rows, columns = np.tril_indices(count)
 
-        def add(run: _Run, found: Any, q: Array, point: "_Point", push: Array) -> Any:
-            (torque, matrix), sums = found
-            J, dofs = contacts.jacobian(run, point, q, axes)
-            stiffness = expand_dims_like(_at(jnp.asarray(run.stiffness), q), push) / h
-            derivative = jnp.where(push > 0, stiffness, 0.0)
-            own = jnp.take(rates, dofs, axis=0, mode="clip")
-            force = push + derivative * h * (J * own).sum(0)
-            rows = jnp.asarray(run.paths.rows)[q % run.kind.count]
-            i, j = np.tril_indices(len(dofs))
-            values = (h * derivative)[None] * J[i] * J[j]
-            torque = _plus(torque, dofs, J * force[None])
-            matrix = _plus(matrix, rows[i] + dofs[j], values)
-            if not known:
-                sums = _Sums(_plus(sums.torque, dofs, J * push[None]), sums.load + push)
-            return (torque, matrix), sums
+        def add(law: Array, push: Array) -> list[Array]:
+            J = law[2:]
+            derivative = jnp.where(push > 0, law[1], 0.0)
+            force = push + derivative * h * (J * qdd).sum(0)
+            scaled = (h * derivative)[None] * J
+            own = [] if known else [J * push[None], push[None]]
+            return [J * force[None], scaled[rows] * J[columns], *own]
 
-        start = jnp.zeros((count + 1, *batch), qdd.dtype), jnp.zeros((size, *batch), qdd.dtype)
-        (torque, packed), sums = self._where_pushing(add, (start, None if known else self._no_sums))
-        if sums is not None:
-            self._sums = _Sums(sums.torque[:count], sums.load)
-        rows, columns = np.indices((count, count))
-        most, least = np.maximum(rows, columns), np.minimum(rows, columns)
-        places = most * (most + 1) // 2 + least
-        return torque[:count], packed[places.ravel()].reshape(count, count, *batch)
+        total = self._over_pushing(add)
+        last = count + len(rows)
+        if not known:
+            self._sums = _Sums(total[last:-1], total[-1])
+        i, j = np.indices((count, count))
+        most, least = np.maximum(i, j), np.minimum(i, j)
+        return total[:count], total[count:last][most * (most + 1) // 2 + least]
 
-    def _push(self, run: _Run, q: Array) -> tuple["_Point", Array]:
-        """Return a point and its force, N."""
-        h, point = self._contacts.h, _point(run, q)
-        velocity = _turning_apart(run, point, q, self._twists) + point.drift
-        short = rest_velocity(point.gap, h) - velocity
-        stiffness = expand_dims_like(_at(jnp.asarray(run.stiffness), q), short) / h
-        return point, jnp.where(point.watched, stiffness * jnp.maximum(short, 0.0), 0.0)
+    def _push(self, k: Array) -> tuple[Array, Array]:
+        """Return the law of each individual's k-th point, and its force, N."""
+        law, velocity = self._contacts.law(k, self._rates)
+        push = law[1] * jnp.maximum(law[0] - velocity, 0.0)
+        return law, jnp.where(k < self._contacts.lists.count, push, 0.0)
 
-    def _where_pushing(self, add: Callable, start: Any) -> Any:
-        """Fold sums over the points that push."""
+    def _over_pushing(self, values: Callable[[Array, Array], list[Array]]) -> Array:
+        """Return sums over the points that push, of values from their laws and forces."""
+        contacts, like = self._contacts, self._qdd[0]
+        law = jnp.zeros((2 + len(self._qdd), *like.shape), like.dtype)
+        start = jnp.zeros_like(jnp.concatenate(values(law, like)))
+        places = np.arange(len(start))
 
-        def look(run: _Run, sums: Any, q: Array) -> Any:
-            point, push = self._push(run, q)
-            return jax.lax.cond(
-                jnp.any(push > 0),
-                lambda sums: add(run, sums, q, point, push),
-                lambda sums: sums,
-                sums,
-            )
+        def look(total: Array, k: Array) -> Array:
+            law, push = self._push(k)
 
-        return _over_points(self._contacts.runs, look, start)
+            def add(total: Array) -> Array:
+                new = jnp.concatenate(values(law, push))
+                return total.at[places].add(new, mode="promise_in_bounds")
+
+            return jax.lax.cond(jnp.any(push > 0), add, lambda total: total, total)
+
+        return _over_lists(contacts.lists.count, contacts.size, look, start)
 
 
-class _Point(NamedTuple):
-    """One point of one pair (see `_Points`)."""
+class _Bodies(NamedTuple):
+    """Tables of all bodies at the start of the step.
 
-    watched: Array
-    gap: Array
-    drift: Array
-    normal: Array
-    first: Array
-    second: Array
-    carried: Array
-
-
-def _point(run: _Run, q: Array) -> _Point:
-    watched, gap, drift, *vectors = jax.tree.map(
-        lambda x: _at(x, q), run.points, is_leaf=lambda x: isinstance(x, jax.Array)
-    )
-    return _Point(watched > 0, gap, drift, *(jnp.stack(x) for x in vectors))
-
-
-def _over_points(runs: tuple[_Run, ...], look: Callable, start: Any) -> Any:
-    """Fold a function over the points of some runs that are watched for any individual."""
-    for run in runs:
-
-        def point(carry: Any, q: Array, run: _Run = run) -> tuple[Any, None]:
-            anyone = jnp.any((_at(run.points.watched, q) > 0) & (q < len(run.points.gap)))
-            return jax.lax.cond(
-                anyone, lambda carry: look(run, carry, q), lambda carry: carry, carry
-            ), None
-
-        def group(
-            carry: Any, g: Array, run: _Run = run, point: Callable = point
-        ) -> tuple[Any, None]:
-            points = _TOGETHER * g + jnp.arange(_TOGETHER, dtype=_NO_SIGN)
-            return jax.lax.cond(
-                jnp.any(_at(run.near, g) > 0),
-                lambda carry: jax.lax.scan(point, carry, points)[0],
-                lambda carry: carry,
-                carry,
-            ), None
-
-        start, _ = jax.lax.scan(group, start, jnp.arange(len(run.near), dtype=_NO_SIGN))
-    return start
-
-
-def _of_points(runs: tuple[_Run, ...], look: Callable) -> list[Float[Array, "k *n"]]:
-    """Return a function's value for every point of each run; 0 where it is not watched."""
-    found = []
-    for run in runs:
-        watched = run.points.watched
-
-        def add(run: _Run, values: Array, q: Array) -> Array:
-            value = jnp.where(_at(run.points.watched, q) > 0, look(run, q), 0.0)
-            return _plus(values, q[None], value[None])
-
-        found.append(_over_points((run,), add, jnp.zeros_like(watched)))
-    return found
-
-
-def _with_drift(runs: tuple[_Run, ...], drifts: list[Array]) -> tuple[_Run, ...]:
-    """Return the runs with other values of `_Points.drift`."""
-    return tuple(
-        run._replace(points=run.points._replace(drift=drift))
-        for run, drift in zip(runs, drifts, strict=True)
-    )
-
-
-def _turning_apart(run: _Run, point: "_Point", q: Array, twists: tuple[Array, Array]) -> Array:
-    """Return the separation velocity of a point at constant twists of all bodies, m/s."""
-    return _apart(point, [[_at(x, body, 1) for x in twists] for body in _bodies(run, q)])
-
-
-def _apart(point: Any, twists: list[list[Array]]) -> Array:
-    """Return the separation velocity of points at constant twists of both bodies, m/s."""
-    n, first, second = point.normal, point.first, point.second
-    (spin, linear), (other_spin, other_linear) = twists
-    second_part = dot(n, other_linear) + dot(other_spin, cross(second, n))
-    return second_part - dot(n, linear) - dot(spin, cross(first, n))
-
-
-def _bodies(run: _Run, q: Array) -> tuple[Array, Array]:
-    pair = q % run.kind.count
-    return jnp.asarray(run.first)[pair], jnp.asarray(run.second)[pair]
-
-
-def _at(x: Array, index: Array, axis: int = 0, keepdims: bool = False) -> Array:
-    return jax.lax.dynamic_index_in_dim(x, index, axis, keepdims=keepdims)
-
-
-def _plus(sums: Array, places: Array, values: Array) -> Array:
-    return sums.at[places].add(values, mode="promise_in_bounds")
-
-
-def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
-    """Find the nearest points of all pairs at the start of the step."""
-    tree, pairs, h = contacts.tree, contacts.pairs, contacts.h
-    # Positions are relative to the root's origin.
-    kin = contacts.kin._replace(origin=contacts.places)
-    centre, half, radius = placed_boxes(pairs, kin)
-    own = contacts.motion(contacts.qd)
-    size = jnp.sqrt((half * half).sum(0)) + radius
-    offset = centre - contacts.places
-    passing = own.linear + cross(own.angular, offset)
-    speed = jnp.sqrt(dot(passing, passing)) + jnp.sqrt(dot(own.angular, own.angular)) * size
-    approach, margin = h * speed, _MARGIN * (half.min(0) + radius)
-    twists = contacts.twists(contacts.qd)
-    owners = tree.dof_bodies
-    chains = [set(chain_to_root(tree, body)) for body in range(tree.body_count)]
-    found, start, points = [], 0, 0
-    for run in pairs.runs:
-        stop = start + run.count
-        first, second = (np.array(x[start:stop], np.int32) for x in (pairs.first, pairs.second))
-        count = run.count * KINDS[run.kind][1]
-        stiffness = pairs.stiffness[points : points + count]
-        placed = (centre, kin.rotation, half, radius), size, approach, margin
-        nearest = _nearest(run, first, second, placed, twists, h)
-        # The joint axes between the bodies of each pair.
-        between = []
-        for one, two in zip(first, second, strict=True):
-            axes = [k for k, body in enumerate(owners) if body in chains[one] ^ chains[two]]
-            between.append([(k, 1.0 if owners[k] in chains[two] else -1.0) for k in axes])
-        most = max(map(len, between))
-        padded = [path + [(len(owners), 0.0)] * (most - len(path)) for path in between]
-        table = np.array(padded).reshape(len(padded), most, 2)
-        dofs = table[..., 0].astype(np.int32)
-        paths = _Paths(dofs, table[..., 1].astype(np.float32), dofs * (dofs + 1) // 2)
-        watched = nearest.watched
-        none = jnp.zeros((-len(watched) % _TOGETHER, *watched.shape[1:]), watched.dtype)
-        groups = jnp.concatenate([watched, none]).reshape(-1, _TOGETHER, *watched.shape[1:])
-        near = groups.max(1)
-        found.append(_Run(run, first, second, stiffness, paths, nearest, near))
-        start, points = stop, points + count
-    return tuple(found)
-
-
-def _nearest(
-    run: Alike,
-    first: np.ndarray,
-    second: np.ndarray,
-    placed: tuple,
-    twists: tuple[Array, Array],
-    h: float,
-) -> _Points:
-    """Find the points of the pairs of a run.
-
-    ``placed`` is the boxes of all bodies (`Alike.boxes`), radii of bounding balls, distances that
-    bodies move in this step, and margins, m. The twists are those at the start of the step.
+    Attributes:
+        boxes: placed boxes (`Alike.boxes`).
+        twists: twists at present rates: rad/s, and m/s at the root's origin.
+        ball: radius of the ball that bounds all places within two steps, m.
+        reach: distance that any point moves in a step, and a margin, m.
+        h: step, s.
     """
-    boxes, size, approach, margin = placed
-    spin, linear = twists
-    find, each = KINDS[run.kind]
-    like = margin[0] + approach[0]
-    none = jnp.zeros((run.count * each, *like.shape), like.dtype)
-    triple = none, none, none
-    start = _Points(none, none, none, triple, triple, triple, (none, none))
 
-    def round_(points: _Points, p: Array) -> tuple[_Points, None]:
-        bodies = jnp.asarray(first)[p], jnp.asarray(second)[p]
-        near = sum(_at(size + 2.0 * approach + margin, body) for body in bodies)
-        away = _at(boxes[0], bodies[1], 1) - _at(boxes[0], bodies[0], 1)
-        close = dot(away, away) < near * near
-
-        def look(points: _Points) -> _Points:
-            own = zip((0, 1), bodies, strict=True)
-            found = find(*(run.boxes(boxes, body, side) for side, body in own))
-            gap = jnp.concatenate([one.gap for one in found])
-            own = [[_at(x, body, 1, True) for x in (spin, linear)] for body in bodies]
-            closing = jnp.concatenate([-_apart(one, own) for one in found])
-            reach = sum(_at(approach + margin, body) for body in bodies)
-            reach = jnp.expand_dims(reach, 0) + h * jnp.maximum(closing, 0.0)
-            new = _Points(
-                jnp.where(close[None] & (gap < reach), jnp.ones_like(gap), 0.0),
-                gap,
-                jnp.zeros_like(gap),
-                _components([one.normal for one in found]),
-                _components([one.first for one in found]),
-                _components([one.second for one in found]),
-                _components([one.carried for one in found]),
-            )
-            places = p + run.count * jnp.arange(each)
-            return jax.tree.map(lambda x, value: _plus(x, places, value), points, new)
-
-        return jax.lax.cond(jnp.any(close), look, lambda points: points, points), None
-
-    return jax.lax.scan(round_, start, jnp.arange(run.count, dtype=_NO_SIGN))[0]
+    boxes: tuple[Array, ...]
+    twists: tuple[Array, Array]
+    ball: Array
+    reach: Array
+    h: float
 
 
-def _components(vectors: list[Array]) -> Any:
-    """Return the first components of all vectors ``(3, 1, *n)``, the second, and so on."""
-    return tuple(jnp.concatenate([x[k] for x in vectors]) for k in range(len(vectors[0])))
+def _near_points(pairs: Pairs, bodies: _Bodies, like: Array) -> tuple[Array, Array]:
+    """Return the near points that each individual lists, and their counts."""
+    first, second = (jnp.asarray(x, _NO_SIGN) for x in (pairs.first, pairs.second))
+    runs = np.repeat(np.arange(len(pairs.runs)), [run.count for run in pairs.runs])
+    sizes = [run.count * KINDS[run.kind][1] for run in pairs.runs]
+    starts = np.cumsum([0, *sizes[:-1]])
+    places = [start + np.arange(run.count) for start, run in zip(starts, pairs.runs, strict=True)]
+
+    def round_(listed: tuple[Array, Array], p: Array) -> tuple[tuple[Array, Array], None]:
+        pair = first[p], second[p]
+        away = _at(bodies.boxes[0], pair[1], 1) - _at(bodies.boxes[0], pair[0], 1)
+        close = dot(away, away) < sum(_at(bodies.ball, body) for body in pair) ** 2
+
+        def look(listed: tuple[Array, Array]) -> tuple[Array, Array]:
+            for r, run in enumerate(pairs.runs):
+                append = functools.partial(_with_near, run, pair, numbers[p], close, bodies)
+                listed = jax.lax.cond(which[p] == r, append, lambda listed: listed, listed)
+            return listed
+
+        return jax.lax.cond(jnp.any(close), look, lambda listed: listed, listed), None
+
+    which, numbers = jnp.asarray(runs), jnp.asarray(np.concatenate(places), _NO_SIGN)
+    points = unset((sum(sizes), _POINT, *like.shape[1:]), like)
+    start = points, jnp.zeros(like.shape[1:], _NO_SIGN)
+    return jax.lax.scan(round_, start, jnp.arange(len(runs), dtype=_NO_SIGN))[0]
+
+
+def _with_near(
+    run: Alike,
+    pair: tuple[Array, Array],
+    number: Array,
+    close: Array,
+    bodies: _Bodies,
+    listed: tuple[Array, Array],
+) -> tuple[Array, Array]:
+    """Append the near points of a pair, whose first point has the number, to the lists."""
+    boxes = (run.boxes(bodies.boxes, body, side) for side, body in enumerate(pair))
+    reach = sum(_at(bodies.reach, body) for body in pair)
+    twists = [[_at(x, body, 1) for x in bodies.twists] for body in pair]
+    for e, one in enumerate(KINDS[run.kind][0](*boxes)):
+        gap, normal, *places, carried = one.gap[0], *(x[:, 0] for x in one[1:])
+        closing = jnp.maximum(-_apart(normal, places, twists), 0.0)
+        near = close & (gap < reach + bodies.h * closing)
+        own = jnp.broadcast_to(number + run.count * e, gap.shape).astype(gap.dtype)
+        row = jnp.concatenate([jnp.stack([own, gap]), normal, *places, carried])
+        listed = _appended(listed, near, row)
+    return listed
+
+
+def _appended(listed: tuple[Array, Array], near: Array, row: Array) -> tuple[Array, Array]:
+    """Append a row to the list of every individual for which it is near."""
+    size = len(listed[0])
+
+    def append(listed: tuple[Array, Array]) -> tuple[Array, Array]:
+        points, count = listed
+        return _put(points, jnp.where(near, count, size), row), count + near.astype(_NO_SIGN)
+
+    return jax.lax.cond(jnp.any(near), append, lambda listed: listed, listed)
+
+
+def _apart(normal: Array, places: list[Array], twists: list[list[Array]]) -> Array:
+    """Return the separation velocity of a point at constant twists of both bodies, m/s."""
+    one, two = (
+        dot(normal, linear) + dot(spin, cross(place, normal))
+        for place, (spin, linear) in zip(places, twists, strict=True)
+    )
+    return two - one
+
+
+def _parts(point: Array) -> tuple[Array, Array, tuple[Array, Array], Array]:
+    """Return the number, the normal, both places and `Separation.carried` of a listed point."""
+    return point[0].astype(_NO_SIGN), point[2:5], (point[5:8], point[8:11]), point[11:]
+
+
+def _over_lists(count: Array, most: int, look: Callable[[Any, Array], Any], start: Any) -> Any:
+    """Fold a function over the rounds in which any individual has a listed point.
+
+    ``count`` is the length of each individual's list, at most ``most``.
+    """
+
+    def one(carry: Any, k: Array) -> tuple[Any, None]:
+        within = jnp.any(k < count)
+        return jax.lax.cond(within, lambda carry: look(carry, k), lambda carry: carry, carry), None
+
+    def group(carry: Any, g: Array) -> tuple[Any, None]:
+        rounds = _TOGETHER * g + jnp.arange(_TOGETHER, dtype=_NO_SIGN)
+        within = jnp.any(_TOGETHER * g < count)
+        return jax.lax.cond(
+            within, lambda carry: jax.lax.scan(one, carry, rounds)[0], lambda carry: carry, carry
+        ), None
+
+    return jax.lax.scan(group, start, jnp.arange(-(-most // _TOGETHER), dtype=_NO_SIGN))[0]
+
+
+def _table(count: Array, most: int, value: Callable[[Array], Array], like: Array) -> Array:
+    """Return a table of a function of the rounds, for the points that each individual lists.
+
+    ``like`` is as in `unset`.
+    """
+
+    def look(table: Array, k: Array) -> Array:
+        return _put(table, jnp.where(k < count, k, most), value(k))
+
+    row = jax.eval_shape(value, jax.ShapeDtypeStruct((), _NO_SIGN))
+    return _over_lists(count, most, look, unset((most, *row.shape), like))
+
+
+# Rows of tables, at an index for all individuals or at an index for each.
+
+
+def _at(x: Array, index: Array, axis: int = 0) -> Array:
+    return jax.lax.dynamic_index_in_dim(x, index, axis, keepdims=False)
+
+
+def _each(function: Callable, place: Array) -> Callable:
+    """Return a function of arrays with the batch axes of ``place``, individual by individual."""
+    for _ in range(place.ndim):
+        function = jax.vmap(function, -1, -1)
+    return function
+
+
+def _own(x: Array, place: Array) -> Array:
+    """Return the columns of a table at each individual's index."""
+    return _each(lambda x, i: _at(x, i, 1), place)(x, place)
+
+
+def _constant(x: Any, place: Array) -> Array:
+    """Return the last axis of a table that all individuals share, at each individual's index."""
+    return jnp.take(jnp.asarray(x), place, axis=-1, mode="clip")
+
+
+def _put(table: Array, place: Array, row: Array) -> Array:
+    """Write a row at each individual's index, unless the index is behind the end of the table."""
+
+    def put(table: Array, place: Array, row: Array) -> Array:
+        return table.at[place].set(row, mode="drop", unique_indices=True)
+
+    return _each(put, place)(table, place, row)
+
+
+def _add(sums: Array, place: Array, value: Array) -> Array:
+    """Add a number at each individual's index."""
+
+    def add(sums: Array, place: Array, value: Array) -> Array:
+        return sums.at[place].add(value, mode="drop")
+
+    return _each(add, place)(sums, place, value)

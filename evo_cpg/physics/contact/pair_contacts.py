@@ -14,7 +14,7 @@ loops over many pairs. Both have the members
 | ``at(qdd, sums)`` | the `PairForces` at joint accelerations, ``sums`` included if known |
 | ``change(qdd)`` | the change of velocities that ``PairForces.power`` takes |
 | ``touches(qdd)`` | where any pair pushes |
-| ``drifts(qdd, bias)`` | where another bias would move a touching pair by over `LARGEST_DRIFT` |
+| ``drifts(qdd, bias, asked)`` | where another bias would move a touching pair too far |
 | ``parting(rates)`` | the separation velocities of points at joint rates, ``J rates``, m/s |
 
 | `PairForces` | |
@@ -122,11 +122,16 @@ class FewPairContacts(NamedTuple):
         """Return whether any pair of each individual pushes at joint accelerations."""
         return (self.target_velocity > self.velocity(qdd)).any(0)
 
-    def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "p *n"]) -> Bool[Array, "*n"]:
-        """Return whether another bias would move a touching pair by more than `LARGEST_DRIFT`."""
+    def drifts(
+        self, qdd: Float[Array, "d *n"], bias: Float[Array, "p *n"], asked: Bool[Array, "*n"]
+    ) -> Bool[Array, "*n"]:
+        """Return which of some individuals need an update of their velocity-product bias.
+
+        Another bias would move a touching pair by more than `LARGEST_DRIFT`.
+        """
         velocity, other = self.velocity(qdd), self.with_bias(bias).velocity(qdd)
         touches = (self.target_velocity > velocity) | (self.target_velocity > other)
-        return (touches & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT)).any(0)
+        return asked & (touches & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT)).any(0)
 
 
 class FewPairForces(NamedTuple):

@@ -114,7 +114,7 @@ def next_update(
     pairs = problem.equations.pairs
     if pairs is not None:
         new = pairs.bias_at(qdd)
-        change_bias = finished & (updates + 1 < biases) & pairs.drifts(qdd, new)
+        change_bias = pairs.drifts(qdd, new, finished & (updates + 1 < biases))
         bias, updates = where_each(change_bias, (new, updates + 1), (bias, updates))
         finished = finished & ~change_bias
     cone = where_each(change_cone, cone.updated(allowed), cone)
