@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from evo_cpg.api.analyse import Analysis, analyse, gait_numbers
     from evo_cpg.api.audit import Audit, audit
     from evo_cpg.api.cluster import cluster
-    from evo_cpg.api.environment import Environment, EnvironmentState
+    from evo_cpg.api.environment import Environment, EnvironmentState, Session
     from evo_cpg.api.experiment import Experiment, Trials, load
     from evo_cpg.api.fit import fit
     from evo_cpg.api.lab import lab
@@ -44,7 +44,7 @@ _NAMES = {
     "api.experiment": ("load", "Experiment", "Trials"),
     "evolution.strategy": ("Evaluation", "Strategy"),
     "api.record": ("Record",),
-    "api.environment": ("Environment", "EnvironmentState"),
+    "api.environment": ("Environment", "EnvironmentState", "Session"),
     "api.training": ("train", "resume", "Trained"),
     "api.cluster": ("cluster",),
     "api.refine": ("refine", "Refined"),

@@ -126,8 +126,8 @@ def bench(
         typer.Argument(
             metavar="CASE",
             help="swimmer, salamander-water, salamander-land, quadruped, half_cheetah, ant, "
-            "humanoid, cpg, brain, ga, generation, gradient, bodies, large-creatures, engines, "
-            "scaling or startup (default: all).",
+            "humanoid, cpg, brain, ga, generation, gradient, bodies, loop, large-creatures, "
+            "engines, scaling or startup (default: all).",
         ),
     ] = None,
     sizes: Annotated[

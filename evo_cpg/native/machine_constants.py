@@ -43,7 +43,7 @@ The number of individuals on a device is rounded up to a multiple of it.
 """
 
 CACHE_LINE = 64
-"""A fact, bytes: size of a cache line. Every place in scratch memory begins at a line."""
+"""A fact, bytes: size of a cache line. A vector's place in scratch memory begins at a line."""
 
 VALUE_REGISTERS = 0.75
 """Fitted: fraction of the registers that hold values. The other registers hold constants and

@@ -6,6 +6,8 @@ compiled like any other program. For a gradient only the arguments of each progr
 backward pass computes the program again from them, in registers.
 """
 
+import ctypes
+import functools
 import math
 import time
 import weakref
@@ -19,10 +21,12 @@ import numpy as np
 from evo_cpg.native import engine, machine_constants
 from evo_cpg.native import jax_internals as internals
 from evo_cpg.native.backend.code import Variant
-from evo_cpg.native.backend.machine import load
+from evo_cpg.native.backend.llvm import call_frame
+from evo_cpg.native.backend.machine import host, load
 from evo_cpg.native.compile import to_llvm
 from evo_cpg.native.frontend.primitives import Arrays, Program, fused_p, is_tracing, linear_map
 from evo_cpg.native.fuse import fuse
+from evo_cpg.native.ir import Unsupported
 from evo_cpg.native.stopwatch import Made, counted
 
 
@@ -31,16 +35,94 @@ class Native(NamedTuple):
 
     Attributes:
         name: name of the handler in XLA.
+        address: address of the handler.
         scratch: bytes of working memory.
         width: number of individuals in a vector, the least number of individuals in a call.
     """
 
     name: str
+    address: int
     scratch: int
     width: int
 
 
 _codes: "weakref.WeakKeyDictionary[Program, dict]" = weakref.WeakKeyDictionary()
+
+
+def compiled(program: Program, single: bool) -> Native:
+    """Return the machine code of a program, which is compiled at the first call.
+
+    Args:
+        program: the program.
+        single: whether the code computes a single individual, and needs no vectors.
+    """
+    target = engine.target()
+    if single and target.name == "avx512":
+        # Instructions of AVX2 are shorter.
+        target = host("avx2")
+    codes = _codes.setdefault(program, {})
+    kinds = [np.dtype(x.dtype) for x in (*program.inputs, *program.outputs)]
+    widest = max([kind.itemsize for kind in kinds if kind.kind == "f"], default=4)
+    width = 1 if single else target.bytes // widest
+    variant = Variant(target, width)
+    if variant not in codes:
+        with counted() as spent:
+            start = time.perf_counter()
+            module = to_llvm(program, variant)
+            if module.operations > machine_constants.MANY_OPERATIONS:
+                # LLVM takes a minute or more.
+                most = f"{machine_constants.MANY_OPERATIONS:,}"
+                engine.warn_once(
+                    f"A program has more than {most} operations, so it takes long to compile. "
+                    "Fewer bodies, contacts or points of drag make it smaller"
+                )
+            middle = time.perf_counter()
+            name, address = load(module.text, target)
+            taken = middle - start, time.perf_counter() - middle
+            if spent is not None:
+                made = Made(program.name, module.operations, *taken, module.scratch)
+                spent.programs.append(made)
+            name = engine.register(name, address)
+            codes[variant] = Native(name, address, module.scratch, width)
+    return codes[variant]
+
+
+class Stepper:
+    """Repeated calls of ``state = function(state, given)`` for one individual, without XLA.
+
+    A call through JAX costs more than a step of a small animal. The results of a call are the
+    arguments of the next one, so that nothing is copied.
+
+    Attributes:
+        leaves: arrays of the present state. The next two calls overwrite them.
+        structure: the state's structure of arrays.
+
+    Raises:
+        Unsupported: if the function does not become native code.
+    """
+
+    def __init__(self, function: Callable, state: Any, given: jax.Array, name: str):
+        run = functools.partial(fuse, function, batch_ndim=0, name=name)
+        equations = jax.make_jaxpr(run)(state, given).jaxpr.eqns
+        if [x.primitive for x in equations] != [fused_p]:
+            raise Unsupported(f"{name} is not native code")
+        native = compiled(equations[0].params["program"], single=True)
+        found, self.structure = jax.tree.flatten(state)
+        self.leaves, self._other = ([np.array(x) for x in found] for _ in range(2))
+        self._given, self._scratch = np.array(given), np.zeros(max(native.scratch, 1), np.uint8)
+        self._run = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(native.address)
+        self._frames = [
+            call_frame([*one, self._given], [*two, self._scratch])
+            for one, two in ((self.leaves, self._other), (self._other, self.leaves))
+        ]
+        self._addresses = [frame.ctypes.data for frame in self._frames]
+
+    def __call__(self, given: np.ndarray) -> None:
+        """Compute the next state."""
+        self._given[:] = given
+        self._run(self._addresses[0])
+        self.leaves, self._other = self._other, self.leaves
+        self._addresses.reverse()
 
 
 def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> list[jax.Array]:
@@ -53,32 +135,7 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
     if not count or not any(aval.size for aval in outputs):
         return [jnp.zeros((*aval.shape, *batch), aval.dtype) for aval in outputs]
     try:
-        # The code is compiled at the first call.
-        target = engine.target()
-        codes = _codes.setdefault(program, {})
-        kinds = [np.dtype(x.dtype) for x in (*program.inputs, *program.outputs)]
-        widest = max([kind.itemsize for kind in kinds if kind.kind == "f"], default=4)
-        width = 1 if count == 1 else target.bytes // widest
-        variant = Variant(target, width)
-        if variant not in codes:
-            with counted() as spent:
-                start = time.perf_counter()
-                module = to_llvm(program, variant)
-                if module.operations > machine_constants.MANY_OPERATIONS:
-                    # LLVM takes a minute or more.
-                    most = f"{machine_constants.MANY_OPERATIONS:,}"
-                    engine.warn_once(
-                        f"A program has more than {most} operations, so it takes long to compile. "
-                        "Fewer bodies, contacts or points of drag make it smaller"
-                    )
-                middle = time.perf_counter()
-                name, address = load(module.text, target)
-                taken = middle - start, time.perf_counter() - middle
-                if spent is not None:
-                    made = Made(program.name, module.operations, *taken, module.scratch)
-                    spent.programs.append(made)
-                codes[variant] = Native(engine.register(name, address), module.scratch, width)
-        native = codes[variant]
+        native = compiled(program, single=count == 1)
     except Exception as error:
         engine.warn_of_fallback(program.name, error)
         return program(*arrays)
@@ -115,7 +172,7 @@ def differentiate(
         # Within a larger program JAX differentiates the loop round by round, and keeps the inputs
         # of the programs in it. As a whole, the loop would be computed once more to find them.
         changes = [internals.instantiate_zeros(tangent) for tangent in tangents]
-        return jax.jvp(program, primals, changes)
+        return jax.jvp(program, list(primals), changes)
     moving = [i for i, tangent in enumerate(tangents) if not isinstance(tangent, internals.Zero)]
     smooth = [i for i, x in enumerate(program.outputs) if jnp.issubdtype(x.dtype, jnp.floating)]
     changes = [tangents[i] for i in moving]

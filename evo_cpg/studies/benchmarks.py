@@ -73,6 +73,7 @@ _TITLES = {
     "generation": "whole generation of the swimmer",
     "gradient": "fitness and its gradient, compared with fitness alone",
     "bodies": "individual bodies, compared with one body for all",
+    "loop": "Python loop over steps of the half cheetah, compared with gymnasium",
     "large-creatures": "walkers and chains of up to 60 bodies: compile time, memory, run time",
     "engines": "native code for every shipped configuration, compared with plain JAX",
     "scaling": "all cores, compared with one core and with processes",

@@ -305,6 +305,23 @@ def test_rewards_of_an_episode_add_up_to_the_fitness(experiment, genomes):
     np.testing.assert_allclose(many.obs, jnp.stack([seen[0]] * 3), rtol=1e-5, atol=1e-6)
 
 
+def test_session_repeats_the_steps_of_its_environment(experiment):
+    environment = experiment.environment()
+    session, state = environment.session(), environment.reset(jax.random.key(3))
+    seen, _ = session.reset(seed=3)
+    np.testing.assert_array_equal(seen, state.obs)
+    step = jax.jit(environment.step)
+    for action in np.random.default_rng(0).uniform(-1, 1, (4, environment.action_size)):
+        state, (seen, reward, diverged, over, _) = step(state, action), session.step(action)
+        np.testing.assert_array_equal(seen, state.obs)
+        assert (reward, diverged or over) == (state.reward, state.done)
+        assert session.metrics == state.metrics
+    with pytest.raises(ValueError, match="must have the shape"):
+        session.step(action[1:])
+    again, _ = session.reset(seed=3)
+    assert (again != seen).any()
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [

@@ -202,6 +202,6 @@ def test_a_derivative_is_named_while_it_compiles(impatient, monkeypatch, capsys)
     """The line comes while the fitness is traced, before JAX compiles its derivative."""
     experiment = evo.load(CONFIG, [*PAIR, "task={type: distance}", "creature.light_sensors=[]"])
     monkeypatch.setattr(fitness, "rollout", lambda *given, **options: time.sleep(0.8))
-    monkeypatch.setattr(fitness, "judge", lambda *given: np.zeros(1))
+    monkeypatch.setattr(fitness, "mean_of_trials", lambda given: np.zeros(1))
     experiment.fitness_function()(np.zeros(experiment.gene_count))
     assert "compiling the fitness of" in capsys.readouterr().err

@@ -87,17 +87,6 @@ def test_program_falls_back_when_compiler_dies(monkeypatch):
     machine._stop()
 
 
-def test_stack_size_of_other_threads_does_not_change():
-    before = threading.stack_size()
-    compiler_process._on_large_stack(lambda: b"")
-    assert threading.stack_size() == before
-
-
-def test_errors_of_the_compiler_thread_are_raised():
-    with pytest.raises(ZeroDivisionError):
-        compiler_process._on_large_stack(lambda: bytes(1 // 0))
-
-
 def test_code_cut_into_functions_gives_the_same_bits(texts, monkeypatch):
     def program(x):
         def turn(carry, i):

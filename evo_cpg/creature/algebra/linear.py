@@ -7,6 +7,7 @@ the population away from the last axis.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -56,6 +57,13 @@ def of_each(value: Array, like: Array) -> Array:
 def where_each(mask: Array, new: Any, old: Any) -> Any:
     """Return ``jnp.where`` by individual for pytrees with the individuals on their last axes."""
     return jax.tree.map(lambda x, y: jnp.where(of_each(mask, x), x, y), new, old)
+
+
+def where_needed(needed: Any, compute: Callable[[], Any], otherwise: Any) -> Any:
+    """Return `where_each` of a computation that is skipped if no individual needs it."""
+    found = jax.lax.cond(jnp.any(needed), compute, lambda: otherwise)
+    # A program for one individual needs no selection, because the branch has selected.
+    return where_each(needed, found, otherwise) if needed.ndim else found
 
 
 def array_of(values: Any, dtype: Any = float) -> np.ndarray | Array:

@@ -57,7 +57,8 @@ class Allocator:
                 self.lists[node.operands[0]].append(node)
         self.select = Selector(self.width, variant.target.fma)
         self.registers = Registers(variant.target.registers)
-        self.memory = MemoryMap()
+        widest = max([node.dtype.itemsize for node in graph.nodes], default=1)
+        self.memory = MemoryMap(machine_constants.CACHE_LINE if self.width > 1 else widest)
         self.tables: dict[Node, int | str] = {}
         self.constants: dict[str, np.ndarray] = {}
         # Places of the number of rows in use, of tables that are not written at their start.

@@ -15,18 +15,10 @@ import functools
 import json
 import signal
 import sys
-import threading
-from collections.abc import Callable
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
-
-# Stack of the thread that compiles, bytes. LLVM walks through a function recursively. In version
-# 1.0.0 a spider's single function of 250,000 lines needed more than 8 MiB. Since then long
-# functions are cut, and need 256 KiB even for a walker with 41 bodies. Unused stack takes no
-# memory.
-_STACK = 256 * 2**20
 
 
 class Request(NamedTuple):
@@ -48,25 +40,26 @@ class Request(NamedTuple):
 
 
 def object_code(request: Request) -> bytes:
-    """Compile a module of LLVM IR, on a thread with a large stack.
+    """Compile a module of LLVM IR.
+
+    LLVM walks through a function recursively. Functions are cut (`LONGEST_FUNCTION`), so 512 KiB of
+    stack suffice even for a walker with 41 bodies.
 
     Raises:
         RuntimeError: if the text is not valid IR, or LLVM has no such processor.
     """
-    return _on_large_stack(lambda: _object_code(*request))
-
-
-def _object_code(text: str, processor: str, features: str, effort: int, assembly: bool) -> bytes:
     import llvmlite.binding as llvm
 
-    machine = _machine(processor, features, effort)
-    module = llvm.parse_assembly(text)
+    machine = _machine(request.processor, request.features, request.effort)
+    module = llvm.parse_assembly(request.text)
     # The order of instructions and the use of registers are fixed (`storage`). A search for a
     # better order takes longer than the rest of compilation. The option is global, so it is set
     # back afterwards.
     llvm.set_option("", "-enable-misched=false")
     try:
-        return machine.emit_assembly(module).encode() if assembly else machine.emit_object(module)
+        if request.assembly:
+            return machine.emit_assembly(module).encode()
+        return machine.emit_object(module)
     finally:
         llvm.set_option("", "-enable-misched=true")
 
@@ -80,36 +73,6 @@ def _machine(processor: str, features: str, effort: int) -> "llvm.TargetMachine"
     return llvm.Target.from_default_triple().create_target_machine(
         cpu=processor, features=features, opt=effort, reloc="pic", codemodel="small"
     )
-
-
-def _on_large_stack(compute: Callable[[], bytes]) -> bytes:
-    """Run a function on a separate thread with a large stack and return its result."""
-    found: list[bytes] = []
-    errors: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            found.append(compute())
-        except BaseException as error:
-            errors.append(error)
-
-    thread = before = None
-    try:
-        before = threading.stack_size(_STACK)
-        thread = threading.Thread(target=run, name="LLVM")
-        thread.start()
-    except (ValueError, RuntimeError):
-        # The system refuses a large stack or another thread.
-        thread = None
-    finally:
-        if before is not None:
-            threading.stack_size(before)
-    if thread is None:
-        return compute()
-    thread.join()
-    if errors:
-        raise errors[0]
-    return found[0]
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:

@@ -5,7 +5,7 @@ process ends, because XLA may call it at any time. Equal code is loaded only onc
 
 LLVM runs in a separate process, so that a crash of the compiler does not end the run. The process
 starts with the first program whose machine code is not on disk, and ends with the current process.
-If no process can be started, LLVM runs in the current process, on a thread with a large stack.
+If no process can be started, LLVM runs in the current process.
 """
 
 import atexit

@@ -75,13 +75,18 @@ def live_across(graph: Graph, lists: dict[Node, list[Node]]) -> list[Node]:
 class MemoryMap:
     """The places in memory.
 
+    Args:
+        step: bytes of which all places are multiples: a cache line for vectors. A single individual
+            needs few bytes, which then stay in the first cache.
+
     Attributes:
         size: bytes of scratch memory of each vector.
         places: bytes of it for each part of the program, by name.
         frame: bytes of shared memory. Vectors use it in turn, so that it stays in the cache.
     """
 
-    def __init__(self):
+    def __init__(self, step: int):
+        self._step = step
         self._free: dict[int, list[int]] = {}
         self.size = self.frame = 0
         self.places: dict[str, int] = {}
@@ -89,7 +94,7 @@ class MemoryMap:
     def reserve(self, size: int, part: str) -> int:
         """Return a permanent place in scratch memory, for a part of the program."""
         place = self.size
-        self.size += _whole_lines(size)
+        self.size += -(-size // self._step) * self._step
         self.places[part] = self.places.get(part, 0) + self.size - place
         return place
 
@@ -99,18 +104,12 @@ class MemoryMap:
         if free:
             return free.pop()
         place = self.frame
-        self.frame += _whole_lines(size)
+        self.frame += -(-size // self._step) * self._step
         return place
 
     def release(self, size: int, place: int) -> None:
         """Free a borrowed place for another value."""
         self._free.setdefault(size, []).append(place)
-
-
-def _whole_lines(size: int) -> int:
-    """Round a size up to whole cache lines, bytes."""
-    line = machine_constants.CACHE_LINE
-    return -(-size // line) * line
 
 
 # A node, and whether its value is held as a vector (else as one scalar for all individuals).

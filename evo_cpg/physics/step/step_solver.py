@@ -33,7 +33,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from evo_cpg.creature.algebra.linear import matvec_t, where_each
+from evo_cpg.creature.algebra.linear import matvec_t, where_each, where_needed
 from evo_cpg.native.fuse import implicit, while_each
 from evo_cpg.physics.step.equations import (
     Residual,
@@ -84,9 +84,11 @@ def solve_step(
         # The velocity products are means over the start and the end of the free motion. Individuals
         # whose free motion is wrong keep the initial ones.
         free = free_motion(problem)
-        later = with_mean_products(world, h, equations, free[ROOT], free[JOINTS])
-        unlike = problem.needs_contact_or_other_limits(free)
-        bias = where_each(unlike, equations.bias, later.bias)
+        bias = where_needed(
+            ~problem.needs_contact_or_other_limits(free),
+            lambda: with_mean_products(world, h, equations, free[ROOT], free[JOINTS]).bias,
+            equations.bias,
+        )
         problem = StepProblem.of(world, h, equations._replace(bias=bias))
     batch = state.q.shape[1:]
     if warmstart is None:
