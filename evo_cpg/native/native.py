@@ -169,8 +169,8 @@ def differentiate(
 ) -> tuple[list[jax.Array], list[Any]]:
     """Return the results of a program and their tangents, symbolic zeros for integer results."""
     if program.loops and is_tracing():
-        # Within a larger program JAX differentiates the loop round by round, and keeps the inputs
-        # of the programs in it. As a whole, the loop would be computed once more to find them.
+        # Within a larger program JAX differentiates a loop over parts round by round, and keeps the
+        # inputs of the parts. As a whole, the loop would be computed once more to find them.
         changes = [internals.instantiate_zeros(tangent) for tangent in tangents]
         return jax.jvp(program, list(primals), changes)
     moving = [i for i, tangent in enumerate(tangents) if not isinstance(tangent, internals.Zero)]

@@ -120,12 +120,17 @@ class Program:
 
     @functools.cached_property
     def loops(self) -> bool:
-        """Return whether the program has loops without their own derivative rule."""
+        """Return whether the program has loops over parts, without their own derivative rule."""
         return any(
             equation.params["program"].loops
             if equation.primitive is fused_p
-            else equation.primitive.name in ("scan", "while")
+            else any(
+                each.primitive is fused_p
+                for inner in programs_in(equation)
+                for each in equations(inner, _OWN_RULES)
+            )
             for equation in equations(self.jaxpr, _OWN_RULES)
+            if equation.primitive is fused_p or equation.primitive.name in ("scan", "while")
         )
 
 

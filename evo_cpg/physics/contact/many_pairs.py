@@ -148,13 +148,13 @@ class ManyPairContacts:
         return self.at(qdd).load > 0
 
     def drifts(
-        self, qdd: Float[Array, "d *n"], bias: Float[Array, "d *n"], asked: Bool[Array, "*n"]
+        self, qdd: Float[Array, "d *n"], bias: Float[Array, "d *n"], among: Bool[Array, "*n"]
     ) -> Bool[Array, "*n"]:
         """Return which of some individuals need an update of their velocity-product bias.
 
         Another bias would move a touching pair by more than `LARGEST_DRIFT`.
         """
-        rates, count = self.qd + self.h * qdd, jnp.where(asked, self.lists.count, 0)
+        rates, count = self.qd + self.h * qdd, jnp.where(among, self.lists.count, 0)
         none = jnp.zeros(count.shape, bool)
 
         def found() -> Array:

@@ -14,7 +14,7 @@ loops over many pairs. Both have the members
 | ``at(qdd, sums)`` | the `PairForces` at joint accelerations, ``sums`` included if known |
 | ``change(qdd)`` | the change of velocities that ``PairForces.power`` takes |
 | ``touches(qdd)`` | where any pair pushes |
-| ``drifts(qdd, bias, asked)`` | where another bias would move a touching pair too far |
+| ``drifts(qdd, bias, among)`` | where another bias would move a touching pair too far |
 | ``parting(rates)`` | the separation velocities of points at joint rates, ``J rates``, m/s |
 
 | `PairForces` | |
@@ -123,7 +123,7 @@ class FewPairContacts(NamedTuple):
         return (self.target_velocity > self.velocity(qdd)).any(0)
 
     def drifts(
-        self, qdd: Float[Array, "d *n"], bias: Float[Array, "p *n"], asked: Bool[Array, "*n"]
+        self, qdd: Float[Array, "d *n"], bias: Float[Array, "p *n"], among: Bool[Array, "*n"]
     ) -> Bool[Array, "*n"]:
         """Return which of some individuals need an update of their velocity-product bias.
 
@@ -131,7 +131,7 @@ class FewPairContacts(NamedTuple):
         """
         velocity, other = self.velocity(qdd), self.with_bias(bias).velocity(qdd)
         touches = (self.target_velocity > velocity) | (self.target_velocity > other)
-        return asked & (touches & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT)).any(0)
+        return among & (touches & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT)).any(0)
 
 
 class FewPairForces(NamedTuple):
