@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-from evo_cpg.view.drawing_page.session import Session
+from evo_cpg.view.drawing_page.session import DrawingSession
 from evo_cpg.view.run_page.html import asset, whole_page
 from evo_cpg.view.run_page.server import PageServer
 
 
-def drawing_server(session: Session, port: int = 0) -> PageServer:
+def drawing_server(session: DrawingSession, port: int = 0) -> PageServer:
     """Return the server of a session, on a free port if it is 0."""
     body, style, *own = (
         asset(name, "evo_cpg.view.drawing_page")

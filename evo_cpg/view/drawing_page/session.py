@@ -63,7 +63,7 @@ Advice = Callable[[Simulation], Sequence[str]]
 """Warnings about a simulation, one sentence or more each."""
 
 
-class Session:
+class DrawingSession:
     """A document, its newest drawing, a try and a run.
 
     Args:

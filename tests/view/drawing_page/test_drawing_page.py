@@ -14,7 +14,7 @@ import chromium
 from evo_cpg.io.load import load_config
 from evo_cpg.view.drawing_page.document import Document
 from evo_cpg.view.drawing_page.server import drawing_server
-from evo_cpg.view.drawing_page.session import Session, problems
+from evo_cpg.view.drawing_page.session import DrawingSession, problems
 from evo_cpg.view.run_page.server import PageServer
 
 pytestmark = [
@@ -28,7 +28,7 @@ FINISHED = "document.getElementById('run-state').textContent.startsWith('finishe
 class Drawn:
     """The page of a document, used with mouse and fields."""
 
-    def __init__(self, page: chromium.Page, server: PageServer, session: Session):
+    def __init__(self, page: chromium.Page, server: PageServer, session: DrawingSession):
         self.page, self.server, self.session = page, server, session
         self.document = session.document
 
@@ -96,7 +96,7 @@ class Drawn:
 @contextlib.contextmanager
 def opened(document: Document, profile: Path) -> Iterator[Drawn]:
     """Serve a document and open its page."""
-    session = Session(document)
+    session = DrawingSession(document)
     with drawing_server(session) as server, chromium.browser(profile) as page:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()

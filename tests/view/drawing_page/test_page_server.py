@@ -16,14 +16,14 @@ from evo_cpg.io.load import load_config
 from evo_cpg.io.trust import trusting
 from evo_cpg.view.drawing_page.document import Document
 from evo_cpg.view.drawing_page.server import drawing_server
-from evo_cpg.view.drawing_page.session import Session
+from evo_cpg.view.drawing_page.session import DrawingSession
 from evo_cpg.view.run_page.server import MOST_BYTES, PageServer
 
 
 @pytest.fixture
 def server(tmp_path) -> Iterator[PageServer]:
     document = Document.new(tmp_path / "animal.yaml")
-    session = Session(document, advice=about_oscillators)
+    session = DrawingSession(document, advice=about_oscillators)
     with drawing_server(session) as made:
         made.session = session
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.01})
@@ -226,7 +226,7 @@ def test_trust_reaches_the_threads_of_requests(tmp_path, monkeypatch, trusted):
     trimesh.creation.box((0.2, 0.1, 0.1)).export(tmp_path / "a.stl")
     document = Document.new(tmp_path / "here/animal.yaml")
     with trusting(trusted):
-        session = Session(document)
+        session = DrawingSession(document)
     shape = {"type": "mesh", "file": "../a.stl"}
     given = {"key": ["creature", "bodies", 0, "shape"], "value": shape}
     with ThreadPoolExecutor(1) as thread:
@@ -239,7 +239,7 @@ def test_trust_reaches_the_threads_of_requests(tmp_path, monkeypatch, trusted):
 
 def test_a_creature_that_is_missing_can_be_set(tmp_path):
     (tmp_path / "a.yaml").write_text("name: a\ncreature:\n")
-    session = Session(Document.open(tmp_path / "a.yaml"))
+    session = DrawingSession(Document.open(tmp_path / "a.yaml"))
     answer = session.answer("edit", {"command": "add_part", "given": {}})
     assert "parent: is missing" in answer["error"]
     given = {"key": ["creature"], "value": Document.new(tmp_path / "b.yaml").data["creature"]}

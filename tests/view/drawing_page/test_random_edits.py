@@ -15,7 +15,7 @@ from evo_cpg.io.load import complete_config, load_config
 from evo_cpg.io.yaml_text import to_yaml
 from evo_cpg.view.drawing_page.commands import COMMANDS
 from evo_cpg.view.drawing_page.document import Document
-from evo_cpg.view.drawing_page.session import Session, problems
+from evo_cpg.view.drawing_page.session import DrawingSession, problems
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 # Largest number of bodies that an edit may leave, so that simulations compile in seconds.
@@ -141,7 +141,7 @@ def require_motion(document: Document) -> bool:
 )
 def test_random_edits_leave_an_animal_that_runs_or_is_refused(tmp_path, start, count, sense):
     document = opened(start, tmp_path)
-    session, first = Session(document), document.texts
+    session, first = DrawingSession(document), document.texts
     edits, every = RandomEdits(document, count, sense), 125
     made = refused = ran = 0
     for i in range(1, count + 1):

@@ -16,15 +16,15 @@ from evo_cpg.files import write_text
 from evo_cpg.view.drawing_page import runs
 from evo_cpg.view.drawing_page.document import Document, EditError
 from evo_cpg.view.drawing_page.runs import TrainingRun
-from evo_cpg.view.drawing_page.session import Session
+from evo_cpg.view.drawing_page.session import DrawingSession
 
 PART = {"parent": "body", "place": [-0.1, 0, 0], "normal": [-1, 0, 0], "name": "tail"}
 ADD = {"command": "add_part", "given": PART}
 
 
 @pytest.fixture
-def session(tmp_path) -> Session:
-    made = Session(Document.new(tmp_path / "animal.yaml"))
+def session(tmp_path) -> DrawingSession:
+    made = DrawingSession(Document.new(tmp_path / "animal.yaml"))
     made.answer("open", {})
     return made
 
@@ -162,7 +162,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 def _trained(folder: Path) -> Path:
     document = Document.new(folder / "animal.yaml")
-    session = Session(document)
+    session = DrawingSession(document)
     session.answer("edit", ADD)
     eye = {"part": "body", "place": [0.1, 0, 0], "axis": [1, 0, 0]}
     session.answer("edit", {"command": "add_eye", "given": eye})
