@@ -294,7 +294,7 @@ def model(
     from evo_cpg.io.shipped import find_config
     from evo_cpg.view.drawing_page.document import Document
     from evo_cpg.view.drawing_page.server import drawing_server
-    from evo_cpg.view.drawing_page.session import Session
+    from evo_cpg.view.drawing_page.session import DrawingSession
 
     if config is not None and config.exists():
         document = Document.open(config)
@@ -307,7 +307,7 @@ def model(
         names = itertools.chain([stem], (f"{stem}{i}" for i in itertools.count(2)))
         place = next(path for name in names if not (path := Path(f"{name}.yaml")).exists())
         document = Document.new(place) if source is None else Document.copy_of(source, place)
-    session = Session(document, about_oscillators)
+    session = DrawingSession(document, about_oscillators)
     with drawing_server(session, port) as server:
         show_address(document.path, server, browser)
         try:
