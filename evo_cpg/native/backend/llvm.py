@@ -19,7 +19,7 @@ import numpy as np
 
 from evo_cpg.native import machine_constants
 from evo_cpg.native.backend.code import Code, Item, LoopCode, RowCopies, Step, StretchCode
-from evo_cpg.native.backend.operations import TYPES, number
+from evo_cpg.native.backend.operations import TYPES, FunctionText, number
 from evo_cpg.native.backend.packing import VectorGroup, each_vector, packed_loop
 from evo_cpg.native.backend.select import FRAME
 from evo_cpg.native.backend.storage import FRAME_ORIGIN
@@ -353,67 +353,36 @@ def print_handler(name: str, arguments: int, results: int, flushes: bool) -> str
         flushes: whether the handler makes an x86 processor flush denormal numbers to zero, as XLA
             does, because they take a hundred times as long. Calls of `Stepper` need it.
     """
+    f = FunctionText(f"ptr @{name}(ptr %frame)")
 
-    def load(name: str, kind: str, base: str, offset: int) -> str:
-        """Return lines of LLVM IR that load a field of a structure."""
-        return (
-            f"  {name}.at = getelementptr i8, ptr {base}, i64 {offset}\n"
-            f"  {name} = load {kind}, ptr {name}.at"
-        )
+    def field(kind: str, base: str, offset: int) -> str:
+        """Load a field of a structure."""
+        return f.load(kind, f.at(base, offset))
 
-    buffers = [("arguments", k) for k in range(arguments)]
-    buffers += [("results", k) for k in range(results + 1)]
-    pointers = "\n".join(
-        line
-        for which, k in buffers
-        for line in (
-            load(f"%{which}.{k}", "ptr", f"%{which}", 8 * k),
-            load(f"%{which}.{k}.data", "ptr", f"%{which}.{k}", 24),
-        )
-    )
-    given = ", ".join(f"ptr %{which}.{k}.data" for which, k in buffers)
-    run = f"  call void @program({given}, i64 %n)"
-    if flushes:
-        run = f"""  %before = alloca i32
-  %within = alloca i32
-  call void @llvm.x86.sse.stmxcsr(ptr %before)
-  %mode = load i32, ptr %before
-  %flushing = or i32 %mode, {_FLUSH}
-  store i32 %flushing, ptr %within
-  call void @llvm.x86.sse.ldmxcsr(ptr %within)
-{run}
-  call void @llvm.x86.sse.ldmxcsr(ptr %before)"""
-    return f"""
-define ptr @{name}(ptr %frame) #0 {{
-entry:
-{load("%extension", "ptr", "%frame", 8)}
-  %plain = icmp eq ptr %extension, null
-  br i1 %plain, label %staging, label %extended
-extended:
-{load("%type", "i32", "%extension", 8)}
-  %asks = icmp eq i32 %type, {_METADATA}
-  br i1 %asks, label %answer, label %staging
-answer:
-{load("%metadata", "ptr", "%extension", 24)}
-  %version = getelementptr i8, ptr %metadata, i64 24
-  store [3 x i32] [i32 {_MAJOR}, i32 {_MINOR}, i32 0], ptr %version
-  br label %done
-staging:
-{load("%stage", "i32", "%frame", 32)}
-  %runs = icmp eq i32 %stage, {_EXECUTE}
-  br i1 %runs, label %run, label %done
-run:
-{load("%arguments", "ptr", "%frame", 72)}
-{load("%results", "ptr", "%frame", 112)}
-{pointers}
-{load("%dimensions", "ptr", "%results.0", 40)}
-{load("%n", "i64", "%dimensions", 8)}
-{run}
-  br label %done
-done:
-  ret ptr null
-}}
-"""
+    extension = field("ptr", "%frame", 8)
+    plain = f.let(f"icmp eq ptr {extension}, null")
+    # Without an extension, the zeros of its pointer are read as its type.
+    extension = f.let(f"select i1 {plain}, ptr %frame, ptr {extension}")
+    asks = f.let(f"icmp eq i32 {field('i32', extension, 8)}, {_METADATA}")
+    with f.where(asks):
+        version = f.at(field("ptr", extension, 24), 24)
+        f.store("[3 x i32]", f"[i32 {_MAJOR}, i32 {_MINOR}, i32 0]", version)
+    executes = f.let(f"icmp eq i32 {field('i32', '%frame', 32)}, {_EXECUTE}")
+    with f.where(f.let(f"select i1 {asks}, i1 false, i1 {executes}")):
+        read, written = field("ptr", "%frame", 72), field("ptr", "%frame", 112)
+        buffers = [field("ptr", read, 8 * k) for k in range(arguments)]
+        buffers += [field("ptr", written, 8 * k) for k in range(results + 1)]
+        given = ", ".join(f"ptr {field('ptr', buffer, 24)}" for buffer in buffers)
+        count = field("i64", field("ptr", buffers[arguments], 40), 8)
+        before, within = f.room("i32"), f.room("i32")
+        if flushes:
+            f.do(f"call void @llvm.x86.sse.stmxcsr(ptr {before})")
+            f.store("i32", f.let(f"or i32 {f.load('i32', before)}, {_FLUSH}"), within)
+            f.do(f"call void @llvm.x86.sse.ldmxcsr(ptr {within})")
+        f.do(f"call void @program({given}, i64 {count})")
+        if flushes:
+            f.do(f"call void @llvm.x86.sse.ldmxcsr(ptr {before})")
+    return f.text("ptr null")
 
 
 def call_frame(arguments: Sequence[np.ndarray], results: Sequence[np.ndarray]) -> np.ndarray:

@@ -5,9 +5,10 @@ keep JAX's semantics: maxima propagate NaN, integers may be divided by zero, and
 integers saturate.
 """
 
+import contextlib
 import functools
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,124 @@ TYPES = {
     "?": "i1", "b": "i8", "B": "i8", "h": "i16", "H": "i16", "i": "i32", "I": "i32", "l": "i64",
     "L": "i64", "q": "i64", "Q": "i64", "f": "float", "d": "double",
 }  # fmt: skip
+
+
+class FunctionText:
+    """Writer of an LLVM function with loops and branches.
+
+    Args:
+        head: linkage, result, name, parameters and attributes of the function.
+    """
+
+    def __init__(self, head: str):
+        self._head, self.total = head, ""
+        # Allocations come first, because LLVM repeats an allocation within a loop.
+        self._variables: list[str] = []
+        self._lines: list[str] = []
+        self._here, self._count = "begin", 0
+
+    def text(self, result: str = "void") -> str:
+        """Return the function, which ends with a result (its type and name)."""
+        body = "\n".join([*self._variables, "br label %begin", "begin:", *self._lines])
+        return f"define {self._head} #0 {{\n{body}\nret {result}\n}}"
+
+    def do(self, *lines: str) -> None:
+        """Write instructions without a result."""
+        self._lines += lines
+
+    def let(self, text: str) -> str:
+        """Write an instruction and return the name of its result."""
+        self._count += 1
+        self._lines.append(f"%x{self._count} = {text}")
+        return f"%x{self._count}"
+
+    def room(self, t: str) -> str:
+        """Return a pointer to new memory for a value that changes."""
+        self._count += 1
+        self._variables.append(f"%x{self._count} = alloca {t}")
+        return f"%x{self._count}"
+
+    def at(self, base: str, index: str | int, size: int = 1) -> str:
+        """Return a pointer ``index`` times ``size`` bytes after another one."""
+        if size != 1:
+            index = self.let(f"mul i64 {index}, {size}")
+        return self.let(f"getelementptr i8, ptr {base}, i64 {index}")
+
+    def load(self, t: str, pointer: str) -> str:
+        """Read a value."""
+        return self.let(f"load {t}, ptr {pointer}")
+
+    def store(self, t: str, value: str | int, pointer: str) -> None:
+        """Write a value to memory."""
+        self.do(f"store {t} {value}, ptr {pointer}")
+
+    def _label(self, name: str) -> None:
+        self.do(f"{name}:")
+        self._here = name
+
+    @contextlib.contextmanager
+    def where(self, flag: str) -> Iterator[None]:
+        """Run the code of a ``with`` statement if a flag is true."""
+        self._count += 1
+        inside, after = f"inside{self._count}", f"behind{self._count}"
+        self.do(f"br i1 {flag}, label %{inside}, label %{after}")
+        self._label(inside)
+        yield
+        self.do(f"br label %{after}")
+        self._label(after)
+
+    @contextlib.contextmanager
+    def repeat(self) -> Iterator[Callable[[str], None]]:
+        """Repeat the code of a ``with`` statement until the yielded function gets a true flag."""
+        self._count += 1
+        head, after = f"round{self._count}", f"after{self._count}"
+
+        def leave(flag: str) -> None:
+            self._count += 1
+            more = f"more{self._count}"
+            self.do(f"br i1 {flag}, label %{after}, label %{more}")
+            self._label(more)
+
+        self.do(f"br label %{head}")
+        self._label(head)
+        yield leave
+        self.do(f"br label %{head}")
+        self._label(after)
+
+    @contextlib.contextmanager
+    def each(self, count: str | int, t: str = "", start: str = "") -> Iterator[str]:
+        """Repeat the code of a ``with`` statement for the numbers from 0 that are below a count.
+
+        If there is a type ``t``, `total` has ``start`` as its first value in the loop, and each
+        round sets it to the next one.
+        """
+        before = self._here
+        with self.repeat() as leave:
+            place, number = len(self._lines), self.let("")
+            if t:
+                total = self.total = self.let("")
+            leave(self.let(f"icmp uge i64 {number}, {count}"))
+            yield number
+            following = self.let(f"add i64 {number}, 1")
+            ends = f"[ 0, %{before} ], [ {following}, %{self._here} ]"
+            self._lines[place] = f"{number} = phi i64 {ends}"
+            if t:
+                ends = f"[ {start}, %{before} ], [ {self.total}, %{self._here} ]"
+                self._lines[place + 1] = f"{total} = phi {t} {ends}"
+                self.total = total
+
+    @contextlib.contextmanager
+    def each_bit(self, bits: str) -> Iterator[str]:
+        """Repeat the code of a ``with`` statement for the places of the ones among 32 bits."""
+        rest = self.room("i32")
+        self.store("i32", bits, rest)
+        with self.repeat() as leave:
+            left = self.load("i32", rest)
+            leave(self.let(f"icmp eq i32 {left}, 0"))
+            less = self.let(f"sub i32 {left}, 1")
+            self.store("i32", self.let(f"and i32 {left}, {less}"), rest)
+            place = self.let(f"call i32 @llvm.cttz.i32(i32 {left}, i1 true)")
+            yield self.let(f"zext i32 {place} to i64")
 
 
 class Writer:

@@ -13,10 +13,11 @@ A result does not depend on the lane that computes it. So the bits of an individ
 depend on the other individuals.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from evo_cpg.native.backend.code import GrowingTable, Slot
+from evo_cpg.native.backend.operations import FunctionText
 
 # A vector runs separately while more than this fraction of its individuals is active. Fitted:
 # quadrupeds and hexapods take at most 1.07 times as long with fractions from 1/4 to 1/2.
@@ -71,181 +72,103 @@ def packed_loop(
         tables: growing tables that the loop reads.
     """
     own = sorted({slot for slot in reads if not slot.shared} | set(carries))
-    shared = sorted({slot for slot in reads if slot.shared})
-    width, stride, most = group.width, group.stride, group.vectors * group.width
+    width, most = group.width, group.vectors * group.width
     compress = group.compresses and all(x.size * width <= _VECTOR for x in (*own, *tables))
-    alike = "\n".join(
-        f"  %from{i} = getelementptr i8, ptr %scratch, i64 {slot.start}\n"
-        f"  %to{i} = getelementptr i8, ptr %pack, i64 {slot.start}\n"
-        f"  %shared{i} = load {_WORDS[slot.size]}, ptr %from{i}\n"
-        f"  store {_WORDS[slot.size]} %shared{i}, ptr %to{i}"
-        for i, slot in enumerate(shared)
-    )
-    call = f"{parameters}ptr %{{}}, i64 %n, i64 0"
-    body = f"""
-define internal void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count) noinline #0 {{
-entry:
-  %queue = alloca [{most} x i64]
-  %masks = alloca [{group.vectors} x i32]
-  %owner = alloca [{width} x i64]
-  %pack = getelementptr i8, ptr %scratch, i64 {group.vectors * stride}
-  %alone = icmp eq i64 %count, 1
-  %enough = select i1 %alone, i32 0, i32 {int(_BUSY * width)}
-  br label %vector
-vector:
-  %v = phi i64 [ 0, %entry ], [ %v_next, %vector_done ]
-  %waiting = phi i64 [ 0, %entry ], [ %waiting_now, %vector_done ]
-  %offset = mul i64 %v, {stride}
-  %base = getelementptr i8, ptr %scratch, i64 %offset
-  br label %own_test
-own_test:
-  %wants = call i32 @{name}.test({call.format("base")})
-  %mask_of = getelementptr i32, ptr %masks, i64 %v
-  store i32 %wants, ptr %mask_of
-  %active = call i32 @llvm.ctpop.i32(i32 %wants)
-  %goes_on = icmp ugt i32 %active, %enough
-  br i1 %goes_on, label %own_round, label %leave
-own_round:
-  call void @{name}.round({call.format("base")})
-  br label %own_test
-leave:
-  %rest = phi i32 [ %wants, %own_test ], [ %rest_next, %enqueue ]
-  %waiting_now = phi i64 [ %waiting, %own_test ], [ %waiting_next, %enqueue ]
-  %none_left = icmp eq i32 %rest, 0
-  br i1 %none_left, label %vector_done, label %enqueue
-enqueue:
-  %which = call i32 @llvm.cttz.i32(i32 %rest, i1 true)
-  %which_wide = zext i32 %which to i64
-  %first_of = mul i64 %v, {width}
-  %individual = add i64 %first_of, %which_wide
-  %entry_of = getelementptr i64, ptr %queue, i64 %waiting_now
-  store i64 %individual, ptr %entry_of
-  %waiting_next = add i64 %waiting_now, 1
-  %rest_less = sub i32 %rest, 1
-  %rest_next = and i32 %rest, %rest_less
-  br label %leave
-vector_done:
-  %v_next = add i64 %v, 1
-  %more_vectors = icmp ult i64 %v_next, %count
-  br i1 %more_vectors, label %vector, label %packing
-packing:
-  %any = icmp ne i64 %waiting_now, 0
-  br i1 %any, label %fill, label %done
-fill:
-{alike}
-{_fill_compressed(name, group) if compress else _fill_one_by_one(name, group)}
-filled:
-  %many = icmp ugt i64 %waiting_now, {width}
-  %begun = select i1 %many, i64 {width}, i64 %waiting_now
-  br label %packed_round
-packed_round:
-  %occupied = phi i32 [ %lanes, %filled ], [ %occupied_now, %settled ]
-  %called = phi i64 [ %begun, %filled ], [ %called_now, %settled ]
-  call void @{name}.round({call.format("pack")})
-  %still = call i32 @{name}.test({call.format("pack")})
-  %keep_on = and i32 %still, %occupied
-  %finished = xor i32 %keep_on, %occupied
-  br label %release
-release:
-  %leaving = phi i32 [ %finished, %packed_round ], [ %leaving_next, %next_leaves ]
-  %occupied_now = phi i32 [ %occupied, %packed_round ], [ %occupied_next, %next_leaves ]
-  %called_now = phi i64 [ %called, %packed_round ], [ %called_next, %next_leaves ]
-  %none_leaves = icmp eq i32 %leaving, 0
-  br i1 %none_leaves, label %settled, label %leaves
-settled:
-  %empty = icmp eq i32 %occupied_now, 0
-  br i1 %empty, label %done, label %packed_round
-leaves:
-  %left_lane = call i32 @llvm.cttz.i32(i32 %leaving, i1 true)
-  %left_lane_wide = zext i32 %left_lane to i64
-  %left_entry = getelementptr i64, ptr %owner, i64 %left_lane_wide
-  %left_individual = load i64, ptr %left_entry
-  call void @{name}.out(ptr %scratch, ptr %pack, i64 %left_individual, i64 %left_lane_wide)
-  %leaving_less = sub i32 %leaving, 1
-  %leaving_next = and i32 %leaving, %leaving_less
-  %more_wait = icmp ult i64 %called_now, %waiting_now
-  br i1 %more_wait, label %refill, label %vacate
-refill:
-  %call_entry = getelementptr i64, ptr %queue, i64 %called_now
-  %next_one = load i64, ptr %call_entry
-  store i64 %next_one, ptr %left_entry
-  call void @{name}.in(ptr %scratch, ptr %pack, i64 %next_one, i64 %left_lane_wide)
-  %called_more = add i64 %called_now, 1
-  br label %next_leaves
-vacate:
-  %bit_left = shl i32 1, %left_lane
-  %without = xor i32 %occupied_now, %bit_left
-  br label %next_leaves
-next_leaves:
-  %occupied_next = phi i32 [ %occupied_now, %refill ], [ %without, %vacate ]
-  %called_next = phi i64 [ %called_more, %refill ], [ %called_now, %vacate ]
-  br label %release
-done:
-  ret void
-}}"""
+    given = f"{parameters}ptr %scratch, i64 %n, i64 %count"
+    f = FunctionText(f"internal void @{name}.group({given}) noinline")
+    call = f"{parameters}ptr {{}}, i64 %n, i64 0"
+    # The individuals that wait. The first ones are those of the packed lanes, in order.
+    queue, waiting = f.room(f"[{most} x i64]"), f.room("i64")
+    masks = f.room(f"[{group.vectors} x i32]")
+    f.store("i64", 0, waiting)
+    pack = f.at("%scratch", group.vectors * group.stride)
+    alone = f.let("icmp eq i64 %count, 1")
+    enough = f.let(f"select i1 {alone}, i32 0, i32 {int(_BUSY * width)}")
+    with f.each("%count") as vector:
+        base, first = f.at("%scratch", vector, group.stride), f.let(f"mul i64 {vector}, {width}")
+        with f.repeat() as leave:
+            wants = f.let(f"call i32 @{name}.test({call.format(base)})")
+            active = f.let(f"call i32 @llvm.ctpop.i32(i32 {wants})")
+            leave(f.let(f"icmp ule i32 {active}, {enough}"))
+            f.do(f"call void @{name}.round({call.format(base)})")
+        f.store("i32", wants, f.at(masks, vector, 4))
+        with f.each_bit(wants) as lane:
+            last = f.load("i64", waiting)
+            f.store("i64", f.let(f"add i64 {first}, {lane}"), f.at(queue, last, 8))
+            f.store("i64", f.let(f"add i64 {last}, 1"), waiting)
+    most = f.load("i64", waiting)
+    with f.where(f.let(f"icmp ne i64 {most}, 0")):
+        for slot in sorted({slot for slot in reads if slot.shared}):
+            kind = _WORDS[slot.size]
+            f.store(kind, f.load(kind, f.at("%scratch", slot.start)), f.at(pack, slot.start))
+        if compress:
+            _fill_compressed(f, name, pack, masks, width)
+        else:
+            _fill_one_by_one(f, name, pack, queue, most, width)
+        _run_packed(f, name, call.format(pack), pack, queue, most, width)
     moves = [
         _move(f"@{name}.in", own, group, True, tables),
         _move(f"@{name}.out", sorted(carries), group, False),
     ]
     if compress:
         moves.append(_move_compressed(f"@{name}.in_compressed", own, group, tables))
-    return "\n".join([*moves, body])
+    return "\n".join([*moves, f.text()])
 
 
-def _fill_one_by_one(name: str, group: VectorGroup) -> str:
+def _fill_one_by_one(
+    f: FunctionText, name: str, pack: str, queue: str, most: str, width: int
+) -> None:
     """Write code that fills the lanes of the packed vector with the first individuals."""
-    return f"""  br label %lane
-lane:
-  %s = phi i64 [ 0, %fill ], [ %s_next, %lane ]
-  %lanes_before = phi i32 [ 0, %fill ], [ %lanes, %lane ]
-  %taken = icmp ult i64 %s, %waiting_now
-  ; A lane that is left over is filled like the first: no number in it may be without meaning.
-  %turn = select i1 %taken, i64 %s, i64 0
-  %turn_entry = getelementptr i64, ptr %queue, i64 %turn
-  %new_individual = load i64, ptr %turn_entry
-  %lane_owner = getelementptr i64, ptr %owner, i64 %s
-  store i64 %new_individual, ptr %lane_owner
-  call void @{name}.in(ptr %scratch, ptr %pack, i64 %new_individual, i64 %s)
-  %s_narrow = trunc i64 %s to i32
-  %lane_bit = shl i32 1, %s_narrow
-  %lanes_more = or i32 %lanes_before, %lane_bit
-  %lanes = select i1 %taken, i32 %lanes_more, i32 %lanes_before
-  %s_next = add i64 %s, 1
-  %more_lanes = icmp ult i64 %s_next, {group.width}
-  br i1 %more_lanes, label %lane, label %filled"""
+    with f.each(width) as lane:
+        # A lane that is left over is filled like the first: no number in it may be without meaning.
+        taken = f.let(f"icmp ult i64 {lane}, {most}")
+        turn = f.let(f"select i1 {taken}, i64 {lane}, i64 0")
+        individual = f.load("i64", f.at(queue, turn, 8))
+        f.do(f"call void @{name}.in(ptr %scratch, ptr {pack}, i64 {individual}, i64 {lane})")
 
 
-def _fill_compressed(name: str, group: VectorGroup) -> str:
+def _fill_compressed(f: FunctionText, name: str, pack: str, masks: str, width: int) -> None:
     """Write code that fills the packed lanes from one vector after another."""
-    return f"""  br label %row
-row:
-  %r = phi i64 [ 0, %fill ], [ %r_next, %row_done ]
-  %s = phi i64 [ 0, %fill ], [ %s_next, %row_done ]
-  %row_mask = getelementptr i32, ptr %masks, i64 %r
-  %row_wants = load i32, ptr %row_mask
-  %come = call i32 @llvm.ctpop.i32(i32 %row_wants)
-  %come_wide = zext i32 %come to i64
-  %room = sub i64 {group.width}, %s
-  %enter = call i64 @llvm.umin.i64(i64 %come_wide, i64 %room)
-  %s_next = add i64 %s, %enter
-  %none_enters = icmp eq i64 %enter, 0
-  br i1 %none_enters, label %row_done, label %take_lanes
-take_lanes:
-  call void @{name}.in_compressed(ptr %scratch, ptr %pack, i64 %r, i64 %s, i32 %row_wants, \
-i64 %enter)
-  br label %row_done
-row_done:
-  %r_next = add i64 %r, 1
-  %more_rows = icmp ult i64 %r_next, %count
-  %more_room = icmp ult i64 %s_next, {group.width}
-  %more_enter = and i1 %more_rows, %more_room
-  br i1 %more_enter, label %row, label %note
-note:
-  call void @llvm.memcpy.p0.p0.i64(ptr %owner, ptr %queue, i64 {8 * group.width}, i1 false)
-  %taken_lanes = trunc i64 %s_next to i32
-  %above = shl i32 1, %taken_lanes
-  %lanes = sub i32 %above, 1
-  br label %filled"""
+    lanes = f.room("i64")
+    f.store("i64", 0, lanes)
+    with f.each("%count") as vector:
+        wants, lane = f.load("i32", f.at(masks, vector, 4)), f.load("i64", lanes)
+        come = f.let(f"call i32 @llvm.ctpop.i32(i32 {wants})")
+        come, room = f.let(f"zext i32 {come} to i64"), f.let(f"sub i64 {width}, {lane}")
+        enter = f.let(f"call i64 @llvm.umin.i64(i64 {come}, i64 {room})")
+        f.store("i64", f.let(f"add i64 {lane}, {enter}"), lanes)
+        with f.where(f.let(f"icmp ne i64 {enter}, 0")):
+            given = f"i64 {vector}, i64 {lane}, i32 {wants}, i64 {enter}"
+            f.do(f"call void @{name}.in_compressed(ptr %scratch, ptr {pack}, {given})")
+
+
+def _run_packed(
+    f: FunctionText, name: str, given: str, pack: str, queue: str, most: str, width: int
+) -> None:
+    """Write the rounds of the packed vector, in which waiting individuals replace finished ones."""
+    lanes, called = f.room("i32"), f.room("i64")
+    begun = f.let(f"call i64 @llvm.umin.i64(i64 {most}, i64 {width})")
+    f.store("i64", begun, called)
+    above = f.let(f"shl i64 1, {begun}")
+    f.store("i32", f.let(f"trunc i64 {f.let(f'sub i64 {above}, 1')} to i32"), lanes)
+    with f.repeat() as leave:
+        f.do(f"call void @{name}.round({given})")
+        still, occupied = f.let(f"call i32 @{name}.test({given})"), f.load("i32", lanes)
+        going = f.let(f"and i32 {still}, {occupied}")
+        with f.each_bit(f.let(f"xor i32 {going}, {occupied}")) as lane:
+            own, moved = f.at(queue, lane, 8), f"ptr %scratch, ptr {pack}, i64 {{}}, i64 {lane}"
+            f.do(f"call void @{name}.out({moved.format(f.load('i64', own))})")
+            following = f.load("i64", called)
+            more = f.let(f"icmp ult i64 {following}, {most}")
+            with f.where(more):
+                individual = f.load("i64", f.at(queue, following, 8))
+                f.store("i64", individual, own)
+                f.do(f"call void @{name}.in({moved.format(individual)})")
+                f.store("i64", f.let(f"add i64 {following}, 1"), called)
+            with f.where(f.let(f"xor i1 {more}, true")):
+                bit = f.let(f"shl i32 1, {f.let(f'trunc i64 {lane} to i32')}")
+                f.store("i32", f.let(f"xor i32 {f.load('i32', lanes)}, {bit}"), lanes)
+        leave(f.let(f"icmp eq i32 {f.load('i32', lanes)}, 0"))
 
 
 class _Series(NamedTuple):
@@ -255,17 +178,17 @@ class _Series(NamedTuple):
         start: first place, bytes.
         size: bytes of one individual's number.
         step: bytes from one place to the next.
-        count: number of places, or its LLVM name.
+        count: number of places.
     """
 
     start: int
     size: int
     step: int
-    count: Any
+    count: int
 
 
-def _series(slots: Iterable[Slot], tables: Tables) -> list[_Series]:
-    """Group slots at equal distances, if there are at least ``_FEWEST_ROUNDS``, and add tables."""
+def _series(slots: Iterable[Slot]) -> list[_Series]:
+    """Group consecutive slots of one size at equal distances."""
     found: list[_Series] = []
     for start, size, _ in slots:
         if found and found[-1].size == size:
@@ -275,94 +198,51 @@ def _series(slots: Iterable[Slot], tables: Tables) -> list[_Series]:
                 found[-1] = last._replace(step=step, count=last.count + 1)
                 continue
         found.append(_Series(start, size, 0, 1))
-    return [
-        part
-        for one in found
-        for part in (
-            [one]
-            if one.count >= _FEWEST_ROUNDS
-            else [_Series(one.start + k * one.step, one.size, 0, 1) for k in range(one.count)]
-        )
-    ] + [_Series(t.start, t.size, t.step, f"%rows{k}") for k, t in enumerate(tables)]
+    return found
 
 
-def _rows_in_use(tables: Tables, base: str, width: int) -> str:
-    """Write code that finds the most rows in use for any of some individuals, for each table."""
-    t = f"<{width} x i32>"
-    return "".join(
-        f"""  %extent{k} = getelementptr i8, ptr {base}, i64 {table.extent}
-  %extents{k} = load {t}, ptr %extent{k}, align 4
-  %most{k} = call i32 @llvm.vector.reduce.umax.v{width}i32({t} %extents{k})
-  %rows{k} = zext i32 %most{k} to i64
-"""
-        for k, table in enumerate(tables)
-    )
+def _places(
+    f: FunctionText, slots: list[Slot], tables: Tables, base: str, width: int
+) -> Iterator[tuple[int, str]]:
+    """Iterate over the bytes of a number and its place, with loops over places at equal distances.
 
-
-def _through(series: list[_Series], lines: Callable[[int, int, str], list[str]]) -> str:
-    """Write the code for each place, with loops over places at equal distances.
-
-    Irregular places are moved without a loop, so the processor fetches many numbers at a time.
-
-    Args:
-        series: places.
-        lines: function that returns lines of code, given a unique number, the bytes of a number,
-            and the place.
+    Irregular places are moved without a loop, so the processor fetches many numbers at a time. The
+    code moves the rows of a table that are in use for any of ``width`` individuals at ``base``.
     """
-    written, label = [], "entry"
-    for i, (start, size, step, count) in enumerate(series):
-        if count == 1:
-            written += lines(i, size, f"{start}")
+    counts, t = [], f"<{width} x i32>"
+    for table in tables:
+        extents = f.let(f"load {t}, ptr {f.at(base, table.extent)}, align 4")
+        most = f.let(f"call i32 @llvm.vector.reduce.umax.v{width}i32({t} {extents})")
+        counts.append(f.let(f"zext i32 {most} to i64"))
+    for start, size, step, count in _series(slots):
+        if count < _FEWEST_ROUNDS:
+            yield from ((size, f"{start + k * step}") for k in range(count))
             continue
-        written += [
-            f"br label %stretch{i}",
-            f"stretch{i}:",
-            f"%turn{i} = phi i64 [ 0, %{label} ], [ %turn_next{i}, %stretch{i} ]",
-            f"%steps{i} = mul i64 %turn{i}, {step}",
-            f"%place{i} = add i64 %steps{i}, {start}",
-            *lines(i, size, f"%place{i}"),
-            f"%turn_next{i} = add i64 %turn{i}, 1",
-            f"%turn_more{i} = icmp ult i64 %turn_next{i}, {count}",
-            f"br i1 %turn_more{i}, label %stretch{i}, label %behind{i}",
-            f"behind{i}:",
-        ]
-        label = f"behind{i}"
-    return "\n".join(f"  {line}" for line in written)
+        with f.each(count) as turn:
+            yield size, f.let(f"add i64 {f.let(f'mul i64 {turn}, {step}')}, {start}")
+    for (start, size, step, _), count in zip(tables, counts, strict=True):
+        with f.each(count) as turn:
+            yield size, f.let(f"add i64 {f.let(f'mul i64 {turn}, {step}')}, {start}")
 
 
 def _move(
     name: str, slots: list[Slot], group: VectorGroup, enters: bool, tables: Tables = ()
 ) -> str:
     """Write a function that moves an individual's numbers into a packed lane, or back."""
-    lanes = "".join(
-        f"""  %far_lane{size} = mul i64 %home_lane, {size}
-  %near_lane{size} = mul i64 %lane, {size}
-  %far{size} = getelementptr i8, ptr %base, i64 %far_lane{size}
-  %near{size} = getelementptr i8, ptr %pack, i64 %near_lane{size}
-"""
-        for size in sorted({4, *(slot.size for slot in slots), *(table.size for table in tables)})
-    )
-
-    source, target = ("far", "near") if enters else ("near", "far")
-
-    def move(i: int, size: int, start: str) -> list[str]:
-        return [
-            f"%from{i} = getelementptr i8, ptr %{source}{size}, i64 {start}",
-            f"%to{i} = getelementptr i8, ptr %{target}{size}, i64 {start}",
-            f"%value{i} = load volatile {_WORDS[size]}, ptr %from{i}",
-            f"store volatile {_WORDS[size]} %value{i}, ptr %to{i}",
-        ]
-
-    return f"""
-define internal void {name}(ptr %scratch, ptr %pack, i64 %individual, i64 %lane) noinline #0 {{
-entry:
-  %vector = udiv i64 %individual, {group.width}
-  %home_lane = urem i64 %individual, {group.width}
-  %offset = mul i64 %vector, {group.stride}
-  %base = getelementptr i8, ptr %scratch, i64 %offset
-{lanes}{_rows_in_use(tables, "%far4", 1)}{_through(_series(slots, tables), move)}
-  ret void
-}}"""
+    given = "ptr %scratch, ptr %pack, i64 %individual, i64 %lane"
+    f = FunctionText(f"internal void {name}({given}) noinline")
+    home = f.let(f"urem i64 %individual, {group.width}")
+    base = f.at("%scratch", f.let(f"udiv i64 %individual, {group.width}"), group.stride)
+    sizes = sorted({4, *(slot.size for slot in slots), *(table.size for table in tables)})
+    far = {size: f.at(base, home, size) for size in sizes}
+    near = {size: f.at("%pack", "%lane", size) for size in sizes}
+    source, target = (far, near) if enters else (near, far)
+    for size, place in _places(f, slots, tables, far[4], 1):
+        kind, start = _WORDS[size], f.at(source[size], place)
+        end = f.at(target[size], place)
+        value = f.let(f"load volatile {kind}, ptr {start}")
+        f.do(f"store volatile {kind} {value}, ptr {end}")
+    return f.text()
 
 
 def _move_compressed(name: str, slots: list[Slot], group: VectorGroup, tables: Tables) -> str:
@@ -373,41 +253,27 @@ def _move_compressed(name: str, slots: list[Slot], group: VectorGroup, tables: T
     """
     width = group.width
     bits, flags = f"i{width}", f"<{width} x i1>"
-
-    def move(i: int, size: int, start: str) -> list[str]:
+    given = "ptr %scratch, ptr %pack, i64 %vector, i64 %lane, i32 %which, i64 %enter"
+    f = FunctionText(f"internal void {name}({given}) noinline")
+    base = f.at("%scratch", "%vector", group.stride)
+    chosen = f.let(f"bitcast {bits} {f.let(f'trunc i32 %which to {bits}')} to {flags}")
+    above = f.let("shl i64 1, %enter")
+    entering, begins = f.let(f"sub i64 {above}, 1"), f.let("icmp eq i64 %lane, 0")
+    written = f.let(f"select i1 {begins}, i64 -1, i64 {entering}")
+    written = f.let(f"bitcast {bits} {f.let(f'trunc i64 {written} to {bits}')} to {flags}")
+    for size, place in _places(f, slots, tables, base, width):
         kept, word = _WORDS[size], _WORDS[max(size, _NARROWEST)]
         narrow, wide = f"<{width} x {kept}>", f"<{width} x {word}>"
         grow, shrink = ("bitcast", "bitcast") if kept == word else ("zext", "trunc")
-        return [
-            f"%from{i} = getelementptr i8, ptr %base, i64 {start}",
-            f"%lane_of{i} = getelementptr {kept}, ptr %pack, i64 %lane",
-            f"%to{i} = getelementptr i8, ptr %lane_of{i}, i64 {start}",
-            f"%value{i} = load volatile {narrow}, ptr %from{i}, align {size}",
-            f"%wide{i} = {grow} {narrow} %value{i} to {wide}",
-            f"%close{i} = call {wide} @{_COMPRESS}.v{width}{word}"
-            f"({wide} %wide{i}, {wide} %wide{i}, {flags} %chosen)",
-            f"%narrow{i} = {shrink} {wide} %close{i} to {narrow}",
-            f"call void @llvm.masked.store.v{width}{kept}.p0"
-            f"({narrow} %narrow{i}, ptr %to{i}, i32 {size}, {flags} %written)",
-        ]
-
-    return f"""
-define internal void {name}(ptr %scratch, ptr %pack, i64 %vector, i64 %lane, i32 %which, \
-i64 %enter) noinline #0 {{
-entry:
-  %offset = mul i64 %vector, {group.stride}
-  %base = getelementptr i8, ptr %scratch, i64 %offset
-  %chosen_bits = trunc i32 %which to {bits}
-  %chosen = bitcast {bits} %chosen_bits to {flags}
-  %above = shl i64 1, %enter
-  %entering = sub i64 %above, 1
-  %begins = icmp eq i64 %lane, 0
-  %written_wide = select i1 %begins, i64 -1, i64 %entering
-  %written_bits = trunc i64 %written_wide to {bits}
-  %written = bitcast {bits} %written_bits to {flags}
-{_rows_in_use(tables, "%base", width)}{_through(_series(slots, tables), move)}
-  ret void
-}}"""
+        start, end = f.at(base, place), f.at(f.at("%pack", "%lane", size), place)
+        value = f.let(f"load volatile {narrow}, ptr {start}, align {size}")
+        value = f.let(f"{grow} {narrow} {value} to {wide}")
+        given = f"{wide} {value}, {wide} {value}, {flags} {chosen}"
+        value = f.let(f"call {wide} @{_COMPRESS}.v{width}{word}({given})")
+        value = f.let(f"{shrink} {wide} {value} to {narrow}")
+        given = f"{narrow} {value}, ptr {end}, i32 {size}, {flags} {written}"
+        f.do(f"call void @llvm.masked.store.v{width}{kept}.p0({given})")
+    return f.text()
 
 
 def each_vector(name: str, parameters: str, group: VectorGroup) -> str:
@@ -418,23 +284,12 @@ def each_vector(name: str, parameters: str, group: VectorGroup) -> str:
         parameters: its parameters before the scratch memory, with types and a trailing comma.
         group: the vectors.
     """
-    return f"""
-define internal void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %first, i64 %count) #0 {{
-entry:
-  %last = sub i64 %n, {group.width}
-  br label %vector
-vector:
-  %v = phi i64 [ 0, %entry ], [ %next, %vector ]
-  %offset = mul i64 %v, {group.stride}
-  %base = getelementptr i8, ptr %scratch, i64 %offset
-  %before = mul i64 %v, {group.width}
-  %here = add i64 %first, %before
-  %within = icmp slt i64 %here, %last
-  %start = select i1 %within, i64 %here, i64 %last
-  call void @{name}({parameters}ptr %base, i64 %n, i64 %start)
-  %next = add i64 %v, 1
-  %more = icmp ult i64 %next, %count
-  br i1 %more, label %vector, label %done
-done:
-  ret void
-}}"""
+    given = f"{parameters}ptr %scratch, i64 %n, i64 %first, i64 %count"
+    f = FunctionText(f"internal void @{name}.group({given})")
+    last = f.let(f"sub i64 %n, {group.width}")
+    with f.each("%count") as vector:
+        here = f.let(f"add i64 %first, {f.let(f'mul i64 {vector}, {group.width}')}")
+        start = f.let(f"call i64 @llvm.smin.i64(i64 {here}, i64 {last})")
+        base = f.at("%scratch", vector, group.stride)
+        f.do(f"call void @{name}({parameters}ptr {base}, i64 %n, i64 {start})")
+    return f.text()

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from evo_cpg.native.backend.code import Template
-from evo_cpg.native.backend.operations import TYPES, Writer, suffix, write
+from evo_cpg.native.backend.operations import TYPES, FunctionText, Writer, suffix, write
 from evo_cpg.native.ir import Node
 
 SCRATCH, FRAME = "%scratch", "%frame"
@@ -151,16 +151,10 @@ class Selector(Writer):
         t = self.type_of(dtype, False)
         size = dtype.itemsize * self.width
         name = f"fill.{suffix(t)}"
-        self.functions[name] = (
-            f"define internal void @{name}(ptr %to, {t} %value, i64 %count) noinline #0 {{\n"
-            "entry:\nbr label %row\nrow:\n"
-            "%i = phi i64 [ 0, %entry ], [ %j, %row ]\n"
-            f"%steps = mul i64 %i, {size}\n"
-            "%place = getelementptr i8, ptr %to, i64 %steps\n"
-            f"store {t} %value, ptr %place, align {dtype.itemsize}\n"
-            "%j = add i64 %i, 1\n%more = icmp ult i64 %j, %count\n"
-            "br i1 %more, label %row, label %done\ndone:\nret void\n}"
-        )
+        f = FunctionText(f"internal void @{name}(ptr %to, {t} %value, i64 %count) noinline")
+        with f.each("%count") as row:
+            f.do(f"store {t} %value, ptr {f.at('%to', row, size)}, align {dtype.itemsize}")
+        self.functions[name] = f.text()
         self.lines.append(f"call void @{name}(ptr {to}, {t} {value}, i64 {count})")
 
     @functools.partial(_made_once, 3)
@@ -224,114 +218,54 @@ def _solver(name: str, t: str, row: int, size: int, fma: bool) -> str:
     zero, one = (f"splat ({item} {x})" if lanes else x for x in ("0.0", "1.0"))
     flag = f"<{lanes} x i1>" if lanes else "i1"
 
-    def load(out: str, pointer: str) -> str:
-        return f"{out} = load {t}, ptr {pointer}, align {size}"
+    f = FunctionText(f"internal void @{name}(ptr %H, ptr %b, i64 %count) noinline")
 
-    def less(out: str, a: str, x: str, y: str) -> str:
+    def load(pointer: str) -> str:
+        return f.let(f"load {t}, ptr {pointer}, align {size}")
+
+    def store(value: str, pointer: str) -> None:
+        f.do(f"store {t} {value}, ptr {pointer}, align {size}")
+
+    def less(a: str, x: str, y: str) -> str:
         """Subtract a product."""
-        if fma:
-            return (
-                f"{out}.n = fneg {t} {x}\n"
-                f"{out} = call {t} @llvm.fma.{suffix(t)}({t} {out}.n, {t} {y}, {t} {a})"
-            )
-        return f"{out}.m = fmul {t} {x}, {y}\n{out} = fsub {t} {a}, {out}.m"
+        if not fma:
+            return f.let(f"fsub {t} {a}, {f.let(f'fmul {t} {x}, {y}')}")
+        minus = f.let(f"fneg {t} {x}")
+        return f.let(f"call {t} @llvm.fma.{suffix(t)}({t} {minus}, {t} {y}, {t} {a})")
 
-    def at(out: str, base: str, index: str) -> str:
-        return (
-            f"{out}.s = mul i64 {index}, {row}\n{out} = getelementptr i8, ptr {base}, i64 {out}.s"
-        )
+    def row_of(k: str) -> str:
+        """Return a pointer to a row of the triangle."""
+        twice = f.let(f"mul i64 {k}, {f.let(f'add i64 {k}, 1')}")
+        return f.at("%H", f.let(f"lshr i64 {twice}, 1"), row)
 
-    any_of = f"%some = call i1 @llvm.vector.reduce.or.v{lanes}i1({flag} %nonzero)"
-    if not lanes:
-        any_of = "%some = or i1 %nonzero, false"
-    return f"""
-define internal void @{name}(ptr %H, ptr %b, i64 %count) noinline #0 {{
-entry:
-  %last = sub i64 %count, 1
-  br label %pivot
-pivot:
-  %k = phi i64 [ %last, %entry ], [ %k.less, %pivot.done ]
-  %k.more = add i64 %k, 1
-  %k.twice = mul i64 %k, %k.more
-  %k.row = lshr i64 %k.twice, 1
-  {at("%row.k", "%H", "%k.row")}
-  {at("%diagonal", "%row.k", "%k")}
-  {load("%d", "%diagonal")}
-  %inverse = fdiv {t} {one}, %d
-  store {t} %inverse, ptr %diagonal, align {size}
-  {at("%bk", "%b", "%k")}
-  {load("%z", "%bk")}
-  br label %column
-column:
-  %i = phi i64 [ %k, %pivot ], [ %i.less, %column.done ]
-  %more = icmp ne i64 %i, 0
-  br i1 %more, label %look, label %pivot.done
-look:
-  %i.less = sub i64 %i, 1
-  {at("%rk", "%row.k", "%i.less")}
-  {load("%r", "%rk")}
-  %nonzero = fcmp une {t} %r, {zero}
-  {any_of}
-  br i1 %some, label %update, label %column.done
-update:
-  %scaled = fmul {t} %r, %inverse
-  %i.twice = mul i64 %i, %i.less
-  %i.row = lshr i64 %i.twice, 1
-  {at("%row.i", "%H", "%i.row")}
-  br label %element
-element:
-  %j = phi i64 [ 0, %update ], [ %j.next, %element ]
-  {at("%pk", "%row.k", "%j")}
-  {at("%pi", "%row.i", "%j")}
-  {load("%hk", "%pk")}
-  {load("%hi", "%pi")}
-  {less("%new", "%hi", "%scaled", "%hk")}
-  store {t} %new, ptr %pi, align {size}
-  %j.next = add i64 %j, 1
-  %j.more = icmp ult i64 %j.next, %i
-  br i1 %j.more, label %element, label %element.done
-element.done:
-  store {t} %scaled, ptr %rk, align {size}
-  {at("%bi", "%b", "%i.less")}
-  {load("%b.old", "%bi")}
-  {less("%b.new", "%b.old", "%scaled", "%z")}
-  store {t} %b.new, ptr %bi, align {size}
-  br label %column.done
-column.done:
-  br label %column
-pivot.done:
-  %k.less = sub i64 %k, 1
-  %k.again = icmp ne i64 %k, 0
-  br i1 %k.again, label %pivot, label %forward
-forward:
-  %m = phi i64 [ 0, %pivot.done ], [ %m.next, %forward.done ]
-  %m.next = add i64 %m, 1
-  %m.twice = mul i64 %m, %m.next
-  %m.row = lshr i64 %m.twice, 1
-  {at("%row.m", "%H", "%m.row")}
-  {at("%dm", "%row.m", "%m")}
-  {load("%inverse.m", "%dm")}
-  {at("%bm", "%b", "%m")}
-  {load("%half", "%bm")}
-  %begin = fmul {t} %half, %inverse.m
-  br label %known
-known:
-  %q = phi i64 [ 0, %forward ], [ %q.next, %subtract ]
-  %sum = phi {t} [ %begin, %forward ], [ %sum.next, %subtract ]
-  %q.more = icmp ult i64 %q, %m
-  br i1 %q.more, label %subtract, label %forward.done
-subtract:
-  {at("%pq", "%row.m", "%q")}
-  {load("%l", "%pq")}
-  {at("%bq", "%b", "%q")}
-  {load("%x", "%bq")}
-  {less("%sum.next", "%sum", "%l", "%x")}
-  %q.next = add i64 %q, 1
-  br label %known
-forward.done:
-  store {t} %sum, ptr %bm, align {size}
-  %m.more = icmp ult i64 %m.next, %count
-  br i1 %m.more, label %forward, label %done
-done:
-  ret void
-}}"""
+    last = f.let("sub i64 %count, 1")
+    with f.each("%count") as done:
+        k = f.let(f"sub i64 {last}, {done}")
+        row_k = row_of(k)
+        diagonal = f.at(row_k, k, row)
+        inverse = f.let(f"fdiv {t} {one}, {load(diagonal)}")
+        store(inverse, diagonal)
+        z = load(f.at("%b", k, row))
+        with f.each(k) as passed:
+            left = f.let(f"sub i64 {k}, {passed}")
+            i = f.let(f"sub i64 {left}, 1")
+            place = f.at(row_k, i, row)
+            r = load(place)
+            some = f.let(f"fcmp une {t} {r}, {zero}")
+            if lanes:
+                some = f.let(f"call i1 @llvm.vector.reduce.or.v{lanes}i1({flag} {some})")
+            with f.where(some):
+                scaled, row_i = f.let(f"fmul {t} {r}, {inverse}"), row_of(i)
+                with f.each(left) as j:
+                    element = f.at(row_i, j, row)
+                    store(less(load(element), scaled, load(f.at(row_k, j, row))), element)
+                store(scaled, place)
+                b_i = f.at("%b", i, row)
+                store(less(load(b_i), scaled, z), b_i)
+    with f.each("%count") as m:
+        row_m, b_m = row_of(m), f.at("%b", m, row)
+        begin = f.let(f"fmul {t} {load(b_m)}, {load(f.at(row_m, m, row))}")
+        with f.each(m, t, begin) as q:
+            f.total = less(f.total, load(f.at(row_m, q, row)), load(f.at("%b", q, row)))
+        store(f.total, b_m)
+    return f.text()
