@@ -24,7 +24,14 @@ from evo_cpg.native.backend.code import Variant
 from evo_cpg.native.backend.llvm import call_frame
 from evo_cpg.native.backend.machine import host, load
 from evo_cpg.native.compile import to_llvm
-from evo_cpg.native.frontend.primitives import Arrays, Program, fused_p, is_tracing, linear_map
+from evo_cpg.native.frontend.primitives import (
+    Arrays,
+    Program,
+    fused_p,
+    is_tracing,
+    linear_map,
+    mapped_axis,
+)
 from evo_cpg.native.fuse import fuse
 from evo_cpg.native.ir import Unsupported
 from evo_cpg.native.stopwatch import Made, counted
@@ -307,15 +314,11 @@ def batch_again(
     first, few = len(values) - program.tangents[0], math.prod(batch) < machine_constants.LANES
     if all(axis is None for axis in axes[:first]) and (is_tracing() or not few):
         return _for_tangents(values, axes, program, batch)
-    size = next(x.shape[axis] for x, axis in zip(values, axes, strict=True) if axis is not None)
-    every = []
-    for i, (x, axis) in enumerate(zip(values, axes, strict=True)):
-        x = x[..., None] if axis is None else jnp.moveaxis(x, axis, -1)
+    size, every = mapped_axis(values, axes, -1)
+    for i, x in enumerate(every[: program.shared]):
         own = x.shape[:-1]
-        if i < program.shared:
-            x = x.reshape(*own, *(1,) * len(batch), x.shape[-1])
-            own = *own, *batch
-        every.append(jnp.broadcast_to(x, (*own, size)))
+        x = x.reshape(*own, *(1,) * len(batch), size)
+        every[i] = jnp.broadcast_to(x, (*own, *batch, size))
     results = fuse(
         lambda *x: tuple(program(*x)), *every, batch_ndim=len(batch) + 1, name=program.name
     )

@@ -156,12 +156,9 @@ class Printer:
             elif item.packed is not None:
                 # The functions of a packed loop work on one vector.
                 name, parameters = f"loop{len(self.functions)}", f"{self.buffers}ptr {FRAME}, "
-                self._of_one_vector(
-                    "i32", f"{name}.test", functools.partial(self._items, item.test)
-                )
-                self._of_one_vector(
-                    "void", f"{name}.round", functools.partial(self._items, item.body)
-                )
+                for kind, what, items in (("i32", "test", item.test), ("void", "round", item.body)):
+                    run = functools.partial(self._items, items)
+                    self._of_one_vector(kind, f"{name}.{what}", run)
                 self.group_functions.append(packed_loop(name, parameters, self.group, *item.packed))
                 self.driver.append(
                     f"call void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count)"
@@ -245,20 +242,18 @@ class Printer:
         self.label = body
         if item.counter is not None:
             # Store the number of the round in its slot.
-            suffix = "" if self.grouped else f"{number}"
-            store = (
-                f"%place{suffix} = getelementptr i8, ptr %scratch, i64 {item.counter}\n"
-                f"store i32 %round{suffix}, ptr %place{suffix}"
-            )
             if self.grouped:
                 name = f"count{len(self.functions)}"
-                self.functions.append(
-                    f"define internal void @{name}(i32 %round, {_GIVEN}) #0 {{\n"
-                    f"{store}\nret void\n}}"
-                )
+                f = FunctionText(f"internal void @{name}(i32 %round, {_GIVEN})")
+                f.store("i32", "%round", f.at("%scratch", item.counter))
+                self.functions.append(f.text())
                 self._call_for_group(name, "i32 %round, ", f"i32 %{counter}, ")
             else:
-                self.driver.append(store)
+                place = f"%place{number}"
+                self.driver += [
+                    f"{place} = getelementptr i8, ptr %scratch, i64 {item.counter}",
+                    f"store i32 %{counter}, ptr {place}",
+                ]
         self._items(item.body)
         if loop.once:
             self.driver += [f"br label %{after}", f"{after}:"]

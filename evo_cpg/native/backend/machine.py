@@ -73,7 +73,9 @@ def host(requested: str | None = None) -> Target:
     """
     llvm = _llvm()
     has = {name for name, present in llvm.get_host_cpu_features().items() if present}
+    listed = sorted(has)
     if platform.machine().lower() in ("aarch64", "arm64"):
+        # Every 64-bit ARM processor has these, whether LLVM lists them or not.
         has |= {"neon", "fma"}
     sets = machine_constants.INSTRUCTION_SETS
     names = [name for name, each in sets.items() if has.issuperset(each.needs)]
@@ -84,9 +86,7 @@ def host(requested: str | None = None) -> Target:
         raise Unsupported(f"this processor has no {requested}. Allowed: {', '.join(names)}")
     name = requested or names[0]
     kept = {each for each in has if not each.startswith(_LARGER.get(name, ()))}
-    flags = [f"{'+' if each in kept else '-'}{each}" for each in sorted(has - {"neon", "fma"})]
-    if "fma" in has and name not in ("neon",):
-        flags.append(f"{'+' if 'fma' in kept else '-'}fma")
+    flags = [f"{'+' if each in kept else '-'}{each}" for each in listed]
     size, registers, _, compresses = sets[name]
     processor = llvm.get_host_cpu_name()
     return Target(name, size, registers, "fma" in kept, compresses, processor, ",".join(flags))

@@ -14,7 +14,7 @@ depend on the other individuals.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from evo_cpg.native.backend.code import GrowingTable, Slot
 from evo_cpg.native.backend.operations import FunctionText
@@ -171,33 +171,20 @@ def _run_packed(
         leave(f.let(f"icmp eq i32 {f.load('i32', lanes)}, 0"))
 
 
-class _Series(NamedTuple):
-    """Places in memory at equal distances.
+def _series(slots: Iterable[Slot]) -> list[tuple[int, int, int, Any]]:
+    """Group consecutive slots of one size at equal distances.
 
-    Attributes:
-        start: first place, bytes.
-        size: bytes of one individual's number.
-        step: bytes from one place to the next.
-        count: number of places.
+    Return the first place, the bytes of a number, the distance, and the number of places.
     """
-
-    start: int
-    size: int
-    step: int
-    count: int
-
-
-def _series(slots: Iterable[Slot]) -> list[_Series]:
-    """Group consecutive slots of one size at equal distances."""
-    found: list[_Series] = []
+    found: list[tuple[int, int, int, Any]] = []
     for start, size, _ in slots:
-        if found and found[-1].size == size:
-            last = found[-1]
-            step = start - last.start - (last.count - 1) * last.step
-            if last.count == 1 or step == last.step:
-                found[-1] = last._replace(step=step, count=last.count + 1)
+        if found and found[-1][1] == size:
+            first, _, step, count = found[-1]
+            apart = start - first - (count - 1) * step
+            if count == 1 or apart == step:
+                found[-1] = first, size, apart, count + 1
                 continue
-        found.append(_Series(start, size, 0, 1))
+        found.append((start, size, 0, 1))
     return found
 
 
@@ -209,18 +196,16 @@ def _places(
     Irregular places are moved without a loop, so the processor fetches many numbers at a time. The
     code moves the rows of a table that are in use for any of ``width`` individuals at ``base``.
     """
-    counts, t = [], f"<{width} x i32>"
+    series, t = _series(slots), f"<{width} x i32>"
     for table in tables:
         extents = f.let(f"load {t}, ptr {f.at(base, table.extent)}, align 4")
         most = f.let(f"call i32 @llvm.vector.reduce.umax.v{width}i32({t} {extents})")
-        counts.append(f.let(f"zext i32 {most} to i64"))
-    for start, size, step, count in _series(slots):
-        if count < _FEWEST_ROUNDS:
+        count = f.let(f"zext i32 {most} to i64")
+        series.append((table.start, table.size, table.step, count))
+    for start, size, step, count in series:
+        if isinstance(count, int) and count < _FEWEST_ROUNDS:
             yield from ((size, f"{start + k * step}") for k in range(count))
             continue
-        with f.each(count) as turn:
-            yield size, f.let(f"add i64 {f.let(f'mul i64 {turn}, {step}')}, {start}")
-    for (start, size, step, _), count in zip(tables, counts, strict=True):
         with f.each(count) as turn:
             yield size, f.let(f"add i64 {f.let(f'mul i64 {turn}, {step}')}, {start}")
 

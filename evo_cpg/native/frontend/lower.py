@@ -6,10 +6,12 @@ additions and multiplications. Elementwise operations become one node per elemen
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
@@ -264,11 +266,7 @@ def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
         return elementwise(functools.partial(hide, part=part), result)
 
     if dtype == np.float64 and name == "logistic":
-        one, make, apply = builder.constant(1, dtype), builder.make, builder.apply
-        return elementwise(
-            lambda x: apply("div", one, apply("add", one, make("exp", (apply("neg", x),), dtype))),
-            *operands,
-        )
+        return _defined(lambda x: 1.0 / (1.0 + jnp.exp(-x)), builder, operands, {})[0]
     if dtype != np.float64 or name not in LIBRARY:
         raise Unsupported(f"no rule for {name} of {dtype}")
     return elementwise(lambda *x: builder.make(name, x, dtype), *operands)
@@ -277,40 +275,16 @@ def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
 def _reduction(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
     (x,), axes = operands, params["axes"]
     kept = [i for i in range(x.ndim) if i not in axes]
-    rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
-    total = rows[..., 0]
-    for k in range(1, rows.shape[-1]):
-        total = builder.apply_each(op, total, rows[..., k])
+    rows = x.transpose(*axes, *kept).reshape(-1, *(x.shape[i] for i in kept))
+    total = functools.reduce(functools.partial(builder.apply_each, op), rows)
     return [np.asarray(total, object)]
 
 
 def _cumulative(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
-    result = operands[0].copy()
-    rows = np.moveaxis(result, params["axis"], 0)
-    rows = rows[::-1] if params["reverse"] else rows
-    for k in range(1, len(rows)):
-        rows[k, ...] = builder.apply_each(op, rows[k - 1], rows[k])
-    return [result]
-
-
-def _extreme_place(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
-    """Return the index of the first NaN if there is one, else of the first largest or smallest."""
-    (x,), (axis,), dtype = operands, params["axes"], np.dtype(params["index_dtype"])
-    x = np.moveaxis(x, axis, 0)
-
-    def better(old: Node, new: Node) -> Node:
-        beyond = builder.apply(op, new, old)
-        nan = builder.apply("ne", new, new)
-        good = builder.apply("eq", old, old)
-        return builder.apply("or", beyond, builder.apply("and", nan, good))
-
-    best, place = x[0], np.full(x.shape[1:], builder.constant(0, dtype))
-    for k in range(1, len(x)):
-        number = builder.constant(k, dtype)
-        chosen = elementwise(better, best, x[k])
-        place = builder.apply_each("select", chosen, number, place)
-        best = builder.apply_each("select", chosen, x[k], best)
-    return [np.asarray(place, object)]
+    axis, step = params["axis"], -1 if params["reverse"] else 1
+    rows = np.moveaxis(operands[0], axis, 0)[::step]
+    sums = itertools.accumulate(rows, functools.partial(builder.apply_each, op))
+    return [np.moveaxis(np.stack([np.asarray(x, object) for x in sums])[::step], 0, axis)]
 
 
 def _dot_general(builder: Builder, operands: Arrays, params: dict) -> Arrays:
@@ -357,36 +331,42 @@ def _dot_general(builder: Builder, operands: Arrays, params: dict) -> Arrays:
 
 def _select_n(builder: Builder, operands: Arrays, params: dict) -> Arrays:
     which, *cases = operands
-    select = functools.partial(builder.apply, "select")
-    if all(node.dtype.kind == "b" for node in which.flat):
-        return [elementwise(lambda w, no, yes: select(w, yes, no), which, *cases)]
-    result = cases[-1]
-    for k in range(len(cases) - 2, -1, -1):
-        result = elementwise(
-            lambda w, here, later, k=k: select(
-                builder.apply("le", w, builder.constant(k, w.dtype)), here, later
-            ),
-            which,
-            cases[k],
-            result,
+    result, select = cases[-1], functools.partial(builder.apply_each, "select")
+    for k, case in reversed([*enumerate(cases[:-1])]):
+        if all(node.dtype.kind == "b" for node in which.flat):
+            return [select(which, result, case)]
+        here = elementwise(
+            lambda w, k=k: builder.apply("le", w, builder.constant(k, w.dtype)), which
         )
+        result = select(here, case, result)
     return [result]
 
 
+def _defined(function: Callable, builder: Builder, operands: Arrays, params: dict) -> Arrays:
+    """Trace a definition in JAX of a primitive, for operands with elements."""
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.flat[0].dtype) for x in operands]
+    inner, _ = traced(functools.partial(function, **params), *shapes)
+    return trace(builder, inner, operands)
+
+
+def _extreme_place(best: Callable, x: jax.Array, axes: Sequence[int], index_dtype: Any) -> Any:
+    """Return the index of the first NaN if there is one, else of the first largest or smallest."""
+    (axis,), x = axes, x.astype(np.int8) if x.dtype == bool else x
+    found = (x == best(x, axis, keepdims=True)) | (x != x)
+    places = jax.lax.broadcasted_iota(index_dtype, x.shape, axis)
+    return jnp.where(found, places, x.shape[axis] - 1).min(axis)
+
+
+def _away_from_zero(x: jax.Array, rounding_method: Any) -> jax.Array:
+    size = abs(x)
+    below = jnp.floor(size)
+    return jnp.sign(x) * (below + (size - below >= 0.5).astype(x.dtype))
+
+
 def _rounded(builder: Builder, operands: Arrays, params: dict) -> Arrays:
-    apply, to_even = builder.apply, jax.lax.RoundingMethod.TO_NEAREST_EVEN
-    if params["rounding_method"] == to_even:
+    if params["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN:
         return [builder.apply_each("round", *operands)]
-
-    def away_from_zero(x: Node) -> Node:
-        one, zero, half = (builder.constant(value, x.dtype) for value in (1, 0, 0.5))
-        size = apply("abs", x)
-        below = apply("floor", size)
-        far = apply("ge", apply("sub", size, below), half)
-        up = apply("add", below, apply("select", far, one, zero))
-        return apply("mul", up, apply("sign", x))
-
-    return [elementwise(away_from_zero, *operands)]
+    return _defined(_away_from_zero, builder, operands, params)
 
 
 def _unset(builder: Builder, operands: Arrays, params: dict) -> Arrays:
@@ -399,10 +379,6 @@ def _unset(builder: Builder, operands: Arrays, params: dict) -> Arrays:
 _ELEMENTWISE: dict[str, Callable[..., Node]] = {
     "add_any": lambda b, x, y: b.apply("add", x, y),
     "clamp": lambda b, low, x, high: b.apply("min", b.apply("max", low, x), high),
-    # The product keeps all digits near one. JAX 0.12 added this primitive for `tanh`.
-    "one_minus_square": lambda b, x: b.apply(
-        "mul", b.apply("sub", one := b.constant(1, x.dtype), x), b.apply("add", one, x)
-    ),
     "rsqrt": lambda b, x: b.apply("div", b.constant(1, x.dtype), b.apply("sqrt", x)),
     "square": lambda b, x: b.power(x, 2),
 }
@@ -410,8 +386,8 @@ _ELEMENTWISE: dict[str, Callable[..., Node]] = {
 
 _RULES: dict[str, Rule] = {
     **MOVES,
-    "argmax": functools.partial(_extreme_place, "gt"),
-    "argmin": functools.partial(_extreme_place, "lt"),
+    "argmax": functools.partial(_defined, functools.partial(_extreme_place, jnp.max)),
+    "argmin": functools.partial(_defined, functools.partial(_extreme_place, jnp.min)),
     "bitcast_convert_type": lambda b, xs, params: [
         b.apply_each("bitcast", *xs, dtype=params["new_dtype"])
     ],
@@ -427,6 +403,8 @@ _RULES: dict[str, Rule] = {
     "integer_pow": lambda b, operands, params: [
         elementwise(lambda x: b.power(x, params["y"]), *operands)
     ],
+    # The product keeps all digits near one. JAX 0.12 added this primitive for `tanh`.
+    "one_minus_square": functools.partial(_defined, lambda x: (1.0 - x) * (1.0 + x)),
     "reduce_and": functools.partial(_reduction, "and"),
     "reduce_max": functools.partial(_reduction, "max"),
     "reduce_min": functools.partial(_reduction, "min"),

@@ -48,9 +48,8 @@ def _dynamic_update_slice(builder, operands, params):
         for node, b in zip(first, begin, strict=True):
             here = builder.apply("eq", node, builder.constant(b, node.dtype))
             condition = builder.apply("and", condition, here)
-        for index in np.ndindex(update.shape):
-            place = tuple(b + i for b, i in zip(begin, index, strict=True))
-            result[place] = builder.apply("select", condition, update[index], result[place])
+        window = tuple(slice(b, b + size) for b, size in zip(begin, update.shape, strict=True))
+        result[window] = builder.apply_each("select", condition, update, result[window])
     return [result]
 
 
@@ -76,33 +75,24 @@ def _gather(builder, operands, params):
     if numbers.operand_batching_dims:
         raise Unsupported("no rule for a gather with batch dimensions at computed places")
     rows = indices.reshape(-1, indices.shape[-1]) if indices.ndim else indices.reshape(1, 1)
-    filled = "FILL" in str(params["mode"])
-    kept = [i for i in range(x.ndim) if i not in numbers.collapsed_slice_dims]
-    window = np.indices(sizes)[
-        (slice(None), *(slice(None) if i in kept else 0 for i in range(x.ndim)))
-    ]
+    kept = [size for i, size in enumerate(sizes) if i not in numbers.collapsed_slice_dims]
     results = []
     for row in rows:
         first = [builder.constant(0, np.int32)] * x.ndim
         valid = builder.constant(True, bool)
         for axis, node in zip(numbers.start_index_map, row, strict=True):
-            most = x.shape[axis] - sizes[axis]
-            first[axis] = clamped(builder, node, most)
-            if filled:
+            first[axis] = clamped(builder, node, x.shape[axis] - sizes[axis])
+            if "FILL" in str(params["mode"]):
                 same = builder.apply("convert", first[axis], dtype=node.dtype)
                 valid = builder.apply("and", valid, builder.apply("eq", same, node))
-        taken = _taken(builder, x, first, window)
+        taken = _taken(builder, x, first, np.indices(sizes)).reshape(kept)
         if valid.value is None or not valid.value:
             taken = builder.apply_each("select", valid, taken, builder.constant(fill, dtype))
         results.append(taken)
     batch = indices.shape[:-1]
-    stacked = np.array([t.reshape(-1) for t in results], object)
-    stacked = stacked.reshape((*batch, *results[0].shape))
+    stacked = np.stack(results).reshape((*batch, *kept))
     # ``offset_dims`` places the axes of the windows. The axes of the indices go in between.
-    order = iter(range(len(batch)))
-    inner = {axis: len(batch) + k for k, axis in enumerate(numbers.offset_dims)}
-    axes = [inner[i] if i in inner else next(order) for i in range(stacked.ndim)]
-    return [stacked.transpose(axes)]
+    return [np.moveaxis(stacked, range(len(batch), stacked.ndim), numbers.offset_dims)]
 
 
 # Place of an element outside the array.

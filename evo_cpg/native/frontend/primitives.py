@@ -170,7 +170,7 @@ def programs_in(equation: Any) -> Iterator[Jaxpr]:
                 yield inner
 
 
-def _mapped_axis(values: Arrays, axes: Sequence[int | None], to: int) -> tuple[int, list]:
+def mapped_axis(values: Arrays, axes: Sequence[int | None], to: int) -> tuple[int, list]:
     """Return the length of the mapped axis, and all values with this axis moved to ``to``."""
     size = next(x.shape[axis] for x, axis in zip(values, axes, strict=True) if axis is not None)
     return size, [
@@ -234,7 +234,7 @@ def _transpose_map(cotangents, *values, forward, backward, shapes, count):
 def _batch_map(values, axes, *, forward, backward, shapes, count):
     # The fixed arrays are often the same for all tangents. Work on them alone is then done once.
     first = count if all(axis is None for axis in axes[:count]) else 0
-    size, stacked = _mapped_axis(values[first:], axes[first:], 0)
+    size, stacked = mapped_axis(values[first:], axes[first:], 0)
     how = (None, 0) if first else (0, 0)
     results = linear_map_p.bind(
         *values[:first],
@@ -266,7 +266,7 @@ def solve_written_out(H: jax.Array, b: jax.Array) -> list[jax.Array]:
 
 def _batch_solution(values, axes):
     """Move the mapped axis to the end, where the individuals are."""
-    _, (H, b) = _mapped_axis(values, axes, -1)
+    _, (H, b) = mapped_axis(values, axes, -1)
     return eliminate_p.bind(H, b), [b.ndim - 1]
 
 
