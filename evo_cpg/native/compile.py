@@ -1,23 +1,7 @@
 """Compile a JAX program for one individual to machine code for all individuals.
 
-| pass | from | to | file |
-|---|---|---|---|
-| lower | JAX program | graph of scalars | `frontend.lower` |
-| contract multiply-adds | graph | graph | `passes` |
-| eliminate dead code | graph | graph | `passes` |
-| check size | graph | the same graph | `passes` |
-| schedule | graph | graph | `passes` |
-| allocate | graph | code with registers and places | `backend.allocate` |
-| print | code | LLVM IR | `backend.llvm` |
-| compile | LLVM IR | machine code in memory | `backend.machine` |
-
-Lowering simplifies each operation as it is made (`frontend.simplify`). Simplification is not a
-separate pass, because lowering depends on it: the place of a slice must be a known number.
-
-Passes from graph to graph and rewrite rules are optional (`PASSES`, `RULES`). Without them the
-program takes more operations and computes the same. Only sums round differently without
-multiply-adds. They are not free to change places: a pass that could do nothing in its place raises
-`passes.WrongOrder`.
+`docs/models/native.md` lists the passes, and says how to omit one. Lowering simplifies each
+operation as it is made (`frontend.simplify`), because the place of a slice must be a known number.
 
 | environment variable | after each pass |
 |---|---|
