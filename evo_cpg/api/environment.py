@@ -189,7 +189,11 @@ class Environment:
         return EnvironmentState(seen, reward, done, terms, later)
 
     def session(self) -> "Session":
-        """Return the animal for a loop in Python, which steps one animal at a time."""
+        """Return the animal for a loop in Python, which steps one animal at a time.
+
+        Raises:
+            Unsupported: a step does not become native code, for example with ``engine: jax``.
+        """
         return Session(self)
 
     def _start(self, keys: Array | None) -> AnimalState:

@@ -77,7 +77,6 @@ def compiled(program: Program, single: bool) -> Native:
             start = time.perf_counter()
             module = to_llvm(program, variant)
             if module.operations > machine_constants.MANY_OPERATIONS:
-                # LLVM takes a minute or more.
                 most = f"{machine_constants.MANY_OPERATIONS:,}"
                 engine.warn_once(
                     f"A program has more than {most} operations, so it takes long to compile. "
@@ -184,9 +183,10 @@ def differentiate(
     smooth = [i for i, x in enumerate(program.outputs) if jnp.issubdtype(x.dtype, jnp.floating)]
     changes = [tangents[i] for i in moving]
     rule = _Derivative(program, batch, moving, smooth)
+    numbers = sum(program.outputs[i].size for i in smooth)
     if program.forward:
         results, found = rule.with_tangents(primals, changes)
-    elif sum(program.outputs[i].size for i in smooth) == 1 and not is_tracing():
+    elif numbers == 1 and not program.searches and not is_tracing():
         results, found = rule.with_gradient(primals, changes)
     else:
         results, found = rule.by_map(primals, changes)

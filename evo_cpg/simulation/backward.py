@@ -90,7 +90,7 @@ class Backward(NamedTuple):
                 moving.update(equation.outvars)
         left = {x for x in jaxpr.outvars if not isinstance(x, Literal) and x in moving}
         kept = sum(x.aval.size * x.aval.dtype.itemsize for x in left)
-        copies = max(machine_constants.LANES // math.prod(batch), 1)
+        copies = max(machine_constants.LANES // max(math.prod(batch), 1), 1)
         if copies * steps * kept <= machine_constants.LARGEST_RESIDUALS:
             return segment(steps, carry, 0)[0]
         # This length minimises the memory for states between segments plus one segment.

@@ -15,7 +15,7 @@ from evo_cpg.creature.algebra.linear import (
     matmul,
     matvec,
 )
-from evo_cpg.native.fuse import fuse, symmetric
+from evo_cpg.native.fuse import fuse, symmetric, while_each
 
 LEGS = 4
 
@@ -269,6 +269,17 @@ def test_derivatives_of_loops_equal_those_of_jax(results, x64):
                 for run in (native, walk)
             )
             np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-14)
+
+
+def test_a_search_for_one_number_is_differentiated_forwards(x64):
+    def root(x):
+        """Return the square root by Newton's method."""
+        advance = lambda y: 0.5 * (y + x / y)  # noqa: E731
+        return while_each(lambda y: abs(y * y - x) > 1e-15 * x, advance, advance(x))
+
+    x = jnp.array([2.0, 5.0])
+    _, slope = jax.jvp(lambda x: fuse(root, x, batch_ndim=1), (x,), (jnp.ones(2),))
+    np.testing.assert_allclose(slope, 0.5 / np.sqrt(x), rtol=1e-9)
 
 
 @pytest.mark.parametrize("count", [1, 20])

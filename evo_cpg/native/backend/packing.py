@@ -31,10 +31,10 @@ _COMPRESS, _NARROWEST, _VECTOR = "llvm.x86.avx512.mask.compress", 4, 64
 # without a loop.
 _FEWEST_ROUNDS = 16
 
-# IR types by bytes of a number.
 Slots = Sequence[Slot]
 Tables = Sequence[GrowingTable]
 
+# IR types by bytes of a number.
 _WORDS = {1: "i8", 2: "i16", 4: "i32", 8: "i64"}
 
 

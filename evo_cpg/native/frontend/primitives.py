@@ -119,6 +119,19 @@ class Program:
         return frozenset(names)
 
     @functools.cached_property
+    def searches(self) -> bool:
+        """Return whether JAX differentiates the program forwards only.
+
+        It has a loop with a condition, and no derivative rule of its own for it.
+        """
+        return any(
+            equation.params["program"].searches
+            if equation.primitive is fused_p
+            else equation.primitive.name == "while"
+            for equation in equations(self.jaxpr, _OWN_RULES)
+        )
+
+    @functools.cached_property
     def loops(self) -> bool:
         """Return whether the program has loops over parts, without their own derivative rule."""
         return any(

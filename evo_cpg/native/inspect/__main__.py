@@ -15,7 +15,6 @@ import collections
 import ctypes
 import dataclasses
 import itertools
-import os
 import sys
 import time
 import warnings
@@ -39,6 +38,7 @@ from evo_cpg.native.frontend.primitives import Program, fused_p
 from evo_cpg.native.inspect import show
 from evo_cpg.native.inspect.interpret import interpret
 from evo_cpg.native.inspect.parts import Arrays, Call, TrialPart, calls_of, parts_of
+from evo_cpg.native.ir import Unsupported
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
@@ -208,8 +208,7 @@ def write(part: TrialPart, target: Target, folder: Path) -> Iterator[Path]:
 # Faults.
 
 
-# Name of a part, largest difference of its results from those of plain JAX (`difference`), and the
-# pass after which they differ, or "".
+# Name of a part, largest `difference` from plain JAX, and the pass that causes it or "".
 Verdict = tuple[str, float, str]
 
 
@@ -298,12 +297,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     faults = "find the part and the pass after which results differ from plain JAX"
     parser.add_argument("--check", action="store_true", help=faults)
     options = parser.parse_args(arguments)
-    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    jax.config.update("jax_platforms", "cpu")
     last = ""
     try:
         for last in _lines(options):
             print(last, flush=True)
-    except (UserError, OSError) as error:
+    except (UserError, Unsupported, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return int(last.startswith("The first fault"))

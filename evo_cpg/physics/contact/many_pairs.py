@@ -10,8 +10,8 @@ the points that can act in the step, because most points are too far apart:
    further step, plus a tenth of the thickness. The balls' threshold has the first distance twice.
 3. A listed point that does not push adds nothing to the torques and the matrix.
 
-Each individual handles its own k-th point in round k of a loop. A loop therefore takes as many
-rounds as the longest list of a vector, and not as many as the vector has different points.
+Each individual handles its own k-th point in round k of a loop. The longest list of a vector
+therefore determines the number of rounds, which is less than its number of different points.
 
 All positions refer to the root's origin. A body's twist at constant rates has the angular velocity
 w and the velocity v_0 of its point at the origin. Points p_1 and p_2 with the normal n separate at
