@@ -147,9 +147,9 @@ def _run_packed(
 ) -> None:
     """Write the rounds of the packed vector, in which waiting individuals replace finished ones."""
     lanes, called = f.room("i32"), f.room("i64")
-    begun = f.let(f"call i64 @llvm.umin.i64(i64 {most}, i64 {width})")
-    f.store("i64", begun, called)
-    above = f.let(f"shl i64 1, {begun}")
+    filled = f.let(f"call i64 @llvm.umin.i64(i64 {most}, i64 {width})")
+    f.store("i64", filled, called)
+    above = f.let(f"shl i64 1, {filled}")
     f.store("i32", f.let(f"trunc i64 {f.let(f'sub i64 {above}, 1')} to i32"), lanes)
     with f.repeat() as leave:
         f.do(f"call void @{name}.round({given})")
