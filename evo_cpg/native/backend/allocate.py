@@ -73,7 +73,6 @@ class Allocator:
         self.grouped = self.width > 1 and not all(x.once for x in ends)
         self.packed, self.packing = _Packed(), False
         self.per_vector = False
-        self.functions: list[code.FunctionCode] = []
         self.items: list[code.Item] = []
         self._begin()
 
@@ -96,9 +95,9 @@ class Allocator:
             start = self.memory.reserve(size * len(run), run[0].part)
             self.slots.update((node, start + i * size) for i, node in enumerate(run))
             number, row = run[0].detail
-            self._let(self.select.copy_row(run[0].dtype), f"%b{number}", row, size, start)
-            self.items.append(code.RowCopies(self.steps[0], len(run), f"%b{number}"))
-            self._begin()
+            self.buffers[f"%b{number}"] = None
+            self._let(self.select.copy_rows(run[0].dtype), f"%b{number}", row, len(run), start)
+        self._end()
         carried = [loop.detail.carried[k] for loop, kept in graph.kept.items() for k in kept]
         counters = [node for node in graph.nodes if node.op == "counter"]
         for node in [*carried, *counters, *across]:
@@ -147,13 +146,17 @@ class Allocator:
 
     def _begin(self) -> None:
         """Begin an empty stretch."""
+        self.functions: list[code.FunctionCode] = []
+        # Names of values that LLVM finds registers for: truth values and uniform integers.
+        self.names: dict[Node, str] = {}
+        self.buffers: dict[str, None] = {}
+        self._begin_function()
+
+    def _begin_function(self) -> None:
         self.steps: list[code.Step] = []
         self.lines = 0
         # Lines of each part in the current function.
         self.parts: dict[str, int] = {}
-        # Names of values that LLVM finds registers for: truth values and uniform integers.
-        self.names: dict[Node, str] = {}
-        self.buffers: dict[str, None] = {}
 
     def _cut(self) -> None:
         """Continue in a new function, if the current function is long.
@@ -166,15 +169,15 @@ class Allocator:
             self._end_function()
 
     def _end(self, result: str = "", kind: str = "void") -> None:
-        """End the stretch."""
+        """End the stretch, and begin the next one."""
         if self.steps or result or self.functions:
             self._end_function()
             self.items.append(StretchCode(self.functions, result, kind))
-            self.functions = []
+        self._begin()
 
     def _end_function(self) -> None:
         self.functions.append(code.FunctionCode(self.steps, tuple(self.buffers), self.parts))
-        self.steps, self.lines, self.parts = [], 0, {}
+        self._begin_function()
 
     # Registers.
 
@@ -389,7 +392,6 @@ class Allocator:
             self.tables[one] = self.memory.reserve(size, node.part)
             self.packed.written.add(one)
         self._end()
-        self._begin()
         # Whether all vectors of a group run the current code together.
         in_group = self.grouped and not self.packing and not self.per_vector
         if in_group and loop.condition is not None and not loop.once:
@@ -458,7 +460,6 @@ class Allocator:
         """Allocate the test of a loop and return the name of the condition."""
         condition = loop.condition
         assert condition is not None
-        self._begin()
         self._block(loop.test, [condition])
         name = self._ref(condition)
         self._used()
@@ -466,7 +467,6 @@ class Allocator:
 
     def _round(self, node: Node, loop: GraphLoop) -> list[code.Item]:
         """Allocate a round of a loop and return its code."""
-        self._begin()
         kept, lists, condition = self.graph.kept[node], self.lists[node], loop.condition
         # A carried value that moves to another slot is read before any slot is written.
         carried = set(loop.carried)
@@ -506,7 +506,6 @@ class Allocator:
             value = self._let(self.select.load(one.dtype, one.uniform, SCRATCH), place)
             self._store(value, one, self.slots[one])
         self._end()
-        self._begin()
         return self.items
 
     def _unless_done(self, loop: GraphLoop, k: int, value: str) -> str:

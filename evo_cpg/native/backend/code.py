@@ -5,7 +5,6 @@
 | `Template` | the instructions for one operation, with gaps for its operands |
 | `Step` | a template with operands |
 | `StretchCode` | code without branches, which becomes one or more functions (`FunctionCode`) |
-| `RowCopies` | rows of an argument that are copied to adjacent places |
 | `LoopCode` | a loop or a branch over stretches |
 """
 
@@ -101,17 +100,6 @@ class StretchCode(NamedTuple):
     kind: str = "void"
 
 
-class RowCopies(NamedTuple):
-    """Copies of consecutive rows from an argument, ``buffer``, to scratch memory.
-
-    The step copies one row.
-    """
-
-    step: Step
-    rows: int
-    buffer: str
-
-
 class Slot(NamedTuple):
     """A place in scratch memory.
 
@@ -167,7 +155,7 @@ class LoopCode:
     packed: tuple[Sequence[Slot], Sequence[Slot], Sequence[GrowingTable]] | None = None
 
 
-Item = StretchCode | RowCopies | LoopCode
+Item = StretchCode | LoopCode
 
 
 @dataclasses.dataclass(frozen=True)

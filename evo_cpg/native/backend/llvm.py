@@ -11,14 +11,14 @@ vector's width.
 """
 
 import collections
-import functools
+import contextlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from evo_cpg.native import machine_constants
-from evo_cpg.native.backend.code import Code, Item, LoopCode, RowCopies, Step, StretchCode
+from evo_cpg.native.backend.code import Code, FunctionCode, Item, LoopCode, StretchCode
 from evo_cpg.native.backend.operations import TYPES, FunctionText, number
 from evo_cpg.native.backend.packing import VectorGroup, each_vector, packed_loop
 from evo_cpg.native.backend.select import FRAME
@@ -39,8 +39,9 @@ _METADATA, _EXECUTE = 1, 3
 class Printer:
     """Writer of an allocated program: a function for each stretch, and the driver that calls them.
 
-    If vectors form groups, the driver calls a function for all vectors of a group. In a packed loop
-    and in a branch per vector, ``grouped`` is false and each call is for one vector.
+    The driver's lines are for the vector with the memory ``%scratch`` and the first individual
+    ``%first``. If vectors form groups, a function repeats them for each vector of a group.
+    ``grouped`` is false within it, and in the functions of a packed loop.
 
     If ``timed``, the code adds the clock ticks of each function to the global ``@ticks``, and those
     of the whole program as its first number. ``ticks`` are then the parts of each number.
@@ -61,60 +62,32 @@ class Printer:
         count = len(code.arguments) + len(code.results)
         self.buffers = "".join(f"ptr %b{k}, " for k in range(count))
         self.functions: list[str] = []
-        self.group_functions: list[str] = []
-        self.driver: list[str] = []
-        self.label = "vector"
+        self.driver = FunctionText(f"internal void @program({self.buffers}ptr %scratch, i64 %n)")
         self.grouped = code.grouped
 
     def text(self) -> tuple[str, int]:
         """Return the LLVM IR of the whole program, and its bytes of working memory."""
+        f, width, most = self.driver, self.group.width, self.group.vectors
         begin, end = self._clock({})
-        self._items(self.code.items)
-        vectors, width = self.group.vectors, self.group.width
-        lines = [
-            *self.driver,
-            # The last vector ends with the last individual.
-            f"%stop = add i64 %first, {width}",
-            f"%left = sub i64 %n, {width}",
-            "%within = icmp slt i64 %stop, %left",
-            "%next = select i1 %within, i64 %stop, i64 %left",
-            "%more = icmp slt i64 %stop, %n",
-        ]
-        if self.code.grouped:
-            lines = [
-                "%left = sub i64 %n, %first",
-                f"%begun = add i64 %left, {width - 1}",
-                f"%whole = udiv i64 %begun, {width}",
-                f"%fewer = icmp ult i64 %whole, {vectors}",
-                f"%count = select i1 %fewer, i64 %whole, i64 {vectors}",
-                *self.driver,
-                f"%next = add i64 %first, {vectors * width}",
-                "%more = icmp slt i64 %next, %n",
-            ]
-        driver = [
-            f"define internal void @program({self.buffers}ptr %scratch, i64 %n) #0 {{",
-            "entry:",
-            *begin,
-            # The shared memory begins after the scratch memory of all vectors.
-            f"{FRAME} = getelementptr i8, ptr %scratch, i64 {self.own + FRAME_ORIGIN}",
-            "br label %vector",
-            "vector:",
-            f"%first = phi i64 [ 0, %entry ], [ %next, %{self.label} ]",
-            *lines,
-            "br i1 %more, label %vector, label %done",
-            "done:",
-            *end,
-            "ret void",
-            "}",
-        ]
+        # The shared memory begins after the scratch memory of all vectors.
+        f.do(*begin, f"{FRAME} = getelementptr i8, ptr %scratch, i64 {self.own + FRAME_ORIGIN}")
+        if self.grouped:
+            with f.each(_quotient(f, "%n", most * width)) as group:
+                f.do(f"%first = mul i64 {group}, {most * width}")
+                vectors = _quotient(f, f.let("sub i64 %n, %first"), width)
+                f.do(f"%count = call i64 @llvm.umin.i64(i64 {vectors}, i64 {most})")
+                self._items(self.code.items)
+        else:
+            with each_vector(f, "0", _quotient(f, "%n", width), width):
+                self._items(self.code.items)
+        f.do(*end)
         tables = [f"@ticks = global [{len(self.ticks)} x i64] zeroinitializer"] * self.timed
         for name, values in self.code.tables.items():
             dtype = values.dtype
             t = "i8" if dtype.kind == "b" else TYPES[dtype.char]
             items = ", ".join(f"{t} {number(value, dtype)}" for value in values)
             tables.append(f"{name} = internal constant [{len(values)} x {t}] [{items}], align 64")
-        called = self.code.functions.values()
-        text = "\n".join([*tables, *called, *self.functions, *self.group_functions, *driver])
+        text = "\n".join([*tables, *self.code.functions.values(), *self.functions, f.text()])
         return text, self.own + self.code.frame
 
     def _items(self, items: Sequence[Item]) -> str:
@@ -122,57 +95,55 @@ class Printer:
         result = ""
         for item in items:
             if isinstance(item, StretchCode):
-                functions = []
-                for steps, buffers, parts in item.functions:
-                    begin, end = self._clock(parts)
-                    lines = [*begin, *_lines(steps), *end]
-                    functions.append((lines, buffers, "".join(f"ptr {b}, " for b in buffers)))
-                *before, last = functions
-                lines, buffers, given = last
-                found, kind = item.result, item.kind
-                if before:
-                    # All functions run for one vector before the next, because they share memory.
-                    calls = [
-                        _call("", "void", self._function(part, own), passed)
-                        for part, own, passed in before
-                    ]
-                    name = self._function(lines, buffers, found, kind)
-                    found = "%result" if found else ""
-                    lines = [*calls, _call(found, kind, name, given)]
-                name = self._function(lines, buffers, found, kind)
-                result = self._call_function(name, given, bool(found), kind)
-            elif isinstance(item, RowCopies):
-                lines = [
-                    "br label %head",
-                    "head:",
-                    "%i = phi i64 [ 0, %entry ], [ %j, %head ]",
-                    *_lines([item.step]),
-                    "%j = add i64 %i, 1",
-                    f"%more = icmp slt i64 %j, {item.rows}",
-                    "br i1 %more, label %head, label %copied",
-                    "copied:",
-                ]
-                self._call_function(self._function(lines, [item.buffer]), f"ptr {item.buffer}, ")
+                result = self._stretch(item)
             elif item.packed is not None:
-                # The functions of a packed loop work on one vector.
                 name, parameters = f"loop{len(self.functions)}", f"{self.buffers}ptr {FRAME}, "
-                for kind, what, items in (("i32", "test", item.test), ("void", "round", item.body)):
-                    run = functools.partial(self._items, items)
-                    self._of_one_vector(kind, f"{name}.{what}", run)
-                self.group_functions.append(packed_loop(name, parameters, self.group, *item.packed))
-                self.driver.append(
-                    f"call void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count)"
-                )
+                self._of_one_vector("i32", f"{name}.test", parameters, item.test)
+                self._of_one_vector("void", f"{name}.round", parameters, item.body)
+                self.functions.append(packed_loop(name, parameters, self.group, *item.packed))
+                given = f"{parameters}ptr %scratch, i64 %n, i64 %count"
+                self.driver.do(f"call void @{name}.group({given})")
             elif item.per_vector:
-                # Each vector of a group takes the branch separately.
-                name, parameters = f"branch{len(self.functions)}", f"{self.buffers}ptr {FRAME}, "
-                self._of_one_vector("void", name, functools.partial(self._loop, item))
-                self._call_for_group(name, parameters, parameters)
+                with self._each_vector(f"{self.buffers}ptr {FRAME}, "):
+                    self._loop(item)
             else:
                 self._loop(item)
         return result
 
     # Functions.
+
+    def _stretch(self, item: StretchCode) -> str:
+        """Print the functions of a stretch and their calls, and return the name of the result."""
+        *before, last = item.functions
+        # All functions run for one vector before the next, because they share memory.
+        with self._each_vector("".join(f"ptr {buffer}, " for buffer in last.buffers)):
+            self.driver.do(*[self._function(each) for each in before])
+            call = self._function(last, item.kind, item.result)
+            if item.result:
+                return self.driver.let(call)
+            self.driver.do(call)
+        return ""
+
+    def _function(self, function: FunctionCode, kind: str = "void", result: str = "") -> str:
+        """Print a function and return the text of its call."""
+        (steps, buffers, parts), name = function, f"stretch{len(self.functions)}"
+        begin, end = self._clock(parts)
+        lines = [
+            template.text.format(*operands, *range(first, first + template.names))
+            for template, operands, first in steps
+        ]
+        body = "\n".join([*begin, *lines, *end, f"ret {kind} {result}"])
+        if self.code.variant.width == 1:
+            body = _with_near_pointers(body)
+        pointers = "".join(f"ptr noalias {buffer}, " for buffer in buffers)
+        # Not inlined: LLVM would move thousands of constants out of the driver's loops and spill
+        # each as a whole vector.
+        self.functions.append(
+            f"define internal {kind} @{name}({pointers}ptr noalias %scratch, i64 %n, i64 %first) "
+            f"noinline #0 {{\n{body}\n}}"
+        )
+        given = "".join(f"ptr {buffer}, " for buffer in buffers)
+        return f"call {kind} @{name}({given}{_GIVEN})"
 
     def _clock(self, parts: Mapping[str, int]) -> tuple[list[str], list[str]]:
         """Return the lines before and after code of some parts whose ticks are counted."""
@@ -189,101 +160,64 @@ class Printer:
             "%clock.old = atomicrmw add ptr %clock.place, i64 %clock.took monotonic",
         ]
 
-    def _function(
-        self, lines: Sequence[str], buffers: Sequence[str], result: str = "", kind: str = "void"
-    ) -> str:
-        """Write a function of some lines and return its name."""
-        name = f"stretch{len(self.functions)}"
-        pointers = "".join(f"ptr noalias {buffer}, " for buffer in buffers)
-        body = "\n".join([*lines, f"ret {kind} {result}"])
-        if self.code.variant.width == 1:
-            body = _with_near_pointers(body)
-        # Not inlined: LLVM would move thousands of constants out of the driver's loops and spill
-        # each as a whole vector.
-        self.functions.append(
-            f"define internal {kind} @{name}({pointers}ptr noalias %scratch, i64 %n, i64 %first) "
-            f"noinline #0 {{\nentry:\n{body}\n}}"
-        )
-        return name
+    def _of_one_vector(self, kind: str, name: str, parameters: str, items: Sequence[Item]) -> None:
+        """Print code as a function of one vector, which returns the last result."""
+        with self._apart(f"{kind} @{name}({parameters}{_GIVEN})") as f:
+            result = self._items(items)
+        self.functions.append(f.text(f"{kind} {result}"))
 
-    def _call_function(
-        self, name: str, given: str, has_result: bool = False, kind: str = "void"
-    ) -> str:
-        """Call a function for one vector or for a group, and return the name of the result."""
-        if self.grouped:
-            self._call_for_group(name, given, given)
-            return ""
-        found = f"%found{len(self.functions)}" if has_result else ""
-        self.driver.append(_call(found, kind, name, given))
-        return found
+    @contextlib.contextmanager
+    def _apart(self, head: str) -> Iterator[FunctionText]:
+        """Print the code of a ``with`` statement as a function of one vector."""
+        outside = self.driver, self.grouped
+        self.driver, self.grouped = FunctionText(f"internal {head}"), False
+        yield self.driver
+        self.driver, self.grouped = outside
 
-    def _call_for_group(self, name: str, parameters: str, given: str) -> None:
-        self.group_functions.append(each_vector(name, parameters, self.group))
-        self.driver.append(f"call void @{name}.group({given}{_GIVEN}, i64 %count)")
+    @contextlib.contextmanager
+    def _each_vector(self, parameters: str) -> Iterator[None]:
+        """Print the code of a ``with`` statement for a vector, or for each vector of a group.
+
+        The code of a group becomes a function. Its parameters are the values that the code uses,
+        with types and a trailing comma.
+        """
+        if not self.grouped:
+            yield
+            return
+        name = f"group{len(self.functions)}"
+        head = f"void @{name}({parameters}ptr %group, i64 %n, i64 %start, i64 %count)"
+        with self._apart(head) as f, each_vector(f, "%start", "%count", self.group.width) as vector:
+            place = f.let(f"mul i64 {vector}, {self.group.stride}")
+            f.do(f"%scratch = getelementptr i8, ptr %group, i64 {place}")
+            yield
+        self.functions.append(f.text())
+        self.driver.do(f"call void @{name}({parameters}{_GIVEN}, i64 %count)")
 
     # Loops.
 
-    def _loop(self, item: LoopCode) -> str:
-        """Print the driver's lines of a loop or a branch, which has no result."""
-        number, loop = item.number, item.loop
-        counter, head, body, after = (
-            f"{word}{number}" for word in ("round", "head", "body", "after")
-        )
-        before, self.label = self.label, head
-        self.driver += [f"br label %{head}", f"{head}:"]
-        phi = len(self.driver)
-        self.driver.append("")
-        if loop.condition is None:
-            more = f"%more{number}"
-            self.driver.append(f"{more} = icmp slt i32 %{counter}, {loop.count}")
-        else:
-            more = self._items(item.test)
-        self.driver += [f"br i1 {more}, label %{body}, label %{after}", f"{body}:"]
-        self.label = body
-        if item.counter is not None:
-            # Store the number of the round in its slot.
-            if self.grouped:
-                name = f"count{len(self.functions)}"
-                f = FunctionText(f"internal void @{name}(i32 %round, {_GIVEN})")
-                f.store("i32", "%round", f.at("%scratch", item.counter))
-                self.functions.append(f.text())
-                self._call_for_group(name, "i32 %round, ", f"i32 %{counter}, ")
-            else:
-                place = f"%place{number}"
-                self.driver += [
-                    f"{place} = getelementptr i8, ptr %scratch, i64 {item.counter}",
-                    f"store i32 %{counter}, ptr {place}",
-                ]
-        self._items(item.body)
+    def _loop(self, item: LoopCode) -> None:
+        """Print the driver's lines of a loop or a branch."""
+        f, loop = self.driver, item.loop
         if loop.once:
-            self.driver += [f"br label %{after}", f"{after}:"]
+            with f.where(self._items(item.test)):
+                self._items(item.body)
+        elif loop.count is None:
+            with f.repeat() as leave:
+                leave(f.let(f"xor i1 {self._items(item.test)}, true"))
+                self._items(item.body)
         else:
-            self.driver[phi] = (
-                f"%{counter} = phi i32 [ 0, %{before} ], [ %next{number}, %{self.label} ]"
-            )
-            self.driver += [f"%next{number} = add i32 %{counter}, 1", f"br label %{head}"]
-            self.driver.append(f"{after}:")
-        self.label = after
-        return ""
-
-    def _of_one_vector(self, kind: str, name: str, write: Callable[[], str]) -> None:
-        """Print code of one vector as a function, which returns the last result."""
-        outside = self.driver, self.label, self.grouped
-        self.driver, self.label, self.grouped = [], "entry", False
-        result = write()
-        body = "\n".join([*self.driver, f"ret {kind} {result}".rstrip()])
-        self.driver, self.label, self.grouped = outside
-        self.functions.append(
-            f"define internal {kind} @{name}({self.buffers}ptr {FRAME}, {_GIVEN}) #0 {{\n"
-            f"entry:\n{body}\n}}"
-        )
+            with f.each(loop.count) as turn:
+                if item.counter is not None:
+                    value = f"%counter{item.number}"
+                    f.do(f"{value} = trunc i64 {turn} to i32")
+                    with self._each_vector(f"i32 {value}, "):
+                        self.driver.store("i32", value, self.driver.at("%scratch", item.counter))
+                self._items(item.body)
 
 
-def _lines(steps: Sequence[Step]) -> list[str]:
-    return [
-        template.text.format(*operands, *range(first, first + template.names))
-        for template, operands, first in steps
-    ]
+def _quotient(f: FunctionText, dividend: str, divisor: int) -> str:
+    """Divide and round up."""
+    return f.let(f"udiv i64 {f.let(f'add i64 {dividend}, {divisor - 1}')}, {divisor}")
 
 
 # An access to memory at a known place, and the bytes that a one-byte offset reaches.
@@ -315,10 +249,6 @@ def _with_near_pointers(body: str) -> str:
         for k, (base, part) in enumerate(near)
     ]
     return "\n".join([*lines, _PLACE.sub(nearer, body)])
-
-
-def _call(result: str, kind: str, name: str, given: str) -> str:
-    return f"{f'{result} = ' if result else ''}call {kind} @{name}({given}{_GIVEN})"
 
 
 def print_handler(name: str, arguments: int, results: int, flushes: bool) -> str:

@@ -13,6 +13,7 @@ A result does not depend on the lane that computes it. So the bits of an individ
 depend on the other individuals.
 """
 
+import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -261,20 +262,15 @@ def _move_compressed(name: str, slots: list[Slot], group: VectorGroup, tables: T
     return f.text()
 
 
-def each_vector(name: str, parameters: str, group: VectorGroup) -> str:
-    """Return the function ``@name.group``, which calls ``@name`` for every vector of a group.
+@contextlib.contextmanager
+def each_vector(f: FunctionText, start: str, count: str, width: int) -> Iterator[str]:
+    """Run the code of a ``with`` statement for some vectors, from an individual on.
 
-    Args:
-        name: name of a function of one vector.
-        parameters: its parameters before the scratch memory, with types and a trailing comma.
-        group: the vectors.
+    The number of a vector's first individual is ``%first``. The last vector ends with the last
+    individual, so it may overlap the one before.
     """
-    given = f"{parameters}ptr %scratch, i64 %n, i64 %first, i64 %count"
-    f = FunctionText(f"internal void @{name}.group({given})")
-    last = f.let(f"sub i64 %n, {group.width}")
-    with f.each("%count") as vector:
-        here = f.let(f"add i64 %first, {f.let(f'mul i64 {vector}, {group.width}')}")
-        start = f.let(f"call i64 @llvm.smin.i64(i64 {here}, i64 {last})")
-        base = f.at("%scratch", vector, group.stride)
-        f.do(f"call void @{name}({parameters}ptr {base}, i64 %n, i64 {start})")
-    return f.text()
+    last = f.let(f"sub i64 %n, {width}")
+    with f.each(count) as vector:
+        here = f.let(f"add i64 {start}, {f.let(f'mul i64 {vector}, {width}')}")
+        f.do(f"%first = call i64 @llvm.smin.i64(i64 {here}, i64 {last})")
+        yield vector

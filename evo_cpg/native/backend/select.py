@@ -76,13 +76,22 @@ class Selector(Writer):
         return self._load(dtype, self._row(base, row, dtype, shared), shared)
 
     @functools.partial(_made_once, 4)
-    def copy_row(self, dtype: np.dtype, base: str, row: str, size: str, start: str) -> None:
-        """Copy row ``row + %i`` of an argument to scratch memory, at ``start + %i * size``."""
-        source = self.let(f"add i64 %i, {row}")
-        value = self._load(dtype, self._row(base, source, dtype, False), False)
-        place = self.let(f"mul i64 %i, {size}")
-        place = self.let(f"add i64 {place}, {start}")
-        self._store(value, dtype, self.let(f"getelementptr i8, ptr {SCRATCH}, i64 {place}"), False)
+    def copy_rows(self, dtype: np.dtype, base: str, row: str, count: str, place: str) -> None:
+        """Copy rows of an argument to adjacent places in memory, by a loop in a separate function.
+
+        The first row is ``row``. It goes to ``place`` bytes after the start of scratch memory.
+        """
+        t, size = self.type_of(_kept_as(dtype), False), dtype.itemsize
+        name = f"copy.{suffix(t)}"
+        f = FunctionText(f"internal void @{name}(ptr %from, ptr %to, i64 %n, i64 %count) noinline")
+        with f.each("%count") as k:
+            source = f.at("%from", f.let(f"mul i64 {k}, %n"), size)
+            value = f.let(f"load {t}, ptr {source}, align {size}")
+            f.do(f"store {t} {value}, ptr {f.at('%to', k, size * self.width)}, align {size}")
+        self.functions[name] = f.text()
+        first = self._row(base, row, dtype, False)
+        to = self.let(f"getelementptr i8, ptr {SCRATCH}, i64 {place}")
+        self.lines.append(f"call void @{name}(ptr {first}, ptr {to}, i64 %n, i64 {count})")
 
     @functools.partial(_made_once, 3)
     def store_row(self, dtype: np.dtype, value: str, base: str, row: str) -> None:
