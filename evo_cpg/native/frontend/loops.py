@@ -162,46 +162,37 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
             rows.append(node_array(row, x.shape[1:]))
         return trace(builder, closed, [*consts, *carried, *rows])
 
-    sums: dict[int, Any] = {k: x for k, x in enumerate(start) if isinstance(x, Sums)}
     written = [
-        k
+        not isinstance(x, Sums) and _only_writes(closed.jaxpr, constant_count + k, k, _writers(x))
         for k, x in enumerate(start)
-        if k not in sums and _only_writes(closed.jaxpr, constant_count + k, k, _writers(x))
     ]
-    if length == 1 and not written:
+    if length == 1 and not any(written):
         results = one_round(builder.constant(0, np.int32), start)
         return [*results[:carry_count], *(x[None] for x in results[carry_count:])]
     test = GraphBlock(builder.block)
     body = GraphBlock(test)
     counter = builder.new("counter", (), np.dtype(np.int32), body, uniform=True)
-    for k in written:
-        sums[k] = _in_memory(builder, start[k])
-    others = [k for k in range(carry_count) if k not in sums]
-    begin = [start[k] for k in others]
-    placed = [_placeholders(builder, x, body) for x in begin]
-    carried = [sums[k] if k in sums else placed[others.index(k)] for k in range(carry_count)]
+    begin = [_in_memory(builder, x) if here else x for x, here in zip(start, written, strict=True)]
+    carried = [_placeholders(builder, x, body) for x in begin]
     with builder.within(body):
         index = counter
         if params["reverse"]:
             index = builder.apply("sub", builder.constant(length - 1, np.int32), counter)
         results = one_round(index, carried)
-    following = [results[k] for k in others]
     # A value that does not change within the loop needs no list, and equal values share one.
     listed = {resolve(x): x for x in all_nodes(results[carry_count:]) if body.encloses(x.block)}
     if length * len(listed) > machine_constants.LONGEST_LISTS:
         most = machine_constants.LONGEST_LISTS
         raise Unsupported(f"a loop of {length} rounds stacks more than {most} numbers")
     loop = GraphLoop(
-        length, test, body, counter, all_nodes(placed), all_nodes(following), None, index,
-        tuple(listed.values()),
+        length, test, body, counter, _carried(carried), _carried(results[:carry_count]), None,
+        index, tuple(listed.values()),
     )  # fmt: skip
-    ends, lists = builder.loop(all_nodes(begin), loop)
-    found = dict(zip(others, _like(ends, begin), strict=True))
-    for k, x in sums.items():
-        found[k] = x
-        # The sums of a loop around this loop are not complete yet, so they are not read.
-        if x is not start[k]:
-            found[k] = x.read(builder)
+    ends, lists = builder.loop(_carried(begin), loop)
+    # The sums of a loop around this loop are not complete yet, so they are not read.
+    ends = [
+        x.read(builder) if here else x for x, here in zip(_like(ends, begin), written, strict=True)
+    ]
     column = dict(zip(listed, lists, strict=True))
     stacks = [
         Stacked(
@@ -210,7 +201,7 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
         )
         for x in results[carry_count:]
     ]
-    return [*(found[k] for k in range(carry_count)), *stacks]
+    return [*ends, *stacks]
 
 
 def _writers(start: np.ndarray) -> tuple[str, ...]:
@@ -346,8 +337,7 @@ def _branch(
         condition = builder.alias("inside", here, test)
         if builder.active is not None:
             condition = builder.apply("and", condition, builder.active)
-    start = [x for x in otherwise if not isinstance(x, Sums)]
-    carried = [_placeholders(builder, x, body) for x in start]
+    carried = [_placeholders(builder, x, body) for x in otherwise]
 
     def hide(node: Node) -> Node:
         """Return a node as seen from the branch, so that code only for the branch is inside it.
@@ -361,11 +351,10 @@ def _branch(
     inside = [x if isinstance(x, Sums) else elementwise(hide, x) for x in given]
     with builder.within(body, condition):
         results = trace(builder, branch, inside)
-    following = [x for x in results if not isinstance(x, Sums)]
-    values = all_nodes(carried), all_nodes(following)
+    values = _carried(carried), _carried(results)
     loop = GraphLoop(None, test, body, None, *values, condition, None, (), once=True)
-    ends = iter(_like(builder.loop(all_nodes(start), loop)[0], start))
-    return [x if isinstance(x, Sums) else next(ends) for x in otherwise]
+    ends, _ = builder.loop(_carried(otherwise), loop)
+    return _like(ends, otherwise)
 
 
 LOOPS: dict[str, Callable[[Builder, list[np.ndarray], dict, Trace], list[np.ndarray]]] = {
@@ -375,11 +364,21 @@ LOOPS: dict[str, Callable[[Builder, list[np.ndarray], dict, Trace], list[np.ndar
 }
 
 
-def _placeholders(builder: Builder, like: np.ndarray, block: GraphBlock) -> np.ndarray:
+def _carried(arrays: Sequence[Any]) -> tuple[Node, ...]:
+    """Return the nodes of the arrays that a loop carries. An array in memory stays in its place."""
+    return all_nodes(x for x in arrays if not isinstance(x, Sums))
+
+
+def _placeholders(builder: Builder, like: Any, block: GraphBlock) -> Any:
+    if isinstance(like, Sums):
+        return like
     return elementwise(lambda x: builder.new("carried", (), x.dtype, block, False), like)
 
 
-def _like(nodes: list[Node], arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _like(nodes: list[Node], arrays: Sequence[Any]) -> list[Any]:
     """Return consecutive nodes in arrays of the same shapes as other arrays."""
     given = iter(nodes)
-    return [node_array([*itertools.islice(given, x.size)], x.shape) for x in arrays]
+    return [
+        x if isinstance(x, Sums) else node_array([*itertools.islice(given, x.size)], x.shape)
+        for x in arrays
+    ]
