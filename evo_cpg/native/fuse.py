@@ -165,13 +165,7 @@ def while_each(
         going, new = goes_on(x), advance(x)
         if not going.ndim:
             return new
-        return jax.tree.map(
-            lambda new, old: jnp.where(
-                jnp.expand_dims(going, tuple(range(new.ndim - going.ndim))), new, old
-            ),
-            new,
-            x,
-        )
+        return jax.tree.map(lambda new, old: jnp.where(going, new, old), new, x)
 
     return jax.lax.while_loop(lambda x: jnp.any(goes_on(x)), step, x)
 

@@ -384,8 +384,13 @@ _ELEMENTWISE: dict[str, Callable[..., Node]] = {
 }
 """Rules of primitives on scalars. A rule maps a builder and nodes to a node."""
 
+# Operations by the names of JAX's reductions and cumulative reductions.
+_REDUCTIONS = {"and": "and", "max": "max", "min": "min", "or": "or", "prod": "mul", "sum": "add"}
+
 _RULES: dict[str, Rule] = {
     **MOVES,
+    **{f"reduce_{x}": functools.partial(_reduction, op) for x, op in _REDUCTIONS.items()},
+    **{f"cum{x}": functools.partial(_cumulative, op) for x, op in _REDUCTIONS.items()},
     "argmax": functools.partial(_defined, functools.partial(_extreme_place, jnp.max)),
     "argmin": functools.partial(_defined, functools.partial(_extreme_place, jnp.min)),
     "bitcast_convert_type": lambda b, xs, params: [
@@ -394,10 +399,6 @@ _RULES: dict[str, Rule] = {
     "convert_element_type": lambda b, xs, params: [
         b.apply_each("convert", *xs, dtype=params["new_dtype"])
     ],
-    "cummax": functools.partial(_cumulative, "max"),
-    "cummin": functools.partial(_cumulative, "min"),
-    "cumprod": functools.partial(_cumulative, "mul"),
-    "cumsum": functools.partial(_cumulative, "add"),
     "dot_general": _dot_general,
     unset_p.name: _unset,
     "integer_pow": lambda b, operands, params: [
@@ -405,12 +406,6 @@ _RULES: dict[str, Rule] = {
     ],
     # The product keeps all digits near one. JAX 0.12 added this primitive for `tanh`.
     "one_minus_square": functools.partial(_defined, lambda x: (1.0 - x) * (1.0 + x)),
-    "reduce_and": functools.partial(_reduction, "and"),
-    "reduce_max": functools.partial(_reduction, "max"),
-    "reduce_min": functools.partial(_reduction, "min"),
-    "reduce_or": functools.partial(_reduction, "or"),
-    "reduce_prod": functools.partial(_reduction, "mul"),
-    "reduce_sum": functools.partial(_reduction, "add"),
     "round": _rounded,
     "select_n": _select_n,
 }

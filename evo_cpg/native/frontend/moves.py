@@ -192,15 +192,15 @@ SCATTER_ADD = ("scatter-add", "scatter_add")
 MOVES: dict[str, Callable[[Builder, list[np.ndarray], dict], list[np.ndarray]]] = {
     "broadcast_in_dim": _broadcast_in_dim,
     "concatenate": lambda builder, xs, params: [np.concatenate(xs, params["dimension"])],
-    "copy": lambda builder, xs, params: xs,
-    "copy_p": lambda builder, xs, params: xs,
+    **dict.fromkeys(
+        ("copy", "copy_p", "optimization_barrier", "reshard", "stop_gradient"),
+        lambda builder, xs, params: xs,
+    ),
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
     "expand_dims": lambda builder, xs, params: [np.expand_dims(xs[0], params["dimensions"])],
     "gather": _gather,
-    "optimization_barrier": lambda builder, xs, params: xs,
     "pad": _pad,
-    "reshard": lambda builder, xs, params: xs,
     "reshape": lambda builder, xs, params: [
         # JAX may transpose the axes before.
         xs[0].transpose(params["dimensions"] or range(xs[0].ndim)).reshape(params["new_sizes"])
@@ -214,10 +214,8 @@ MOVES: dict[str, Callable[[Builder, list[np.ndarray], dict], list[np.ndarray]]] 
     ),
     "squeeze": lambda builder, xs, params: [xs[0].squeeze(params["dimensions"])],
     "stack": lambda builder, xs, params: [np.stack(xs, params["axis"])],
-    "stop_gradient": lambda builder, xs, params: xs,
     "transpose": lambda builder, xs, params: [xs[0].transpose(params["permutation"])],
     "unstack": lambda builder, xs, params: [
-        each.squeeze(params["axis"])
-        for each in np.split(xs[0], xs[0].shape[params["axis"]], params["axis"])
+        np.asarray(x, object) for x in np.moveaxis(xs[0], params["axis"], 0)
     ],
 }
