@@ -155,19 +155,30 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
     if lanes > count:
         filling = (0, 0), (0, lanes - count)
         given = [jnp.pad(x, filling, mode="edge") if x.ndim > 1 else x for x in given]
-    rows = [int(np.prod(aval.shape, dtype=int)) for aval in outputs]
-    shapes = [
-        jax.ShapeDtypeStruct((size, lanes), aval.dtype)
-        for size, aval in zip(rows, outputs, strict=True)
-        if size
-    ]
-    room = jax.ShapeDtypeStruct((max(native.scratch, 1),), np.uint8)
-    *found, _ = jax.ffi.ffi_call(native.name, (*shapes, room))(*given)
+    found = call_handler(native.name, given, outputs, lanes, native.scratch)
     results = iter(x[:, :count] if lanes > count else x for x in found)
     return [
-        (next(results) if size else jnp.zeros(0, aval.dtype)).reshape(*aval.shape, *batch)
-        for size, aval in zip(rows, outputs, strict=True)
+        (next(results) if x.size else jnp.zeros(0, x.dtype)).reshape(*x.shape, *batch)
+        for x in outputs
     ]
+
+
+def call_handler(
+    name: str, given: Arrays, outputs: Sequence[Any], lanes: int, scratch: int
+) -> list[jax.Array]:
+    """Return the results of a handler, ``(rows, lanes)``, without those that have no rows.
+
+    Args:
+        name: name of the handler in XLA.
+        given: arguments that have rows, ``(rows, lanes)``, or ``(rows,)`` if individuals share one.
+        outputs: shapes and types of the results for one individual.
+        lanes: number of individuals.
+        scratch: bytes of working memory.
+    """
+    shapes = [jax.ShapeDtypeStruct((x.size, lanes), x.dtype) for x in outputs if x.size]
+    room = jax.ShapeDtypeStruct((max(scratch, 1),), np.uint8)
+    *found, _ = jax.ffi.ffi_call(name, (*shapes, room))(*given)
+    return found
 
 
 def differentiate(

@@ -39,6 +39,7 @@ from evo_cpg.native.inspect import show
 from evo_cpg.native.inspect.interpret import interpret
 from evo_cpg.native.inspect.parts import Arrays, Call, TrialPart, calls_of, parts_of
 from evo_cpg.native.ir import Unsupported
+from evo_cpg.native.native import call_handler
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
@@ -144,12 +145,9 @@ def _clocked(
     name, address = load(module.text, target)
     kind = ctypes.c_int64 * len(module.ticks)
     ticks = np.ctypeslib.as_array(kind.from_address(address_of_ticks(name)))
-    count, outputs = inputs[0].shape[-1], [each for each in program.outputs if each.size]
-    shapes = [jax.ShapeDtypeStruct((each.size, count), each.dtype) for each in outputs]
-    room = jax.ShapeDtypeStruct((max(module.scratch, 1),), np.uint8)
-    handler = engine.register(name, address)
-    run = jax.jit(lambda *x: jax.ffi.ffi_call(handler, (*shapes, room))(*x))
-    given, calls = [jnp.asarray(x.reshape(-1, count)) for x in inputs], []
+    count, handler, calls = inputs[0].shape[-1], engine.register(name, address), []
+    run = jax.jit(lambda *x: call_handler(handler, x, program.outputs, count, module.scratch))
+    given = [jnp.asarray(x.reshape(-1, count)) for x in inputs]
     for _ in range(3):
         ticks[:] = 0
         start = time.perf_counter()
