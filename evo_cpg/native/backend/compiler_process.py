@@ -2,17 +2,13 @@
 
 This file imports nothing of the package, so that the process starts in 0.2 s.
 
-A request is one line of JSON and a text of LLVM IR. An answer is one line of JSON and the object
-code.
-
-| line | keys |
-|---|---|
-| request | ``processor``, ``features``, ``effort``, ``assembly``, ``size`` of the text in bytes |
-| answer | ``size`` of the object code in bytes, or ``error`` |
+Messages are pickled. A request is a tuple of the fields of `Request`. An answer is the object code,
+or the message of an error as text.
 """
 
+import contextlib
 import functools
-import json
+import pickle
 import signal
 import sys
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
@@ -77,15 +73,15 @@ def _machine(processor: str, features: str, effort: int) -> "llvm.TargetMachine"
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests until the input ends."""
-    while line := requests.readline():
-        request = json.loads(line)
-        text = requests.read(request.pop("size")).decode()
-        try:
-            code, reply = object_code(Request(text, **request)), {}
-        except Exception as error:
-            code, reply = b"", {"error": f"{error}"}
-        answers.write(json.dumps({**reply, "size": len(code)}).encode() + b"\n" + code)
-        answers.flush()
+    with contextlib.suppress(EOFError):
+        while True:
+            request = Request(*pickle.load(requests))
+            try:
+                answer = object_code(request)
+            except Exception as error:
+                answer = f"{error}"
+            pickle.dump(answer, answers)
+            answers.flush()
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ import atexit
 import contextlib
 import functools
 import hashlib
-import json
 import os
+import pickle
 import platform
 import signal
 import subprocess
@@ -176,9 +176,6 @@ def object_code(request: Request) -> bytes:
         RuntimeError: if the text is not valid IR, or LLVM has no such processor.
     """
     global _process, _owner
-    options = request._asdict()
-    text = options.pop("text").encode()
-    line = json.dumps({**options, "size": len(text)}).encode()
     with _lock:
         # After a fork, the pipes belong to the parent process.
         if _process is None or _owner != os.getpid() or _process.poll() is not None:
@@ -196,20 +193,19 @@ def object_code(request: Request) -> bytes:
         requests, answers = cast(BinaryIO, _process.stdin), cast(BinaryIO, _process.stdout)
         try:
             with contextlib.suppress(BrokenPipeError):
-                requests.write(line + b"\n" + text)
+                pickle.dump((*request,), requests)
                 requests.flush()
-            line = answers.readline()
-            answer = json.loads(line) if line.endswith(b"\n") else {"size": 1}
-            code = answers.read(answer["size"])
-            if len(code) < answer["size"]:
+            try:
+                answer = pickle.load(answers)
+            except (EOFError, pickle.UnpicklingError):
                 status = _process.wait()
                 cause = f"exit status {status}"
                 with contextlib.suppress(ValueError):
                     cause = signal.Signals(-status).name
-                raise CompilerDied(f"the compiler ended with {cause}")
-            if "error" in answer:
-                raise RuntimeError(answer["error"])
-            return code
+                raise CompilerDied(f"the compiler ended with {cause}") from None
+            if isinstance(answer, str):
+                raise RuntimeError(answer)
+            return answer
         except BaseException:
             # The pipes may hold an incomplete request or answer.
             _stop()
