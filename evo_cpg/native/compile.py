@@ -106,8 +106,8 @@ def module_of(graph: Graph, variant: Variant, timed: bool = False) -> Module:
     code = Allocator(graph, variant).allocated()
     printer = Printer(code, timed)
     text, scratch = printer.text()
-    counts = len(code.arguments), len(code.results)
-    entry = print_handler("handler", *counts, flushes=variant.target.name != "neon")
+    flushes = variant.target.name != "neon"
+    entry = print_handler(len(code.arguments), len(code.results), flushes)
     size = 8 * variant.target.bytes
     vector = f'"prefer-vector-width"="{size}" "min-legal-vector-width"="{size}"'
     text = f"{text}\n{entry}\nattributes #0 = {{ nounwind {vector} }}\n"

@@ -43,7 +43,8 @@ class Allocator:
     ``part`` is the part of the program that the current code is for. ``steps`` belong to the
     current function, ``functions`` are the earlier functions of the current stretch, and ``items``
     are the code of the current block. ``registers`` and ``names`` hold the places of the stretch's
-    values. ``packed`` belongs to the current packed loop, if ``packing``.
+    values. ``packed`` belongs to the current packed loop. ``in_group`` is true if all vectors of a
+    group run the current code together. It is false in a packed loop and in a branch.
     """
 
     def __init__(self, graph: Graph, variant: Variant):
@@ -70,9 +71,8 @@ class Allocator:
         self.slots: dict[Node, int] = {}
         self.spilled: dict[Node, int] = {}
         ends = [loop.detail for loop in graph.kept if loop.detail.condition is not None]
-        self.grouped = self.width > 1 and not all(x.once for x in ends)
-        self.packed, self.packing = _Packed(), False
-        self.per_vector = False
+        self.grouped = self.in_group = self.width > 1 and not all(x.once for x in ends)
+        self.packed = _Packed()
         self.items: list[code.Item] = []
         self._begin()
 
@@ -352,14 +352,14 @@ class Allocator:
             return
         size, count, first = self._row_bytes(node), len(node.operands), node.operands[0]
         start = self.tables[node] = self.memory.reserve(size * count, node.part)
-        if node.op == "sums" and first.detail is True and {*node.operands} == {first}:
-            place = self.extents[node] = self.memory.reserve(
-                _INDEX.itemsize * self.width, node.part
-            )
+        equal = node.op == "sums" and {*node.operands} == {first}
+        if equal and first.detail is True:
+            extent = _INDEX.itemsize * self.width
+            place = self.extents[node] = self.memory.reserve(extent, node.part)
             none = self.select.literal(0, _INDEX, False)
             self._let(self.select.store(_INDEX, False, SCRATCH), none, place)
             return
-        if node.op == "sums" and first.value is not None and {*node.operands} == {first}:
+        if equal and first.value is not None:
             to = self._address(start)
             self._let(self.select.fill(node.dtype), to, self._ref(first), count)
             return
@@ -379,7 +379,7 @@ class Allocator:
     # Loops.
 
     def _loop(self, node: Node, loop: GraphLoop) -> None:
-        """Allocate a loop. Its carried values are in their slots."""
+        """Allocate a loop, with its initial values and its lists."""
         kept, lists = self.graph.kept[node], self.lists[node]
         self.part = node.part
         for k in kept:
@@ -392,49 +392,50 @@ class Allocator:
             self.tables[one] = self.memory.reserve(size, node.part)
             self.packed.written.add(one)
         self._end()
-        # Whether all vectors of a group run the current code together.
-        in_group = self.grouped and not self.packing and not self.per_vector
-        if in_group and loop.condition is not None and not loop.once:
-            self._pack(node, loop)
-            return
-        per_vector = in_group and loop.once
-        before, self.per_vector = self.per_vector, self.per_vector or per_vector
+        in_group, self.in_group = self.in_group, self.in_group and loop.condition is None
+        packs = in_group and not self.in_group and not loop.once
+        if packs:
+            self.packed = _Packed()
         outside, self.items = self.items, []
-        self.count += 1
-        number = self.count
         if loop.condition is not None:
-            result = self._active(loop)
-            if self.width > 1:
-                # A vector continues while any of its individuals continues.
-                name = f"llvm.vector.reduce.or.v{self.width}i1"
-                flags = self.select.type_of(_BOOL, False)
-                result = self._let(f"call i1 @{name}({flags} {{0}})", result)
-            self._end(result, "i1")
+            self._end(*self._test(loop, loop.condition, packs))
         test, self.items = self.items, []
+        # The test has selected the individuals to pack, so the code of packed ones begins with a
+        # round.
+        tested = set(self.packed.written)
         counter = None
         if loop.counter in self.slots:
             counter = self.slots[loop.counter]
             self.packed.written.add(loop.counter)
         body = self._round(node, loop)
-        self.items = outside
-        self.items.append(code.LoopCode(loop, number, counter, test, body, per_vector))
-        self.per_vector = before
+        self.items, self.in_group = outside, in_group
+        packed = self._moved(node, loop, tested) if packs else None
+        self.items.append(code.LoopCode(loop, counter, test, body, packed))
 
-    def _pack(self, node: Node, loop: GraphLoop) -> None:
-        """Allocate a loop whose active individuals are packed. Its functions work on one vector."""
-        packed = self.packed = _Packed()
-        self.packing = True
-        outside, self.items = self.items, []
+    def _test(self, loop: GraphLoop, condition: Node, packs: bool) -> tuple[str, str]:
+        """Allocate the test of a loop, and return the name and the type of its result.
+
+        The result has a bit for each individual if the loop ``packs``. Else the result is true if
+        the condition holds for any individual.
+        """
+        self._block(loop.test, [condition])
+        name = self._ref(condition)
+        self._used()
         flags, bits = self.select.type_of(_BOOL, False), f"i{self.width}"
-        mask = self._let(f"bitcast {flags} {{0}} to {bits}", self._active(loop))
-        self._end(self._let(f"zext {bits} {{0}} to i32", mask), "i32")
-        test, self.items = self.items, []
-        # The test has selected the individuals to pack, so the code of packed ones begins with a
-        # round.
-        tested = set(packed.written)
-        body = self._round(node, loop)
-        self.packing, self.items = False, outside
-        carries = [loop.carried[k] for k in self.graph.kept[node]]
+        if packs:
+            mask = self._let(f"bitcast {flags} {{0}} to {bits}", name)
+            return self._let(f"zext {bits} {{0}} to i32", mask), "i32"
+        if self.width > 1:
+            reduction = f"llvm.vector.reduce.or.v{self.width}i1"
+            name = self._let(f"call i1 @{reduction}({flags} {{0}})", name)
+        return name, "i1"
+
+    def _moved(self, node: Node, loop: GraphLoop, tested: set[Node]) -> code.Packed:
+        """Return what is moved into a packed vector, and back.
+
+        ``tested`` are the nodes that the test writes.
+        """
+        packed, carries = self.packed, [loop.carried[k] for k in self.graph.kept[node]]
         reads = [x for x in packed.read if x in tested or x not in packed.written]
         carries, reads = (
             [Slot(self.slots[x], x.dtype.itemsize, x.uniform) for x in each]
@@ -452,18 +453,7 @@ class Allocator:
                     Slot(start + i * size, table.dtype.itemsize, table.uniform)
                     for i in range(row_count(table))
                 ]
-        self.items.append(
-            code.LoopCode(loop, 0, None, test, body, packed=(reads, carries, growing))
-        )
-
-    def _active(self, loop: GraphLoop) -> str:
-        """Allocate the test of a loop and return the name of the condition."""
-        condition = loop.condition
-        assert condition is not None
-        self._block(loop.test, [condition])
-        name = self._ref(condition)
-        self._used()
-        return name
+        return reads, carries, growing
 
     def _round(self, node: Node, loop: GraphLoop) -> list[code.Item]:
         """Allocate a round of a loop and return its code."""
@@ -478,11 +468,12 @@ class Allocator:
         for k in kept:
             uses += [ends[k], *([] if condition is None else [loop.carried[k]])]
         self._block(loop.body, [*uses, *([] if condition is None else [condition])])
-        self.part = node.part
+        # A list has one place for all individuals.
+        self.part, to_all = node.part, (True, False, True)
         for one, value in zip(lists, written, strict=True):
             assert loop.index is not None
-            pointer = self._places(one, loop.index)
-            self._let(self.select.store(one.dtype, False, ""), self._ref(value), pointer)
+            pointer, template = self._places(one, loop.index), self.select.write(one.dtype, to_all)
+            self._let(template, self._ref(value), pointer, "true")
             self._used()
             self._cut()
         places = []

@@ -130,29 +130,28 @@ class GrowingTable(NamedTuple):
     extent: int
 
 
+# Slots that a packed loop reads, slots that it carries, and growing tables that it reads.
+Packed = tuple[Sequence[Slot], Sequence[Slot], Sequence[GrowingTable]]
+
+
 @dataclasses.dataclass(frozen=True)
 class LoopCode:
     """A loop or a branch.
 
     Attributes:
         loop: loop of the graph.
-        number: unique number for labels.
         counter: place of the number of the round in scratch memory, or None if no code reads it.
         test: code of the loop's test. The result of its last stretch is true if another round
             follows.
         body: code of a round.
-        per_vector: whether the loop is a branch that each vector of a group takes separately.
-        packed: slots that the loop reads, slots that it carries, and growing tables that it reads,
-            or None if it is not packed.
+        packed: what is moved if the individuals are packed together, else None.
     """
 
     loop: GraphLoop
-    number: int
     counter: int | None
     test: "Sequence[Item]"
     body: "Sequence[Item]"
-    per_vector: bool = False
-    packed: tuple[Sequence[Slot], Sequence[Slot], Sequence[GrowingTable]] | None = None
+    packed: Packed | None
 
 
 Item = StretchCode | LoopCode

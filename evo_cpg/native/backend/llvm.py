@@ -103,7 +103,8 @@ class Printer:
                 self.functions.append(packed_loop(name, parameters, self.group, *item.packed))
                 given = f"{parameters}ptr %scratch, i64 %n, i64 %count"
                 self.driver.do(f"call void @{name}.group({given})")
-            elif item.per_vector:
+            elif item.loop.once:
+                # Each vector of a group takes the branch separately.
                 with self._each_vector(f"{self.buffers}ptr {FRAME}, "):
                     self._loop(item)
             else:
@@ -208,7 +209,7 @@ class Printer:
         else:
             with f.each(loop.count) as turn:
                 if item.counter is not None:
-                    value = f"%counter{item.number}"
+                    value = f"%counter{item.counter}"
                     f.do(f"{value} = trunc i64 {turn} to i32")
                     with self._each_vector(f"i32 {value}, "):
                         self.driver.store("i32", value, self.driver.at("%scratch", item.counter))
@@ -251,8 +252,8 @@ def _with_near_pointers(body: str) -> str:
     return "\n".join([*lines, _PLACE.sub(nearer, body)])
 
 
-def print_handler(name: str, arguments: int, results: int, flushes: bool) -> str:
-    """Return LLVM IR of the entry into native code, an XLA FFI handler that runs ``@program``.
+def print_handler(arguments: int, results: int, flushes: bool) -> str:
+    """Return LLVM IR of ``@handler``, an XLA FFI handler that runs ``@program``.
 
     XLA calls the handler with a *call frame*. The public header ``xla/ffi/api/c_api.h`` in
     `jax.ffi.include_dir()` defines its layout. On 64-bit machines:
@@ -272,13 +273,12 @@ def print_handler(name: str, arguments: int, results: int, flushes: bool) -> str
     So a changed layout in a new XLA does not harm the user's process.
 
     Args:
-        name: name of the function.
         arguments: number of arrays that the program reads.
         results: number of arrays that it writes, at least one. Scratch memory comes after them.
         flushes: whether the handler makes an x86 processor flush denormal numbers to zero, as XLA
             does, because they take a hundred times as long. Calls of `Stepper` need it.
     """
-    f = FunctionText(f"ptr @{name}(ptr %frame)")
+    f = FunctionText("ptr @handler(ptr %frame)")
 
     def field(kind: str, base: str, offset: int) -> str:
         """Load a field of a structure."""

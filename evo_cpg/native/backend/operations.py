@@ -64,13 +64,13 @@ class FunctionText:
             index = self.let(f"mul i64 {index}, {size}")
         return self.let(f"getelementptr i8, ptr {base}, i64 {index}")
 
-    def load(self, t: str, pointer: str) -> str:
-        """Read a value."""
-        return self.let(f"load {t}, ptr {pointer}")
+    def load(self, t: str, pointer: str, align: int = 0) -> str:
+        """Read a value, whose place is a multiple of ``align`` bytes (0 for the type's own)."""
+        return self.let(f"load {t}, ptr {pointer}" + f", align {align}" * (align > 0))
 
-    def store(self, t: str, value: str | int, pointer: str) -> None:
+    def store(self, t: str, value: str | int, pointer: str, align: int = 0) -> None:
         """Write a value to memory."""
-        self.do(f"store {t} {value}, ptr {pointer}")
+        self.do(f"store {t} {value}, ptr {pointer}" + f", align {align}" * (align > 0))
 
     def _label(self, name: str) -> None:
         self.do(f"{name}:")

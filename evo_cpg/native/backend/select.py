@@ -54,20 +54,14 @@ class Selector(Writer):
 
     @functools.partial(_made_once, 2)
     def store(self, dtype: np.dtype, uniform: bool, base: str, value: str, place: str) -> None:
-        """Write a value to ``base`` plus ``place`` bytes.
-
-        If ``base`` is "", ``place`` is a pointer.
-        """
-        pointer = self.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
+        """Write a value to ``base`` plus ``place`` bytes."""
+        pointer = self.let(f"getelementptr i8, ptr {base}, i64 {place}")
         self._store(value, dtype, pointer, uniform)
 
     @functools.partial(_made_once, 1)
     def load(self, dtype: np.dtype, uniform: bool, base: str, place: str) -> str:
-        """Read a value at ``base`` plus ``place`` bytes.
-
-        If ``base`` is "", ``place`` is a pointer.
-        """
-        pointer = self.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
+        """Read a value at ``base`` plus ``place`` bytes."""
+        pointer = self.let(f"getelementptr i8, ptr {base}, i64 {place}")
         return self._load(dtype, pointer, uniform)
 
     @functools.partial(_made_once, 2)
@@ -85,9 +79,8 @@ class Selector(Writer):
         name = f"copy.{suffix(t)}"
         f = FunctionText(f"internal void @{name}(ptr %from, ptr %to, i64 %n, i64 %count) noinline")
         with f.each("%count") as k:
-            source = f.at("%from", f.let(f"mul i64 {k}, %n"), size)
-            value = f.let(f"load {t}, ptr {source}, align {size}")
-            f.do(f"store {t} {value}, ptr {f.at('%to', k, size * self.width)}, align {size}")
+            value = f.load(t, f.at("%from", f.let(f"mul i64 {k}, %n"), size), size)
+            f.store(t, value, f.at("%to", k, size * self.width), size)
         self.functions[name] = f.text()
         first = self._row(base, row, dtype, False)
         to = self.let(f"getelementptr i8, ptr {SCRATCH}, i64 {place}")
@@ -162,7 +155,7 @@ class Selector(Writer):
         name = f"fill.{suffix(t)}"
         f = FunctionText(f"internal void @{name}(ptr %to, {t} %value, i64 %count) noinline")
         with f.each("%count") as row:
-            f.do(f"store {t} %value, ptr {f.at('%to', row, size)}, align {dtype.itemsize}")
+            f.store(t, "%value", f.at("%to", row, size), dtype.itemsize)
         self.functions[name] = f.text()
         self.lines.append(f"call void @{name}(ptr {to}, {t} {value}, i64 {count})")
 
@@ -228,12 +221,8 @@ def _solver(name: str, t: str, row: int, size: int, fma: bool) -> str:
     flag = f"<{lanes} x i1>" if lanes else "i1"
 
     f = FunctionText(f"internal void @{name}(ptr %H, ptr %b, i64 %count) noinline")
-
-    def load(pointer: str) -> str:
-        return f.let(f"load {t}, ptr {pointer}, align {size}")
-
-    def store(value: str, pointer: str) -> None:
-        f.do(f"store {t} {value}, ptr {pointer}, align {size}")
+    load = functools.partial(f.load, t, align=size)
+    store = functools.partial(f.store, t, align=size)
 
     def less(a: str, x: str, y: str) -> str:
         """Subtract a product."""
