@@ -305,13 +305,13 @@ class _Derivative(NamedTuple):
 
     def _for_all(self, values: Arrays, numbers: Iterable[int]) -> list[jax.Array]:
         """Return arguments of the program, given by their numbers, with the batch axes on all."""
-        batch = self.batch
-        return [
-            jnp.broadcast_to(x.reshape(*x.shape, *(1,) * len(batch)), (*x.shape, *batch))
-            if i < self.program.shared
-            else x
-            for i, x in zip(numbers, values, strict=True)
-        ]
+        pairs = zip(numbers, values, strict=True)
+        return [_repeated(x, self.batch) if i < self.program.shared else x for i, x in pairs]
+
+
+def _repeated(x: jax.Array, batch: tuple[int, ...]) -> jax.Array:
+    """Return an array with batch axes added at the end."""
+    return jnp.broadcast_to(x.reshape(*x.shape, *(1,) * len(batch)), (*x.shape, *batch))
 
 
 def batch_again(
@@ -325,11 +325,9 @@ def batch_again(
     first, few = len(values) - program.tangents[0], math.prod(batch) < machine_constants.LANES
     if all(axis is None for axis in axes[:first]) and (is_tracing() or not few):
         return _for_tangents(values, axes, program, batch)
-    size, every = mapped_axis(values, axes, -1)
+    _, every = mapped_axis(values, axes, -1)
     for i, x in enumerate(every[: program.shared]):
-        own = x.shape[:-1]
-        x = x.reshape(*own, *(1,) * len(batch), size)
-        every[i] = jnp.broadcast_to(x, (*own, *batch, size))
+        every[i] = jnp.moveaxis(_repeated(x, batch), x.ndim - 1, -1)
     results = fuse(
         lambda *x: tuple(program(*x)), *every, batch_ndim=len(batch) + 1, name=program.name
     )

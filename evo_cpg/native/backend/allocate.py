@@ -379,19 +379,8 @@ class Allocator:
     # Loops.
 
     def _loop(self, node: Node, loop: GraphLoop) -> None:
-        """Allocate a loop, with its initial values and its lists."""
-        kept, lists = self.graph.kept[node], self.lists[node]
-        self.part = node.part
-        for k in kept:
-            self._store(self._ref(node.operands[k]), loop.carried[k], self.slots[loop.carried[k]])
-            self._used()
-            self._cut()
-            self.packed.written.add(loop.carried[k])
-        for one in lists:
-            size = self._row_bytes(one) * (loop.count or 1)
-            self.tables[one] = self.memory.reserve(size, node.part)
-            self.packed.written.add(one)
-        self._end()
+        """Allocate a loop or a branch."""
+        self._enter(node, loop)
         in_group, self.in_group = self.in_group, self.in_group and loop.condition is None
         packs = in_group and not self.in_group and not loop.once
         if packs:
@@ -411,6 +400,20 @@ class Allocator:
         self.items, self.in_group = outside, in_group
         packed = self._moved(node, loop, tested) if packs else None
         self.items.append(code.LoopCode(loop, counter, test, body, packed))
+
+    def _enter(self, node: Node, loop: GraphLoop) -> None:
+        """Store the initial carried values of a loop in their slots, and give its lists places."""
+        self.part = node.part
+        for k in self.graph.kept[node]:
+            self._store(self._ref(node.operands[k]), loop.carried[k], self.slots[loop.carried[k]])
+            self._used()
+            self._cut()
+            self.packed.written.add(loop.carried[k])
+        for one in self.lists[node]:
+            size = self._row_bytes(one) * (loop.count or 1)
+            self.tables[one] = self.memory.reserve(size, node.part)
+            self.packed.written.add(one)
+        self._end()
 
     def _test(self, loop: GraphLoop, condition: Node, packs: bool) -> tuple[str, str]:
         """Allocate the test of a loop, and return the name and the type of its result.
