@@ -218,7 +218,7 @@ def test_parts_agree_with_jax(x64):
     assert names == [("trial", 0, 1), ("step", 1, 2), ("waves", 2, 2), ("search", 2, 2)]
     assert first_fault(record) is None
     *lines, last = window.report(window.verdicts(record))
-    assert len(lines) == 4 and last == "Every part agrees with plain JAX."
+    assert len(lines) == 4 and last == "Every checked part agrees with plain JAX."
 
 
 @pytest.mark.parametrize("plant", FAULTS)
@@ -329,6 +329,7 @@ def test_nodes_are_printed_with_their_scope():
         (["iwadate2010_swimer"], "iwadate2010_swimmer"),
         (["iwadate2010_swimmer", "simulation.secnds=1"], "did you mean 'seconds'"),
         (["iwadate2010_swimmer", "engine=jax"], "engine is jax"),
+        ([*SMALL, "--part=oscillators"], "--part needs --check or --write"),
         ([*SMALL, "--part=oscilators", "--write=texts"], "did you mean 'oscillators'"),
     ],
 )

@@ -140,6 +140,7 @@ class Printer:
         # Not inlined: LLVM would move thousands of constants out of the driver's loops and spill
         # each as a whole vector.
         self.functions.append(
+            f"; {', '.join(filter(None, parts))}\n"
             f"define internal {kind} @{name}({pointers}ptr noalias %scratch, i64 %n, i64 %first) "
             f"noinline #0 {{\n{body}\n}}"
         )

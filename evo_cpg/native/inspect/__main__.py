@@ -76,7 +76,8 @@ def trial_of(simulation: Simulation, count: int, dtype: Any) -> tuple[Program, A
 def _chosen(parts: list[TrialPart], name: str | None) -> list[TrialPart]:
     """Return the parts with a name, which must exist, or all parts for None."""
     if name is not None and all(part.name != name for part in parts):
-        raise UsageError(f"no part {name!r}: {nearest(name, [part.name for part in parts])}")
+        hint = nearest(name, [part.name for part in parts])
+        raise UsageError(f"no part {name!r} (a row within a part is none): {hint}")
     return [part for part in parts if name in (None, part.name)]
 
 
@@ -273,7 +274,7 @@ def difference(found: Arrays, expected: Arrays) -> float:
 
 def report(verdicts: Iterator[Verdict]) -> Iterator[str]:
     """Iterate over a line for each part, and a last line that names the first wrong part."""
-    last = "Every part agrees with plain JAX."
+    last = "Every checked part agrees with plain JAX."
     for name, apart, stage in verdicts:
         yield f"{name}: {f'differs after {stage}, by' if stage else 'agrees to'} {apart:.0e}"
         if stage and last.startswith("Every"):
@@ -307,6 +308,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _lines(options: argparse.Namespace) -> Iterator[str]:
+    if options.part and not options.check and options.write is None:
+        raise UsageError("--part needs --check or --write")
     path = find_config(options.config)
     simulation = build_experiment(load_config(path, options.overrides), path).simulation
     with engine.using(simulation.engine):
