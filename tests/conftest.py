@@ -49,7 +49,7 @@ if "EVO_CPG_TESTS_COMPILED" not in os.environ:
     _COMPILED = tempfile.TemporaryDirectory(prefix="evo_cpg_compiled_")
     os.environ["EVO_CPG_TESTS_COMPILED"] = _COMPILED.name
 jax.config.update("jax_compilation_cache_dir", os.environ["EVO_CPG_TESTS_COMPILED"])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 keep_code_in(Path(os.environ["EVO_CPG_TESTS_COMPILED"]))
 
 # JAX and the traced programs keep millions of objects, with hardly any cycles. Collecting the tests

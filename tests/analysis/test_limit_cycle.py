@@ -65,7 +65,13 @@ def test_frequency_and_lag_equal_simulation(gain, x64):
 
 
 @pytest.mark.parametrize(
-    ("joints", "gain", "weight"), [(1, 5.0, 2.0), (4, 3.0, 1.07), (9, 4.0, 1.07), (9, 9.0, 1.07)]
+    ("joints", "gain", "weight"),
+    [
+        (1, 5.0, 2.0),
+        (4, 3.0, 1.07),
+        (9, 4.0, 1.07),
+        pytest.param(9, 9.0, 1.07, marks=pytest.mark.slow),
+    ],
 )
 def test_multipliers_predict_the_decay_of_a_perturbation(joints, gain, weight, x64):
     """Compare the slowest perturbation after one period and after two, within 5 %.

@@ -168,6 +168,7 @@ def test_energies_are_relative_to_the_motors_work(honest):
     assert checks["simulator_energy"].measured == pytest.approx(gain / spent, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cheat", ["energy", "momentum"])
 def test_a_solver_that_adds_energy_or_momentum_is_flagged(monkeypatch, cheat):
     """Two wrong solvers: one lets velocities grow by 5 % a step, one pushes without a force."""
@@ -196,6 +197,7 @@ def test_a_start_in_the_ground_is_flagged(buried):
     assert {"penetration", "push_out_energy"} <= failed(buried, push_out_energy=0.01)
 
 
+@pytest.mark.slow
 def test_the_push_out_does_not_lift_a_standing_animal():
     """The contact force of a resting point balances its weight, so the point does not move."""
     made = walker()
@@ -466,6 +468,7 @@ def test_each_recorded_step_begins_where_the_previous_ended(honest, swimming):
         assert np.isfinite(steps.torque).all() and np.abs(steps.torque).max() > 0
 
 
+@pytest.mark.slow
 def test_noisy_displacements_are_means_over_equal_fresh_draws(swimming):
     """A champion was selected partly for its luck, so comparisons use fresh draws of the noise."""
     made = swimming[0]._replace(trials=2)

@@ -74,6 +74,7 @@ def test_a_longer_limb_shelters_other_surface_points(genomes):
     assert_as_alone(loaded, genomes, {LENGTH: lengths}, together)
 
 
+@pytest.mark.slow
 def test_bodies_that_do_not_fit_the_plan_are_built_one_by_one(experiment, genomes):
     """Two limits of one joint are checked together, which no compiled program can do."""
     middle = experiment.config.creature.bodies[1].joint.limits_deg

@@ -276,6 +276,7 @@ def test_wrong_laws_are_refused(glider, kind, body, expected):
         evo.load("glider.yaml", {"world.forces": [setting]})
 
 
+@pytest.mark.slow
 def test_a_law_beyond_native_code_runs_on_plain_jax(glider, request):
     if request.config.getoption("--engine") == "jax":
         pytest.skip("everything runs on plain JAX")

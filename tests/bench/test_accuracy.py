@@ -60,6 +60,7 @@ def test_the_error_falls_with_the_step(places):
     assert 1e-6 < coarse[0] < 0.2 * coarse[1]
 
 
+@pytest.mark.slow
 def test_errors_are_in_body_lengths(chain, places):
     """The float32 motion at the step itself has about the error that its float64 twin has."""
     twin = typical_distance(places("ours", 1), places("ours", FINER)) / body_length(chain)

@@ -19,6 +19,7 @@ def test_a_slow_worker_is_given_up():
         worker.answer(0.1)
 
 
+@pytest.mark.slow
 def test_a_failed_worker_reports_its_error():
     with (
         started("memory", "unicorn", "1") as worker,

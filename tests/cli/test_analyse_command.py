@@ -121,6 +121,7 @@ def test_the_page_is_small_and_requests_nothing_from_the_network(animal, request
     assert "default-src 'none'" in html.unescape(page)
 
 
+@pytest.mark.slow
 def test_html_of_a_run_is_escaped_in_a_named_page(cli, swimmer, tmp_path):
     """The HTML is in the name, the notes of the run, an audit and the configuration.
 

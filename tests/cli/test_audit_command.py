@@ -49,6 +49,7 @@ def test_a_verdict_has_its_reasons():
     assert shown(None) == ""
 
 
+@pytest.mark.slow
 def test_train_tests_its_champion_at_half_the_step(cli, tmp_path, monkeypatch):
     """The result equals the half-step variation of an audit. An unreachable limit warns."""
     # Two bodies on a hinge have a short displacement.

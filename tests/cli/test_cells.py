@@ -59,6 +59,7 @@ def test_a_film_is_captioned_with_its_cell(cli, mapped, monkeypatch):
     assert (shown[-1].title, shown[-1].note) == ("iwadate2010_swimmer", "")
 
 
+@pytest.mark.slow
 def test_cell_selects_the_elite_to_audit(cli, mapped, monkeypatch):
     run, cell, found = mapped
     name = ",".join(map(str, cell))

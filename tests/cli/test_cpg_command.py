@@ -11,6 +11,7 @@ SWIMMER = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
 SMALL = ("creature.bodies.1.repeat=3",)
 
 
+@pytest.mark.slow
 def test_every_axis_has_a_row(cli):
     out, _ = cli.passes("cpg", SWIMMER, *SMALL, "--gain", 4)
     found = [float(number) for number in re.findall(r"\+ 2 +([\d.]+)", out)]

@@ -164,6 +164,7 @@ def test_an_exported_motion_and_scene_are_those_of_the_film(finished_run, export
     assert {"head", "segment1"} <= set(scene.geometry)
 
 
+@pytest.mark.slow
 def test_an_exported_table_is_a_measured_motion(exported):
     """`fit` reads the attitude of an exported rotation as yaw, then pitch, then roll."""
     with np.load(exported / "motion.npz") as file:

@@ -66,6 +66,7 @@ def test_a_lineage_is_shown_side_by_side(film, two_runs):
     assert size == (160, 110)
 
 
+@pytest.mark.slow
 def test_lineage_selects_generations_by_number(film, two_runs):
     lineage = RunFolder(two_runs).load_lineage()
     own = {run: [each.generation for each in lineage if each.run == run] for run in (0, 1)}

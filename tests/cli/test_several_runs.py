@@ -66,6 +66,7 @@ def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path):
     assert out.splitlines() == [str(tmp_path / name) for name in ("fitness.png", *drawn)]
 
 
+@pytest.mark.slow
 def test_resume_refuses_another_number_of_runs(noisy_run, cli, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(noisy_run, folder)

@@ -53,6 +53,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_thin_plates_get_a_number_of_substeps(cli, folder):
     (folder / "x.yaml").write_text(plates(0.0005))
     _, err = cli.passes("validate", "x.yaml")

@@ -22,6 +22,7 @@ def situated_run(cli, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_champion_is_verified_exactly(situated_run, cli):
     code, out, err = cli("verify", situated_run)
     assert (code, err) == (0, "")
@@ -41,6 +42,7 @@ def test_any_trial_can_be_plotted_and_filmed(situated_run, cli, tmp_path):
     assert (code, out) == (0, f"{picture}\n"), err
 
 
+@pytest.mark.slow
 def test_each_camera_has_its_own_file(situated_run, cli):
     assert tuple(View) == CAMERAS
     small = ("--size", "64x48", "--seconds", "0.1")

@@ -335,6 +335,7 @@ def test_one_step_of_a_branching_network_equals_plain_runge_kutta(grow):
     np.testing.assert_allclose(found.adaptation, expected[1], rtol=0, atol=1e-14)
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 2**32 - 1),
     settings=st.sampled_from([CpgSettings(), CpgSettings(constants="as_printed", time_scale=0.03)]),

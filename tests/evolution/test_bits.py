@@ -77,6 +77,7 @@ def picks():
     return np.asarray(children)[:, 0, ELITES:].reshape(-1, 2).astype(int)
 
 
+@pytest.mark.slow
 def test_the_parents_of_a_pair_are_drawn_independently(picks):
     counts = np.bincount(8 * picks[:, 0] + picks[:, 1], minlength=64)
     assert chisquare(counts, 50_000 * np.outer(RANKS, RANKS).ravel()).pvalue > 0.01
@@ -204,6 +205,7 @@ def test_half_of_the_redrawn_genes_change():
     assert binomtest(int(ones), 100_000, 0.5).pvalue > 0.01
 
 
+@pytest.mark.slow
 def test_about_half_of_the_children_of_a_generation_mutate():
     step = generation_of(BitGenetics(mutation="flip"))
     keys = jax.random.split(jax.random.key(4), 1000)

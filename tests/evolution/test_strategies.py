@@ -263,6 +263,7 @@ def test_the_best_of_an_island_replace_the_worst_of_the_next():
     np.testing.assert_array_equal(np.sort(after.reshape(3, 4)), np.sort(expected))
 
 
+@pytest.mark.slow
 def test_islands_without_migration_evolve_as_if_alone():
     genetics = RealGenetics(8, 2, 0.5, 0.2, 0.3, 0.3, 8.0)
     islands = Islands(SIZE, genetics, 3, every=1000, migrants=1)
@@ -379,6 +380,7 @@ def test_children_of_numbers_lie_on_the_line_through_their_parents():
     assert abs(fractions.mean()) < 0.04 and fractions.std() == pytest.approx(0.5, rel=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Sep_CMA_ES", "DifferentialEvolution"])
 def test_evosax_searches_bits(name):
     """Fitness is the number of bits that agree with a pattern."""

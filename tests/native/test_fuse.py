@@ -207,6 +207,7 @@ def path(run, turn, x):
     return jax.lax.scan(jax.checkpoint(advance), x, None, length=5)[1].sum()
 
 
+@pytest.mark.slow
 def test_hessians_of_a_mapped_scan_equal_those_of_jax(x64):
     """Compare Hessians, mapped over starts, of a sum over a path with a closed-over parameter."""
     turn = jnp.asarray([0.3, 0.7])

@@ -81,6 +81,7 @@ def test_first_acceleration_of_a_sphere(density):
     assert motion.velocity[0, 5] / 1e-3 == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_tumbling_ellipsoid_follows_kirchhoff():
     """Compare with (I + M) dV/dt = -V x* (I + M) V in body axes by an adaptive Runge-Kutta method.
 
@@ -137,6 +138,7 @@ def test_impulse_of_a_tree_is_conserved():
     assert force < 1e-3 * np.abs(before).max()
 
 
+@pytest.mark.slow
 def test_a_uniform_stream_is_a_moving_frame():
     """Bodies that move with a stream behave as in still water (Galilean invariance)."""
     stream = np.array([0.7, -0.4, 0.2])

@@ -75,6 +75,7 @@ def forces(world: World, velocity: np.ndarray) -> dict[str, list[np.ndarray]]:
     return jax.tree.map(np.asarray, every(velocity))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "surface"),
     [

@@ -229,6 +229,7 @@ def test_a_sliding_body_starts_to_roll(name):
         assert speed[half - 1, column] == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow
 def test_an_ellipsoid_lies_still_and_rocks():
     """It rests on its flat side. Tilted, it rocks with w^2 = m g (a^2 / c - c) / (I + m c^2).
 
@@ -267,6 +268,7 @@ def test_a_block_rests_on_the_ground_at_its_height():
     assert np.abs(np.asarray(states.velocity)[-1]).max() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_a_fall_at_ten_metres_per_second_stays_shallow(name):
     """The depth stays below a fall of half a step, h v / 2 = 21 mm, in any orientation.
@@ -291,6 +293,7 @@ def test_a_fall_at_ten_metres_per_second_stays_shallow(name):
         assert np.abs(np.asarray(states.velocity)[-1]).max() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_push_out_does_bounded_work(name):
     """A buried body gains at most the energy of its depth and of the push-out speed, 0.5 m/s.

@@ -73,6 +73,7 @@ def test_a_block_slides_as_far_as_in_mujoco(x64, friction):
     assert data.qpos[0] == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("degrees", "stands"), [(17.4, True), (19.5, False)])
 def test_a_tall_block_tips_over_at_mujocos_angle(x64, degrees, stands):
     """The block tips at atan(1/3) = 18.4 degrees, with its weight over its lower edge."""
@@ -116,6 +117,7 @@ def test_a_stack_carries_its_load_as_in_mujoco(x64):
         assert found[1] / total == pytest.approx(lever, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_swinging_leg_hits_the_ground_as_in_mujoco(x64):
     """A trunk falls on a swinging leg. After 0.1 s both move as in MuJoCo, within 3 %."""
     material = Material(500.0, 0.0, 0.8, 0.8)
@@ -145,6 +147,7 @@ def test_a_swinging_leg_hits_the_ground_as_in_mujoco(x64):
     assert abs(ours[2] - (-1.0 - GRAVITY * 0.1)) > 0.3
 
 
+@pytest.mark.slow
 def test_a_joint_with_a_rotor_stops_at_its_limit_as_in_mujoco(x64):
     """Both limits are critically damped springs, which return the speed v at v / e^2.
 

@@ -110,6 +110,7 @@ def test_buoyancy_is_the_volume_below_the_surface(tilt):
         np.testing.assert_allclose(found, [along, 0.0, across], atol=0.004 * whole * length)
 
 
+@pytest.mark.slow
 def test_cylinders_stand_tip_and_roll():
     """Release five cylinders at once, and compare each with its closed form.
 

@@ -161,6 +161,7 @@ def after_steps(world: World, state: State, count: int) -> State:
     return last(coast(world, state, count * H, H))
 
 
+@pytest.mark.slow
 def test_motors_at_their_limits_do_not_change_the_momentum():
     """Joint torques are internal, so a thrashing tree that starts at rest has no momentum, to O(h).
 

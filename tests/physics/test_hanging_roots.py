@@ -177,6 +177,7 @@ def test_pendulum_swings_with_its_period():
     assert not place[:, 1].any()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_pendulum_settles_where_its_spring_carries_it():
     """The torques balance: ``k q = m g l cos(q)``."""
@@ -188,6 +189,7 @@ def test_pendulum_settles_where_its_spring_carries_it():
     assert (found.position - START) @ across == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_a_motor_holds_a_root_that_settles():
     """A velocity servo holds its joint, so nothing is free to move."""

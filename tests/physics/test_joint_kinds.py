@@ -159,6 +159,7 @@ def _conserved(model, data, tree: Tree, state: State) -> np.ndarray:
     return np.array([*linear, *turning, data.energy[1]])
 
 
+@pytest.mark.slow
 def test_free_motion_converges_to_mujocos_at_second_order(drifting):
     """Momentum, energy, and the pose after 0.1 s: half the step has a quarter of the error."""
     creature, tree, start, ends = drifting

@@ -126,6 +126,7 @@ def test_limbs_clap_without_passing_through(x64, shape, axes):
     assert (energy.max(-1) / energy[..., 0]).max() < 1.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shape",
     ["capsules", *(pytest.param(s, marks=pytest.mark.slow) for s in ("boxes", "ellipsoids"))],

@@ -198,6 +198,7 @@ def test_a_box_stands_on_its_four_corners():
     np.testing.assert_allclose(np.asarray(support)[-1, 2], weight / 4, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_dropped_box_mesh_rests_like_the_box():
     """A drop from 16 positions ends on a face, at the height of the box, and is never deep."""
     count = 16
@@ -219,6 +220,7 @@ def test_a_dropped_box_mesh_rests_like_the_box():
     np.testing.assert_allclose(np.mean(ends[0]), np.mean(ends[1]), atol=0.03)
 
 
+@pytest.mark.slow
 def test_a_ball_rolls_to_rest_without_sinking():
     """The centre of a ball of 162 vertices and 64 corners at 1 m/s stays near one radius high."""
     mesh = ball_mesh(0.1, 2)
@@ -230,6 +232,7 @@ def test_a_ball_rolls_to_rest_without_sinking():
     assert np.asarray(states.position)[-1, 0, 0] > 0.2
 
 
+@pytest.mark.slow
 def test_a_mesh_touches_a_block_and_the_floor():
     """A box mesh rests on a block, with points of its corners and of an ellipsoid."""
     block = Block((0.0, 0.0, 0.1), (1.0, 1.0, 0.1), 0.0)

@@ -79,6 +79,7 @@ def test_energy_is_the_work_of_the_applied_torque(thrashing):
     np.testing.assert_allclose(effort.energy, expected, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_limit_that_is_not_reached_changes_nothing():
     """An individual below its limits moves as without limits.
 
@@ -316,6 +317,7 @@ def test_a_limited_motor_adds_only_its_work(limit, x64):
     assert energy.max() > 1.0 and rise < 0.25 * energy.max()
 
 
+@pytest.mark.slow
 def test_a_joint_without_a_motor_keeps_second_order(x64):
     """Another joint has a limited motor within its limit. The step stays of second order."""
     chain = box_chain(3, "z", Actuator(0.5, 5.0))

@@ -172,6 +172,7 @@ def test_an_isometric_contraction_costs_energy_without_work():
     assert energy[-1] == pytest.approx(H * power * 0.054, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("hill", "damping_time"), [(True, 0.0), (False, 0.01)])
 def test_random_activation_is_stable_at_the_shipped_step(hill, damping_time):
     """The muscles are about 1e5 times as strong as these light bodies need."""
@@ -251,6 +252,7 @@ def test_motors_and_muscles_mix_in_one_creature():
     assert state.qd[1] == pytest.approx(0.05, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_energy_balance_of_a_swimming_chain_closes():
     """The work of muscles and water is the change of energy, to second order in the step."""
     world = in_water(box_chain(3, "z", dataclasses.replace(HILL, area=3e-3), SIZE), gravity=0.0)

@@ -111,6 +111,7 @@ def test_a_beam_rests_on_the_edges_of_two_blocks(x64):
         assert np.abs(np.asarray(states.velocity)[-1]).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_box_lies_on_a_boulders_top(x64):
     """The corners do not touch. The ball's top carries the box's lower face."""
     world = alone(Box((1.0, 1.0, 0.1)), static=0.8, obstacles=(Boulder((0.0, 0.0, 0.0), 0.3),))
@@ -188,6 +189,7 @@ def test_an_ellipsoid_moved_by_its_gap_touches_a_box(x64):
     assert near > 0.5 * count
 
 
+@pytest.mark.slow
 def test_a_capsule_lies_across_a_beam_at_any_angle(x64):
     """Compare with the closed form: contact at both edges on top of the beam."""
     beam = Block((0.0, 0.0, 0.5), (0.05, 3.0, 0.05))
@@ -202,6 +204,7 @@ def test_a_capsule_lies_across_a_beam_at_any_angle(x64):
     np.testing.assert_allclose(tilt, 0.0, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_touched_obstacles_at_an_end_take_precedence():
     """A post penetrates the front of a log. Two blocks near its middle do not touch."""
     post = Block((0.5, 0.0, 0.5), (0.05, 0.05, 0.5))

@@ -184,6 +184,7 @@ def plate(envelope, amplitude: float) -> Plate:
     return Plate(lambda x: amplitude * envelope(x), 1.0, 1.0, own, float(masses[0, 1]))
 
 
+@pytest.mark.slow
 def test_thrust_of_a_held_plate():
     """Elongated-body theory for a wave of 1 m/s and 0.05 m, at 0.3 to 0.9 of its speed: 1 %."""
     np.testing.assert_allclose(held_thrust(20, CONSTANT), 1.0, atol=0.02)
@@ -268,6 +269,7 @@ def test_free_swimming_with_recoil(segments):
     np.testing.assert_allclose(swim(segments, 1 / 120).speed, expected, rtol=0.08)
 
 
+@pytest.mark.slow
 def test_motors_pay_for_friction_and_wake():
     """0.1 % of their work is left over, and 2 % where the animal still gathers speed."""
     found = swim(10, 1 / 120)

@@ -59,6 +59,7 @@ def moved(world, steps, h, height=0.0, velocity=None, qd=None, engine="native"):
         return jax.tree.map(lambda x: np.asarray(x, float)[..., 0], run(start))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "engine"), [(1e-4, "jax"), *((s, "native") for s in SIZES)])
 def test_a_symmetric_top_precesses(size, engine):
     """The rate is (I_2 - I_1) / I_2 times its spin, while it falls at up to 10 m/s."""
@@ -125,6 +126,7 @@ def test_a_box_comes_to_rest_on_the_ground(on, size):
     assert turn[2, 2] > 1 - 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "size", [SIZES[0], *(pytest.param(size, marks=pytest.mark.slow) for size in SIZES[1:])]
 )

@@ -51,6 +51,7 @@ def thrown(world, place, velocity, steps, h=H):
     return states.position, states.velocity
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_nothing_falls_through_a_thin_block(name):
     """The block is 2 mm thick, and steps begin at any distance from it."""
@@ -67,6 +68,7 @@ def test_nothing_falls_through_a_thin_block(name):
     assert (velocity[-1, 5] < 0.02 * speeds).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -95,6 +97,7 @@ def test_nothing_falls_through_a_pebble(name):
     np.testing.assert_allclose(velocity[-1, 5, ~met], -speeds[~met] - 12 * H * 9.81, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_ball_stops_at_the_first_of_several_walls():
     walls = tuple(Block((1.0 + 0.2 * k, 0.0, 1.0), (0.001, 1.0, 1.0)) for k in range(4))
     # The ball also slides on a block, which touches it on the whole path.
@@ -107,6 +110,7 @@ def test_a_ball_stops_at_the_first_of_several_walls():
     assert place[-1, 0, 4] > 2.0
 
 
+@pytest.mark.slow
 def test_a_small_margin_stops_bodies_too():
     world = alone(Sphere(0.05), obstacles=(THIN,), floor=ABYSS, margin=1e-3)
     start = [[0.0, 0.0, 0.3], [0.0, 0.0, 0.3], [0.0, 0.0, 0.0515]]

@@ -93,6 +93,7 @@ def resistive_speed(sheltered: bool = True) -> float:
     return mean_speed(path, times)
 
 
+@pytest.mark.slow
 def test_servos_follow_the_wave():
     """The comparison needs this: angles follow the wave of 400 mrad within 2 mrad."""
     times = H * np.arange(1, round(DURATION / H) + 1)

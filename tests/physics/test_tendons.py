@@ -140,6 +140,7 @@ def test_a_limit_of_a_tendon_holds_its_motor(limit):
     np.testing.assert_allclose(angle[-1], expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_springs_share_a_tendon_at_rest():
     """L = k r s / (1 + k s), with the rest length r and s the sum of c_i^2 / k_i."""
     coefficients, own, k, rest = np.array([0.7, 1.2]), 2.0, 5.0, 0.6
@@ -168,6 +169,7 @@ def test_friction_of_a_tendon_sticks_up_to_its_loss(torque, expected):
     assert hub == pytest.approx(0.1 * speed * whole / (whole - 2 * spin), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_motor_that_pulls_a_tendon_pays_for_its_own_work():
     """Its energy is |force x rate of length|. Work and losses are the change of energy."""
     joints = (("one.z", 1.0), ("two.z", -0.9))

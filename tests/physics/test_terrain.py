@@ -81,6 +81,7 @@ def test_a_relief_is_bilinear_and_level_beyond_its_edges():
     np.testing.assert_allclose(normal[:, 0], [0.0, 0.0, 1.0])
 
 
+@pytest.mark.slow
 def test_a_relief_accelerates_a_block_like_a_plane():
     """The acceleration is g (sin - mu cos), and the block never leaves the ground."""
     tilt = np.arctan(SLOPE)
@@ -98,6 +99,7 @@ def test_a_relief_accelerates_a_block_like_a_plane():
     np.testing.assert_allclose(above, rest, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_ball_bounces_off_a_wall():
     """The floor has no friction, and the wall returns half of the speed."""
     wall = Block((2.0, 0.0, 0.0), (0.5, 3.0, 1.0))

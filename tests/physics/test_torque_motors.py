@@ -45,6 +45,7 @@ def test_a_free_torque_motor_does_not_brake():
         assert np.abs(applied).max() == 0 and energy.sum() == 0
 
 
+@pytest.mark.slow
 def test_torque_motors_work_beside_limited_servos():
     """A second wheel stands still on its servo's limit: the step has to be iterated."""
     world, _ = wheels(TorqueMotor(1.0, 0.5), Actuator(5.0, 0.2), None)

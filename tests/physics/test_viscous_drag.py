@@ -356,6 +356,7 @@ def test_a_current_is_the_opposite_motion():
     assert np.ptp(found, axis=2).max() > 0.1
 
 
+@pytest.mark.slow
 def test_drag_at_a_surface_is_that_of_the_part_under_water():
     """Deep below it nothing changes, above it there is none, and half of a level body has half."""
     shape, velocity = Capsule(0.05, 0.3), np.array([[0.5, 0.0, 0.0], [0.0, 0.4, 0.0]])

@@ -224,6 +224,7 @@ def test_first_accelerations_of_a_tilted_slender_body(shape, section):
     assert np.abs(motion.velocity[0, [0, 2, 3, 4], 0]).max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [Box((0.4, 0.3, 0.2)), Capsule(0.05, 0.3)])
 def test_energy_is_conserved_across_the_surface(shape):
     """Tumbling bodies fall in and emerge without drag, and their energy is constant within 1 %.

@@ -69,6 +69,7 @@ def test_a_block_slips_its_stopping_distance():
     assert terms["cost"] == 0.0
 
 
+@pytest.mark.slow
 def test_task_and_analysis_have_the_slip_of_a_block_that_lands():
     """Load times speed adds up to m v^2 / (2 mu), and load to m g t, so S = v^2 / (2 mu g).
 
@@ -83,6 +84,7 @@ def test_task_and_analysis_have_the_slip_of_a_block_that_lands():
     assert numbers.value("slip") * seconds == pytest.approx(terms["slip"], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_rolling_ball_does_not_slip():
     radius = 0.1
     terms, _ = trial_of(Sphere(radius), 0.8, radius, 0.5, (0, SPEED / radius, 0, SPEED, 0, 0))
@@ -90,6 +92,7 @@ def test_a_rolling_ball_does_not_slip():
     assert terms["slip"] < 1e-3 * terms["distance"]
 
 
+@pytest.mark.slow
 def test_a_body_that_pivots_on_its_edge_does_not_slip():
     """A plank on its edge, tipped by 15 degrees, topples for 0.3 s and has not landed yet."""
     tip, edge, tall = np.deg2rad(15.0), 0.02, 0.4

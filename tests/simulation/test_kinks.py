@@ -172,6 +172,7 @@ def test_a_reversal_of_motion_in_water_is_a_kink():
     assert np.ptp(values) < 1e-5
 
 
+@pytest.mark.slow
 def test_the_waterline_is_no_kink():
     """Derivatives agree if a box's lower or upper side is at the surface.
 

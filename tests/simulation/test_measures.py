@@ -70,6 +70,7 @@ def test_frequency_and_amplitude_leave_out_slides():
     assert float(GaitMeasure("amplitude").finish(swing, trial)) == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_measures_equal_numbers_from_a_recording(evaluated):
     experiment, on_ground, found, records = evaluated
     tree, rate = experiment.world.tree, experiment.parts.simulation.control_rate

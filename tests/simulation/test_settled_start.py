@@ -266,6 +266,7 @@ def test_creatures_that_cannot_rest_are_refused():
             settled(world, (0.0, 0.0, height))
 
 
+@pytest.mark.slow
 def test_a_motor_without_a_spring_needs_the_torque_to_hold():
     """A board on a motor hangs over the edge of a raft. The torque is weight times lever."""
     flesh = Material(500.0)

@@ -71,6 +71,7 @@ def test_a_lane_equals_a_simulation_with_its_situation_only(simulation, together
     assert np.abs(one - other).max() > 0.1
 
 
+@pytest.mark.slow
 def test_the_order_of_situations_does_not_matter(simulation, together):
     """Only the numbers of the situations change. Results are equal to the last bit."""
     order = (2, 0, 1)
@@ -127,6 +128,7 @@ def test_a_users_task_gets_the_place_of_the_light(simulation):
     np.testing.assert_array_equal(places(single, None), np.tile([7.0, 8.0, 9.0], (8, 1)))
 
 
+@pytest.mark.slow
 def test_one_situation_is_a_constant_of_the_program(simulation):
     """The program has no look-up, with or without numbers of trials."""
 
@@ -144,6 +146,7 @@ def test_one_situation_is_a_constant_of_the_program(simulation):
     assert program(simulation, TRIAL) != single
 
 
+@pytest.mark.slow
 def test_every_trial_adds_its_noise_to_its_situation(simulation):
     noisy = dataclasses.replace(simulation, noise=Noise(joint_angle=0.1, push=0.3))
     outcome, frames = simulate(noisy, TRIAL, KEYS)

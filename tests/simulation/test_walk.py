@@ -117,6 +117,7 @@ def test_a_small_bounce_keeps_its_digits_in_a_long_trial(bounce):
     assert float(terms["tilt"]) == 0.0
 
 
+@pytest.mark.slow
 def test_a_trial_in_the_dark_measures_distance_from_the_start():
     """The motion is equal with and without a light, because the sine wave ignores the light."""
     lit = experiment(40).simulation
@@ -142,6 +143,7 @@ def test_a_trial_in_the_dark_measures_distance_from_the_start():
     assert outcome.alive.all()
 
 
+@pytest.mark.slow
 def test_airborne_time_equals_the_free_fall():
     """A box falls 0.5 m without bouncing, for sqrt(2 h / g) of one second."""
     terms, _ = trial_of(BOX.bodies[0].shape, 0.5, 0.6, 1.0, (0,) * 6, rate=60)

@@ -149,6 +149,7 @@ def test_chunks_change_no_result(large, narrow):
         np.testing.assert_array_equal(values[:-2], outcome.terms[name][:-2])
 
 
+@pytest.mark.slow
 def test_more_generations_and_individuals_take_no_more_memory(monkeypatch, tmp_path):
     """No array stays behind, and all blocks use one program, so memory is constant."""
     programs, functions = [], []

@@ -158,6 +158,7 @@ def test_a_noisy_run_chooses_champions_by_fresh_draws(evolved):
     assert {row["generation"] for row in table} <= {"0", "1", "2"}
 
 
+@pytest.mark.slow
 def test_expected_fitness_is_the_mean_over_the_fresh_draws(evolved):
     _, done, _ = evolved
     chosen = done.chosen[1]

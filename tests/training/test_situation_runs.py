@@ -51,6 +51,7 @@ def evolved(request, tmp_path_factory):
     return request.param, *evolve(request.param, path)
 
 
+@pytest.mark.slow
 def test_fitness_and_terms_are_means_over_the_situations(evolved):
     """Compare the first generation with separate simulations of one situation each."""
     made, folder, done = evolved
@@ -103,6 +104,7 @@ def test_champions_replay_as_recorded_in_any_trial(evolved):
         np.testing.assert_allclose(motion.rotation[0, 1, :, 0], facing, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("devices", "noise"), [(2, None), (1, Noise(joint_angle=0.1))])
 def test_more_situations_than_a_chunk_holds_replay_exactly(devices, noise):
     """One individual has 40 trials, in smaller chunks."""

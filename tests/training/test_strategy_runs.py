@@ -59,6 +59,7 @@ def test_a_resumed_run_has_the_bits_of_an_uninterrupted_one(name, tmp_path):
     np.testing.assert_array_equal(whole.champion.genes, again.champion.genes)
 
 
+@pytest.mark.slow
 def test_each_run_draws_from_its_own_seed(tmp_path):
     """The second of two runs equals a single run with its seed."""
     both = train(made(MAP), folder_at(tmp_path / "both"))

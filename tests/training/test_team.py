@@ -76,7 +76,7 @@ def require_equal(one, other):
         assert mine._replace(genes=None) == theirs._replace(genes=None)
 
 
-SLOW = "map", "lexicase", "learning"
+SLOW = "map", "lexicase", "learning", "noise"
 
 
 @pytest.mark.parametrize(
@@ -106,6 +106,7 @@ def test_genomes_travel_once_and_fitness_is_small(tmp_path):
     assert sum(x.nbytes for x in judged.worth if x is not None) + judged.alive.nbytes <= 5 * SIZE
 
 
+@pytest.mark.slow
 def test_changing_workers_change_nothing(tmp_path):
     several = KINDS["three runs"]._replace(generations=6)
     _, alone = evolve(several, tmp_path / "alone")

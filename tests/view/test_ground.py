@@ -94,6 +94,7 @@ def blue(image):
     return int((image[..., 2] - image[..., 0] > 60)[image.shape[0] // 3 :].sum())
 
 
+@pytest.mark.slow
 def test_the_ground_hides_only_feet_below_it(recording, stills):
     standing = blue(stills())
     sunk = blue(stills(recording._replace(position=recording.position - 0.05 * UP)))
@@ -123,6 +124,7 @@ def test_the_sun_shadow_darkens_the_ground_once(stills):
     assert np.quantile(fraction, 0.98) < look.cast_strength + 0.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", list(STYLES))
 def test_captions_contrast_with_their_background(world, stills):
     assert contrast(stills(world=world)[300:], STYLES[world].text) > 4.5
@@ -157,6 +159,7 @@ def test_the_camera_sees_a_walker_from_the_side_and_does_not_sway(creature, cour
     assert 8 < np.degrees(np.arctan2(slant[2], np.hypot(*slant[:2]))) < 15
 
 
+@pytest.mark.slow
 def test_the_pattern_stays_where_the_animal_started(recording, stills):
     """Moved and turned in the world, an animal without a light gives the same picture."""
     shift = np.array([3.3, -1.7, 0.0])
@@ -168,6 +171,7 @@ def test_the_pattern_stays_where_the_animal_started(recording, stills):
     assert np.abs(stills() - later)[200:].mean() > 5
 
 
+@pytest.mark.slow
 def test_without_ground_the_floor_is_below_the_path(creature, recording, stills):
     """The floor has no numbers and is far below the animal, so it does not look like ground."""
     deep = recording._replace(position=recording.position - 40 * UP)

@@ -60,6 +60,7 @@ def test_words_stand_at_their_anchor():
     assert ((picture[..., 2] > 150) & (picture[..., 0] == 0)).sum() > 100
 
 
+@pytest.mark.slow
 def test_names_of_an_animal_may_be_in_any_script(tmp_path):
     """No glyph is missing: matplotlib would warn, and a warning is an error here."""
     creature, motion = synthetic.swimmer(), synthetic.swim(12)

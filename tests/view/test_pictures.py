@@ -91,6 +91,7 @@ def test_a_preview_shows_meshes(tmp_path):
 STONES = (Boulder((1.5, 0.8, 0.0), 0.3), Block((-2.0, -1.2, 0.0), (0.2, 0.3, 0.4), 0.5))
 
 
+@pytest.mark.slow
 def test_a_preview_shows_near_stones(tmp_path):
     """Each stone on a slope adds grey to the picture. Stones far away are counted."""
     floor = Plane((0.0, 0.0995, 0.995))
@@ -139,6 +140,7 @@ def test_a_small_preview_has_no_words(tmp_path):
     assert dark((320, 180)) > 100 > 3 * dark((318, 178))
 
 
+@pytest.mark.slow
 def test_a_preview_shows_pressure_sensors_only_on_ground(tmp_path):
     """Pressure sensors are pink. A depth gauge is blue, and drawn with or without ground."""
     creature = dataclasses.replace(

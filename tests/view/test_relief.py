@@ -182,6 +182,7 @@ def spots(creature, motion, ground, surface, points):
     return np.column_stack([SIZE[0] * (1 + x) / 2, SIZE[1] * (1 - y) / 2]).astype(int)
 
 
+@pytest.mark.slow
 def test_water_and_land_differ_in_colour(creature, wading, tmp_path):
     ground = Ground(floor=SHORE_BESIDE)
     image = still(creature, wading, tmp_path, ground=ground, surface=0.0)
@@ -231,6 +232,7 @@ def test_the_surface_is_shown_if_something_rises_out_of_it(creature, surface, se
     assert not surface_is_seen(creature, clip, None, 0.2)
 
 
+@pytest.mark.slow
 def test_a_deep_animal_is_drawn_without_the_surface(tmp_path):
     swimmer, swim = synthetic.swimmer(), synthetic.swim(6)
     deep, boundless = (still(swimmer, swim, tmp_path, surface=s) for s in (5.0, None))
@@ -240,6 +242,7 @@ def test_a_deep_animal_is_drawn_without_the_surface(tmp_path):
     assert contrast(shallow[150:], SHORE.text) > 4.5
 
 
+@pytest.mark.slow
 def test_ground_with_relief_hides_what_is_behind_it(creature, tmp_path):
     """If the walker sinks by a quarter of a metre, the hills hide most of the blue shins."""
     floor = bumps(height=0.1)

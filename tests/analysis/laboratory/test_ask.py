@@ -46,6 +46,7 @@ def test_flume_note_is_the_interpolated_current():
     )
 
 
+@pytest.mark.slow
 def test_swimmer_in_a_flume_holds_its_place_at_its_speed(ribbon):
     """Galileo: a current U from ahead is swimming with a start at speed U in still water."""
     rows = ask(ribbon, FORWARDS | {"current": [0.0, 0.1]}).rows
@@ -82,6 +83,7 @@ def test_factors_multiply_keys_of_the_same_question(ribbon):
     assert world.water.current[0] == pytest.approx(0.3)
 
 
+@pytest.mark.slow
 def test_key_of_the_configuration_is_a_knob(ribbon):
     key = "creature.materials.flesh.density"
     rows = ask(ribbon, {key: [1000.0, 1100.0], "u": [0.5]}, seconds=1.0).rows
@@ -102,6 +104,7 @@ def test_undriven_oscillators_fall_silent(ribbon):
     assert (without[:2] > 0.1).all() and without[2] < 1e-6
 
 
+@pytest.mark.slow
 def test_stiff_joints_bend_less(ribbon):
     answer = ask(ribbon, {"stiffness": [0.0, 100.0], "u": [0.5]}, seconds=2.0)
     loose, stiff = (np.abs(each.joint_angle).max() for each in answer.recordings)
@@ -129,6 +132,7 @@ def test_cord_is_entrained_by_bending(ribbon):
     assert np.diff(phases).min() > 0
 
 
+@pytest.mark.slow
 def test_weight_of_the_feedback_is_a_knob_of_a_bent_cord(ribbon):
     """A weight of 4 is a weight of 2 with the factor 2."""
     knobs = {"bend": ["tail*"], "u": [0.5], "ratio": [0.9]}

@@ -205,6 +205,7 @@ def test_the_skin_follows_its_bones_as_in_films():
         np.testing.assert_allclose(own["translation"], recording.position[0, i])
 
 
+@pytest.mark.slow
 def test_places_of_stones_and_water():
     scenes = {}
     for name in ("stones", "shore"):

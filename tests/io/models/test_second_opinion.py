@@ -113,6 +113,7 @@ def test_mujocos_animal_carries_water_and_sheds_it():
     np.testing.assert_allclose(other.path, own.path, atol=5e-4)
 
 
+@pytest.mark.slow
 def test_an_animal_in_water_is_not_airborne(swimmer):
     """The fraction is None without ground or with water everywhere."""
     experiment, _, steps = swimmer
