@@ -111,7 +111,8 @@ def test_numbers_on_the_page_equal_the_measured_terms(walker):
     assert 0.1 < whole <= terms["airborne"] + 1e-3 and terms["airborne"] <= most
 
 
-@pytest.mark.parametrize("animal", ["swimmer", pytest.param("walker", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("animal", ["swimmer", "walker"])
 def test_the_page_is_small_and_requests_nothing_from_the_network(animal, request):
     page = page_of(request.getfixturevalue(animal))
     assert len(page) < 5e6

@@ -31,7 +31,8 @@ def test_constants_that_cannot_oscillate_are_reported_at_rest(cli):
     )
 
 
-@pytest.mark.parametrize("gain", [1, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("gain", [1, 4])
 def test_the_lags_around_a_ring_are_shown(cli, gain):
     out, _ = cli.passes("cpg", REPOSITORY / "configs" / "starfish.yaml", "--gain", gain)
     names = ", ".join(f"arm{j}_1.y" for j in range(1, 6))

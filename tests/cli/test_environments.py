@@ -195,10 +195,9 @@ def test_a_setting_that_is_not_utf8_is_refused(cli):
 # Nowhere to print
 
 
+@pytest.mark.slow
 @needs_full
-@pytest.mark.parametrize(
-    "which", [*(pytest.param(one, marks=pytest.mark.slow) for one in ("out", "err")), "both"]
-)
+@pytest.mark.parametrize("which", ["out", "err", "both"])
 def test_training_finishes_if_output_is_lost(which, tmp_path, finished_run):
     folder = tmp_path / "run"
     with open(FULL, "wb", buffering=0) as full, pytest.MonkeyPatch.context() as patch:

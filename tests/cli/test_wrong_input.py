@@ -417,6 +417,7 @@ def test_invalid_choice_lists_the_choices(cli, arguments):
     assert f"Invalid value for '{arguments[2]}': 'front' is not one of '" in cli.refuses(*arguments)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "words"),
     [

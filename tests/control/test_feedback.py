@@ -59,6 +59,7 @@ def inputs(tree, settings: CpgSettings, angle, rate=0.0, load=None, genes=None):
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_cord_without_feedback_keeps_its_state_and_its_bits(chain):
     tree, genes = chain(4, "z"), None
     results = []

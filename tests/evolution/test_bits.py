@@ -114,6 +114,7 @@ def test_copies_of_the_best_replace_the_worst_elites():
         np.testing.assert_array_equal(children[:, ELITES:], plain[:, ELITES:])
 
 
+@pytest.mark.slow
 def test_children_fill_all_places_without_elites():
     # Only the best is a parent, so all children are its mutated copies.
     changes = {"rank_probabilities": (1.0,), **CHANGED}
@@ -138,6 +139,7 @@ def test_diverged_individuals_are_never_elites(dead):
         assert not (child == genes.T).all(1).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.bfloat16, jnp.float32])
 def test_genes_stay_bits_in_their_own_type(dtype):
     settings = [{"mutation": mutation} for mutation in MUTATIONS]
@@ -168,6 +170,7 @@ def genes_changed(seed: int, fewest: int, most: int) -> list[jax.Array]:
     return [(mutated != genes).sum(0) for mutated in mutants]
 
 
+@pytest.mark.slow
 @given(SEEDS, st.sampled_from([(1, 1), (2, 5), (1, 9), (9, 9)]))
 def test_a_flip_changes_the_given_number_of_genes(seed, bounds):
     changed, redrawn = map(np.asarray, genes_changed(seed, *bounds))

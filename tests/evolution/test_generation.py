@@ -91,6 +91,7 @@ def test_the_key_alone_decides():
     assert (bred(fitness, 1)[1] != bred(fitness, 2)[1])[:, ELITES:].all()
 
 
+@pytest.mark.slow
 def test_batched_runs_equal_single_runs():
     seeds = range(3)
     step = generation_of(genetics(population=23, mutation_rate=0.05))

@@ -204,6 +204,7 @@ def test_elements_of_bodies_at_a_water_surface():
     assert check_elements(shapes(water=water), keys).building.plan.layout == "merged"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_bodies_that_become_different_get_separate_surfaces():
     """Two balls have one common surface only while their radii are equal."""

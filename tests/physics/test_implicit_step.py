@@ -336,6 +336,7 @@ def test_motion_follows_from_the_reported_forces():
     assert pressed > count and saturated > count and limbs > 3
 
 
+@pytest.mark.slow
 def test_residuals_have_the_type_of_the_state(x64):
     """Float32 stays float32 with float64 enabled, because a scan could not carry another type."""
     creature = random_creature(np.random.default_rng(0), STRUCTURES[0])

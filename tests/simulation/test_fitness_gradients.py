@@ -216,6 +216,7 @@ def differences_of(animal: Animal, program: Callable, individual: int, seconds: 
     return (up - down) / (2 * WIDTHS), terms
 
 
+@pytest.mark.slow
 def test_a_trial_that_stops_early_equals_a_short_trial(x64):
     """The fitness equals the fitness of a trial of that length."""
     stops = np.array([20, 45])

@@ -148,8 +148,9 @@ def test_friction_is_uniform_over_trials():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("engine", ["auto", pytest.param("jax", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("engine", ["auto", "jax"])
 def test_noise_of_friction_equals_another_friction_coefficient(engine):
     creature = swimmer(EYES)
     tree = build_tree(creature)
@@ -187,6 +188,7 @@ def test_the_recording_of_a_noisy_trial_has_the_same_noise(simulation):
     np.testing.assert_allclose(distance, goal_distance.mean(0) / goal_distance[0], rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_noise_is_the_same_with_native_code_and_jax(simulation):
     """Noise is drawn in float32 (last digit 1e-7), and moves the animal by centimetres."""

@@ -57,6 +57,7 @@ def test_lights_move_around_the_start_at_equal_elevation():
     assert seen_from_start(kept)[0] == pytest.approx(2)
 
 
+@pytest.mark.slow
 def test_each_situation_gives_the_result_of_a_run_alone(simulation, found):
     assert found.alive.all() and len(found.paths) == 6
     for i in (0, 4):

@@ -58,6 +58,7 @@ def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered):
     assert np.array_equal(again.recording.position, motion.position)
 
 
+@pytest.mark.slow
 def test_on_compiled_is_called_once_after_the_first_trials(tmp_path):
     """Compiling two programs at once would delay the first generation."""
     experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))

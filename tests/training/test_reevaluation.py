@@ -139,6 +139,7 @@ def evolved(tmp_path_factory):
     return folder, train(NOISY, folder, rows.extend), rows
 
 
+@pytest.mark.slow
 def test_a_noisy_run_chooses_champions_by_fresh_draws(evolved):
     folder, done, rows = evolved
     assert len(rows) == 4 == len(done.history)

@@ -67,6 +67,7 @@ def test_first_genomes_equal_the_single_runs():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("genetics", "trials"),
     [

@@ -15,6 +15,7 @@ import hashlib
 import os
 import pickle
 import platform
+import re
 import signal
 import subprocess
 import sys
@@ -104,6 +105,8 @@ def code_bytes() -> int:
 def load(text: str, target: Target) -> tuple[str, int]:
     """Compile and load a module. Return a unique name for its ``@handler``, and the address."""
     effort = machine_constants.LLVM_EFFORT
+    # Comments are the names of parts, which may differ in equal code.
+    text = re.sub("^;.*\n", "", text, flags=re.MULTILINE)
     key = "\n".join([llvm_version(), platform.platform(), *map(str, target), str(effort), text])
     name = hashlib.sha256(key.encode()).hexdigest()[:32]
     if name not in _loaded:

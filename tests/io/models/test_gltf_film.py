@@ -241,6 +241,7 @@ def test_scenery_never_shares_a_name_with_a_body():
     assert {*scenery, "ground_", "sun_", "obstacle1_", "obstacle2"} <= set(names)
 
 
+@pytest.mark.slow
 def test_a_triangle_without_area_is_left_out():
     """The triangle closes an edge that is split on one side only."""
     box = trimesh.creation.box((0.3, 0.2, 0.1))
