@@ -33,7 +33,7 @@ def measure(plan: Plan) -> Iterator[Row]:
     session = Environment(simulation, {}, "torques", 0).session()
     limits = np.asarray(simulation.world.tree.torque_limit, np.float32)
     contenders = [Contender("ours", _STEPS, _loop(session, limits))]
-    peer, missing = "gymnasium", importlib.util.find_spec("gymnasium") is None
+    peer, missing = "gymnasium", None in map(importlib.util.find_spec, ("gymnasium", "imageio"))
     if not missing:
         theirs: Any = importlib.import_module("gymnasium").make("HalfCheetah-v5")
         contenders.append(Contender(peer, _STEPS, _loop(theirs, np.ones(6, np.float32))))
