@@ -100,16 +100,19 @@ def is_what_simulation_shows(
     return "rhythm"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("weight", "gain"),
     [
         (3.0, 4.0),
         (50.0, 60.0),
         (LEAST + 0.02, 4),
-        *(
-            pytest.param(*pair, marks=pytest.mark.slow)
-            for pair in [(3.0, 2.5), (4.0, 3.5), (3.0, 2.01), (1.5, 2.0), (2.0, 1e3), (1e4, 1.1e4)]
-        ),
+        (3.0, 2.5),
+        (4.0, 3.5),
+        (3.0, 2.01),
+        (1.5, 2.0),
+        (2.0, 1e3),
+        (1e4, 1.1e4),
     ],
 )
 def test_a_pair_within_the_bounds_oscillates(weight, gain):
@@ -127,9 +130,10 @@ def unscaled(constants):
     return found(chain(pair_weight=12.0, constants=constants), 20.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constants", ["swapped", "as_printed"])
-@pytest.mark.parametrize("scale", [1e-3, pytest.param(1.0, marks=pytest.mark.slow), 1e3])
-@pytest.mark.parametrize("drive", [1e-30, pytest.param(1.0, marks=pytest.mark.slow), 1e30])
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("drive", [1e-30, 1.0, 1e30])
 def test_drive_and_time_scale_only_scale_the_rhythm(constants, scale, drive):
     """The period scales with the time scale, and the amplitude with the drive."""
     plain = unscaled(constants)
@@ -159,6 +163,7 @@ def test_one_sided_and_undriven_rest_have_their_reason(gain, constant, words):
         found(chain(pair_weight=3.0, constant_input=constant), gain)
 
 
+@pytest.mark.slow
 def test_a_resting_oscillator_has_no_lag():
     """The tail rests while the other oscillators swing. Lags to it are NaN."""
     cycle = found(chain(3), 0.3)
@@ -245,6 +250,7 @@ def test_all_rest_without_a_positive_drive():
     assert resting(still, 1.0, 1.0, 10.0) == [0, 1, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [

@@ -88,6 +88,7 @@ def arm_lags(tree, settings, gains, states=None, h=1 / 60):
     return np.rad2deg(np.angle(component / np.roll(component, -1, axis=0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arms", "segments", "lag"),
     [(5, 3, 72), (5, 1, -72), (5, 2, 144), (4, 2, 90), (5, 2, 0), (6, 2, 180), (2, 1, 180)],

@@ -114,6 +114,7 @@ def test_cord_behind_a_cut_falls_silent_without_drive(chain):
     assert (late[:2] > 0.2).all() and (late[2:] < 0.1 * whole[2:]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sense", ["light", "joints", "feedback"])
 def test_silenced_sense_is_a_sense_that_reads_0(chain, sense):
     animal = animal_of(chain(4, "z"), FEEDBACK)

@@ -104,6 +104,7 @@ def hull_drag(creature: Creature, direction) -> float:
     return form_of(normals, areas, direction) + SKIN[0] * skin_of(normals, areas, direction)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [ALONG, ACROSS, UP], ids=["along", "across", "up"])
 @pytest.mark.parametrize(
     ("shape", "gap"),
@@ -120,6 +121,7 @@ def test_round_chain_has_the_drag_of_one_capsule(shape, gap, direction):
     assert drag(creature, direction) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", TOWED.values(), ids=TOWED)
 @pytest.mark.parametrize(
     ("creature", "tolerance"),
@@ -221,13 +223,8 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize(
-    ("build", "between"),
-    [
-        pytest.param(*change, id=name, marks=[] if i % 3 == 0 else pytest.mark.slow)
-        for i, (name, change) in enumerate(CHANGES.items())
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("build", "between"), CHANGES.values(), ids=CHANGES)
 def test_drag_is_continuous_in_the_geometry(build, between):
     """Steps of a quarter of the size change the drag by at most 0.4 times as much."""
 

@@ -83,6 +83,7 @@ def test_the_parents_of_a_pair_are_drawn_independently(picks):
     assert chisquare(counts, 50_000 * np.outer(RANKS, RANKS).ravel()).pvalue > 0.01
 
 
+@pytest.mark.slow
 @given(SEEDS)
 def test_four_pairs_have_two_complementary_children_each(seed):
     children = bred(ranks(), seed=seed, **STILL)[:, ELITES:]
@@ -104,6 +105,7 @@ def test_the_best_seven_are_kept_bit_for_bit_best_first(fitness, seed):
     np.testing.assert_array_equal(children[:, :ELITES], genes[:, best])
 
 
+@pytest.mark.slow
 def test_copies_of_the_best_replace_the_worst_elites():
     numbers = (1, 3, 7)
     settings = [STILL] + [{"best_copies": copies, **STILL} for copies in numbers]

@@ -75,6 +75,7 @@ def lexicase_chances(trial_fitness: np.ndarray) -> np.ndarray:
     return chances
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trials", [1, 2, 4])
 def test_lexicase_frequencies_equal_the_mean_over_orders_of_trials(trials):
     trial_fitness = np.random.default_rng(trials).normal(size=(trials, 9)).astype(np.float32)

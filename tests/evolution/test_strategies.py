@@ -165,6 +165,7 @@ def test_a_state_survives_conversion_to_arrays(name):
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_search_survives_generations_in_which_all_diverge(name):
     def deadly(genes):
@@ -357,6 +358,7 @@ def test_children_of_bits_are_bits_of_two_parents():
         assert any((child == cut).all() for cut in cuts)
 
 
+@pytest.mark.slow
 def test_uncrossed_children_of_bits_are_mutated_first_parents():
     vary = OfBits(0.0, 1.0, (1, 3), "flip")
     genes = jnp.asarray(np.random.default_rng(0).integers(0, 2, (GENES, 2)), jnp.float32)
@@ -396,6 +398,7 @@ def test_evosax_searches_bits(name):
     assert found[-1].mean() > found[0].mean() + 1
 
 
+@pytest.mark.slow
 def test_evosax_starts_with_given_genomes_and_learns_of_replaced_ones():
     strategy = evosax("DifferentialEvolution", gene_bound=1.0)
     given = 5.0 * jnp.ones((GENES, SIZE))

@@ -79,6 +79,7 @@ def test_genes_mutate_independently_with_equal_probability():
         assert chisquare(both, expected).pvalue > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [1e-3, 0.05, 0.5, 0.99])
 def test_places_are_drawn_with_equal_probability(rate):
     keys = jax.random.split(jax.random.key(9), 20_000)
@@ -111,6 +112,7 @@ def test_the_array_is_long_enough_for_all_places(rate):
     assert 0.001 < tail <= 1.0
 
 
+@pytest.mark.slow
 def test_a_population_mutates_in_parts_as_in_one(monkeypatch):
     monkeypatch.setattr(operators, "_MOST_AT_ONCE", 30_000)
     genes = jnp.zeros((101, 1000))

@@ -169,7 +169,8 @@ def test_invalid_situations_and_lights_are_rejected(overrides, key, word):
     assert key in str(refused.value) and word in str(refused.value)
 
 
-@pytest.mark.parametrize("height", [300, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("height", [300, 3000])
 @pytest.mark.parametrize(
     "floor",
     [

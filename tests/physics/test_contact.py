@@ -157,9 +157,8 @@ def test_static_friction_holds(tall):
     assert np.abs(np.asarray(states.velocity)[-1, :3]).max() < 1e-3
 
 
-@pytest.mark.parametrize(
-    ("degrees", "tall"), [pytest.param(27.57, 0.3, marks=pytest.mark.slow), (35.0, 0.1)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("degrees", "tall"), [(27.57, 0.3), (35.0, 0.1)])
 def test_dynamic_friction_brakes(degrees, tall):
     """A sliding block accelerates by g (sin a - mu_d cos a) above ten Stribeck speeds."""
     world, state, downhill = on_slope(degrees, tall)

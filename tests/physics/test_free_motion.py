@@ -192,13 +192,14 @@ def test_motors_at_their_limits_do_not_change_the_momentum():
     assert sizes[1] < 0.6 * sizes[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "h"),
     [
         (Capsule(0.03, 0.3), 1 / 240),
-        pytest.param(Ellipsoid((0.15, 0.06, 0.03)), 1 / 240, marks=pytest.mark.slow),
+        (Ellipsoid((0.15, 0.06, 0.03)), 1 / 240),
         (Box((0.3, 0.12, 0.06)), 1 / 240),
-        pytest.param(Capsule(0.03, 0.3), 1 / 60, marks=pytest.mark.slow),
+        (Capsule(0.03, 0.3), 1 / 60),
     ],
 )
 def test_a_tumbling_body_keeps_its_energy_and_momentum(x64, shape, h):

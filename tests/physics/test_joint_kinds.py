@@ -217,6 +217,7 @@ def on_a_ball(limit: float = 9.0, damping: float = 0.0) -> Tree:
     return build_tree(Creature("pair", (Body("a", box, flesh), Body("b", box, flesh, joint))))
 
 
+@pytest.mark.slow
 def test_the_coordinates_of_a_ball_wrap_at_half_a_turn():
     """Beyond pi the rotation vector points the other way. The rotation is the same."""
     tree = on_a_ball()

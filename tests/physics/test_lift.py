@@ -205,6 +205,7 @@ def test_thin_bodies_outside_chains_have_lift(x64):
     assert pair is not None and pair.bodies == (0, 1)
 
 
+@pytest.mark.slow
 def test_bodies_of_a_batch_keep_thick_and_empty_bodies(x64):
     """With the layout "complete" every body has finite numbers and thick ones have no force."""
     joint = hinge("b0", (0.1, 0, 0), (0, 0.0, 0), "x")

@@ -100,6 +100,7 @@ def test_a_body_far_from_the_surface_is_wet_or_dry(height, share):
     assert np.abs(np.cross(found.moment[:, 0, 0], pose[:3, 0, 0])).max() < 1e-6 * volume
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("density", [200.0, 500.0, 800.0])
 def test_draught_of_a_box_follows_archimedes(density):
     """The draught is the relative density times the height. Released there, the box stays."""

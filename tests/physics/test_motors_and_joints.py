@@ -140,6 +140,7 @@ def test_spring_is_the_implicit_euler_oscillator(damping):
     np.testing.assert_allclose(ours, expected[1:], atol=1e-11 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_a_spring_rests_at_its_angle_and_an_axis_without_limits_turns_on():
     """A damped spring comes to rest at its angle, and a rotor beside it keeps its rate."""
     two = box_chain(3, "z")
@@ -249,6 +250,7 @@ def two_boxes(**joint) -> World:
     return World(build_tree(creature), 0.0)
 
 
+@pytest.mark.slow
 def test_a_neutral_dashpot_equals_a_passive_spring_and_damper(x64):
     """Both move equally. The dense equation of the step tests other target angles."""
     dashpot = two_boxes(actuator=Actuator(0.05, stiffness=3.0))
@@ -285,7 +287,8 @@ def test_an_overloaded_dashpot_applies_its_limit(x64):
     assert fitted == pytest.approx(2 * limit / inertia, rel=0.01)
 
 
-@pytest.mark.parametrize("limit", [25.0, pytest.param(2.5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [25.0, 2.5])
 def test_a_limited_motor_adds_only_its_work(limit, x64):
     """The leg also turns about its length, where its inertia is small.
 

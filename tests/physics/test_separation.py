@@ -77,6 +77,7 @@ def small_turns(rng, degrees):
     return np.array([euler_to_matrix(*angle) for angle in angles])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "half", [(0.1, 0.3, 0.01), (0.3, 0.01, 0.3), (0.05, 0.05, 0.05), (0.3, 0.05, 0.05)]
 )

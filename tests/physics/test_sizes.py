@@ -76,6 +76,7 @@ def test_a_symmetric_top_precesses(size, engine):
     assert states.velocity[-1, 5] == pytest.approx(-GRAVITY, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_a_sinking_box_reaches_its_terminal_speed(size):
     """``v^2 = (rho_b / rho - 1) g c / C_d`` with the drag of the top and the bottom."""
@@ -127,9 +128,7 @@ def test_a_box_comes_to_rest_on_the_ground(on, size):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "size", [SIZES[0], *(pytest.param(size, marks=pytest.mark.slow) for size in SIZES[1:])]
-)
+@pytest.mark.parametrize("size", SIZES)
 def test_a_sliding_ball_rolls_in_the_end(size):
     """The final speed is 5/7 of the initial speed."""
     world = alone(Sphere(size / 2))

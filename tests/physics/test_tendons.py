@@ -155,6 +155,7 @@ def test_springs_share_a_tendon_at_rest():
     np.testing.assert_allclose(joint_torque(world.tree, jnp.asarray(expected)), 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("torque", "expected"), [(0.36, 0.0), (-0.6, -0.2), (0.6, 0.2)])
 def test_friction_of_a_tendon_sticks_up_to_its_loss(torque, expected):
     """It resists the difference of two wheels, and not their common turn."""

@@ -115,7 +115,8 @@ def coefficients(world: World, direction: int, reynolds, length: float, area: fl
     return -found[:, direction] / (0.5 * WATER * speed**2 * area)
 
 
-@pytest.mark.parametrize("resolution", [2, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("resolution", [2, 4])
 def test_sphere_follows_the_standard_curve(resolution):
     """Clift, Grace and Weber 1978, within 15 % from Re 1 and 12 % from Re 100 to 1e5."""
     reynolds, measured = np.transpose(SPHERE)

@@ -99,6 +99,7 @@ def test_approach_to_terminal_velocity_follows_tanh():
     assert error < 0.01 * terminal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [Box((0.3, 0.2, 0.1)), Capsule(0.05, 0.2)])
 @pytest.mark.parametrize("density", [500.0, 1000.0, 2000.0])
 def test_bodies_sink_float_or_stay(shape, density):
@@ -163,6 +164,7 @@ def test_drag_of_a_turning_sphere_is_friction_alone():
     np.testing.assert_allclose(wrench[:, 0], [0, 0, expected, 0, 0, 0], rtol=1e-4, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_body_without_skin_points_has_form_drag_alone():
     """All skin points of a small part can lie inside other parts."""
     world = in_water(single(Sphere(0.1), 1000.0), skin_drag=0.0)

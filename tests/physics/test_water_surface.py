@@ -283,6 +283,7 @@ def test_drag_acts_on_the_submerged_part():
     assert np.all(np.asarray(derivative[2, 0, 0, 0, :3]) > 0) and derivative[2, 0, 0, 0, 3] == 0
 
 
+@pytest.mark.slow
 def test_gradients_through_the_surface_equal_central_differences():
     """Differentiate the height after a fall through the surface, to 1e-6."""
     world = floating(Box((0.3, 0.2, 0.1)), 500.0, drag=1.0, resolution=1)

@@ -131,6 +131,7 @@ def test_slipping_begins_with_a_kink():
     assert np.ptp(values) < 2e-4 * place
 
 
+@pytest.mark.slow
 def test_a_joint_stop_is_a_jump():
     """The damper of the stop acts at once on a moving joint. For a joint at rest it is a kink."""
     world = in_water(box_chain(2, "z", Actuator(1.0), limit=0.5), gravity=0.0)

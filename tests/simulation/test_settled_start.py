@@ -77,18 +77,17 @@ def test_animals_that_differ_in_numbers_share_compiled_programs():
     assert sank == pytest.approx(0.3 * 0.1, abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "area", "reach", "error"),
     [
         (Box((0.8, 0.6, 0.1)), lambda z: 1.0, 0.05, 1e-7),
         (Sphere(0.2), lambda z: 0.2**2 - z**2, 0.2, 1e-7),
         # The error of a disc's horizontal slices is 0.004 of its area (see `buoyancy`).
-        pytest.param(
-            Capsule(0.1, 0.3), capsule_slice, 0.1, 0.004 * np.pi / 2 * 0.1, marks=pytest.mark.slow
-        ),
+        (Capsule(0.1, 0.3), capsule_slice, 0.1, 0.004 * np.pi / 2 * 0.1),
     ],
 )
-@pytest.mark.parametrize("fraction", [0.5, pytest.param(0.8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("fraction", [0.5, 0.8])
 def test_bodies_float_at_their_draught(shape, area, reach, error, fraction):
     """The body starts above the surface, does not tilt, and keeps its place and heading."""
     world = in_water(alone(shape, 1000 * fraction), surface=0.2)

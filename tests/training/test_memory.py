@@ -36,6 +36,7 @@ def test_the_cells_of_a_map_count(monkeypatch):
         memory.require_memory(mapped)
 
 
+@pytest.mark.slow
 def test_the_state_of_evosax_counts():
     """A covariance matrix grows with the square of the genes."""
 

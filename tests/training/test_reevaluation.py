@@ -178,6 +178,7 @@ def test_expected_fitness_is_the_mean_over_the_fresh_draws(evolved):
     assert chosen.expected == pytest.approx(np.mean(fitness), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_chosen_champions_replay_as_recorded(evolved):
     _, done, _ = evolved
     for champion in done.chosen:

@@ -68,14 +68,7 @@ def test_first_genomes_equal_the_single_runs():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("genetics", "trials"),
-    [
-        pytest.param(REAL, 1, marks=pytest.mark.slow),
-        (REAL, 3),
-        *(pytest.param(BITS, trials, marks=pytest.mark.slow) for trials in (1, 3)),
-    ],
-)
+@pytest.mark.parametrize(("genetics", "trials"), [(REAL, 1), (REAL, 3), (BITS, 1), (BITS, 3)])
 def test_breeding_several_runs_equals_breeding_each_alone(genetics, trials):
     rng = np.random.default_rng(0)
     places = (2, SIZE * trials)
@@ -134,6 +127,7 @@ def test_evolving_several_runs_equals_evolving_each_alone(pair, tmp_path):
         np.testing.assert_allclose(champion.genes, expected.genes, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_resumed_noisy_run_equals_an_uninterrupted_one(noisy_pair, tmp_path):
     _, done = noisy_pair
     evolve(NOISY._replace(generations=1), tmp_path / "run")

@@ -312,6 +312,7 @@ def test_an_animal_that_starts_from_rest_shows_no_speed_at_first(recording):
     assert np.allclose(speed[30:], time[30:] - 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["gif", "webp"])
 def test_a_film_of_an_odd_size_is_animated_in_an_even_size(creature, recording, tmp_path, kind):
     path = film(creature, recording, tmp_path / f"s.{kind}", size=(193, 109), fps=10, seconds=0.2)

@@ -130,6 +130,7 @@ def test_a_preview_under_water_is_blue(tmp_path):
     assert seen(surface=2.0).mean() > 0.8
 
 
+@pytest.mark.slow
 def test_a_small_preview_has_no_words(tmp_path):
     """Words are dark. The animal and the arrows of its axes are not."""
 

@@ -207,6 +207,7 @@ def test_water_and_land_differ_in_colour(creature, wading, tmp_path):
     assert np.median(np.abs(bare - image)[orange]) < 6
 
 
+@pytest.mark.slow
 def test_only_bodies_under_water_are_tinted(creature, wading, tmp_path):
     """A surface above the trunk's lower half removes the red there."""
     ground = Ground(floor=SHORE_BESIDE)

@@ -90,6 +90,7 @@ def test_key_of_the_configuration_is_a_knob(ribbon):
     assert rows[0]["mass"] == pytest.approx(rows[1]["mass"] / 1.1)
 
 
+@pytest.mark.slow
 def test_passive_joints_have_no_torque(ribbon):
     answer = ask(ribbon, {"passive": ["none", "tail2+tail3"], "u": [0.5]}, seconds=2.0)
     active, passive = (np.abs(each.torque).max(0) for each in answer.recordings)
@@ -97,6 +98,7 @@ def test_passive_joints_have_no_torque(ribbon):
     assert passive[0] > 1e-3 and (passive[1:] == 0).all()
 
 
+@pytest.mark.slow
 def test_undriven_oscillators_fall_silent(ribbon):
     answer = ask(ribbon, FORWARDS | {"undriven": ["none", "tail3"]})
     whole, without = (np.abs(each.cpg_output[-60:]).max(0) for each in answer.recordings)

@@ -107,6 +107,7 @@ def movements(document, arrays):
     return moved
 
 
+@pytest.mark.slow
 def test_the_bodies_move_as_in_the_recording(scene):
     creature, recording, data = scene
     found = movements(*decode(data))

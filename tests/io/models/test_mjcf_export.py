@@ -119,7 +119,8 @@ def unlike_axes(number: int) -> Creature:
     return dataclasses.replace(creature, bodies=tuple(bodies))
 
 
-@pytest.mark.parametrize("number", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [1, 3])
 def test_axes_with_values_of_their_own_accelerate_as_in_mujoco(compiled, mujocos, number):
     """Springs with rest angles, dampers, rotors and motors, each of one axis: 1e-9."""
     creature = unlike_axes(number)
@@ -155,6 +156,7 @@ def test_initial_place_and_heading_are_exported(compiled):
     np.testing.assert_allclose(model.qpos0[3:], (np.cos(0.2), 0, 0, np.sin(0.2)), atol=1e-12)
 
 
+@pytest.mark.slow
 @each_structure
 def test_an_initial_pose_is_a_keyframe(compiled, number):
     """Poses equal our kinematics to 1e-12. The reference pose stays neutral."""

@@ -127,7 +127,8 @@ def _set_seed(data) -> None:
     data["seed"] = 1234567
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(i, marks=pytest.mark.slow) for i in (1, 2))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_random_edits_of_all_configurations_give_the_wanted_data(seed):
     for number, path in enumerate(CONFIGS):
         draw = random.Random(100 * seed + number)
