@@ -124,7 +124,6 @@ def test_a_plate_glides_at_its_closed_form_speed(plate):
     np.testing.assert_allclose(motion.velocity[-1], expected, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_a_law_with_a_skew_derivative_is_of_second_order(plate):
     """Half the step gives a quarter of the error, although the solver's matrices are symmetric."""
     state = resting_state(plate.tree, dtype=jnp.float64)

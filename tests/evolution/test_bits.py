@@ -116,7 +116,6 @@ def test_copies_of_the_best_replace_the_worst_elites():
         np.testing.assert_array_equal(children[:, ELITES:], plain[:, ELITES:])
 
 
-@pytest.mark.slow
 def test_children_fill_all_places_without_elites():
     # Only the best is a parent, so all children are its mutated copies.
     changes = {"rank_probabilities": (1.0,), **CHANGED}

@@ -18,7 +18,8 @@ from creatures import quick_jit
 from evo_cpg.control.postures import PostureController, PostureSettings, build_posture_controller
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.simulation.judge import score
+from evo_cpg.simulation.backward import Backward
+from evo_cpg.simulation.judge import Scored, score
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task, Transition
@@ -268,6 +269,36 @@ def test_gradients_equal_central_differences(animal):
             assert (error[sure[-1]] < TOLERANCE).all()
     # In water, differences are uncertain only if derivatives of many genes cancel.
     assert np.mean(sure) > (0.75 if on_land else 0.95)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:A program has more than")
+@pytest.mark.parametrize("name", sorted(path.stem for path in CONFIGS.glob("*.yaml")))
+def test_gradients_of_shipped_animals_equal_differences(name, x64):
+    """A fifth of a second is one native program with its backward pass, as in `refine`."""
+    simulation = configured(name)
+    if simulation.genome.binary:
+        simulation = configured(name, "controller.graded=true")
+    steps = round(0.2 * simulation.control_rate)
+    simulation = dataclasses.replace(simulation, steps=steps)
+    genes = np.asarray(simulation.genome.random(jax.random.key(0), (TRIED,), np.float32), float)
+
+    def fitness(genes):
+        observer = Scored(scales(genes))
+        return rollout(simulation, genes, observers=observer, backward=Backward())
+
+    slopes = np.asarray(jax.jit(jax.grad(lambda genes: fitness(genes).sum()))(genes))
+    directions = np.random.default_rng(0).normal(size=(RANDOM_DIRECTIONS, *genes.shape))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    moves = np.multiply.outer(WIDTHS, directions)
+    moved = np.moveaxis(np.stack([genes + moves, genes - moves]), -2, 0)
+    found = np.asarray(jax.jit(fitness)(moved.reshape(len(genes), -1))).reshape(moved.shape[1:])
+    differences = np.moveaxis((found[0] - found[1]).T / (2 * WIDTHS), -1, 0)
+    expected, uncertainty = closest(differences.reshape(len(WIDTHS), -1).T)
+    found = (directions * slopes).sum(1).T.ravel()
+    sure = uncertainty < TOLERANCE
+    np.testing.assert_allclose(found[sure], expected[sure], rtol=TOLERANCE)
+    assert sure.mean() > 0.5
 
 
 @pytest.mark.slow

@@ -148,9 +148,8 @@ def test_friction_is_uniform_over_trials():
     )
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("engine", ["auto", "jax"])
+@pytest.mark.parametrize("engine", ["auto", pytest.param("jax", marks=pytest.mark.slow)])
 def test_noise_of_friction_equals_another_friction_coefficient(engine):
     creature = swimmer(EYES)
     tree = build_tree(creature)

@@ -58,7 +58,6 @@ def built(*overrides):
     return build_experiment(load_config(path, overrides), path)
 
 
-@pytest.mark.slow
 def test_the_deepest_penetration_and_overlap_count():
     hexapod = built("audit.disqualify=[penetration, overlap]", "audit.overlap=0.002")
     rules, world = hexapod.simulation.rules, hexapod.simulation.world
