@@ -83,7 +83,6 @@ def test_the_parents_of_a_pair_are_drawn_independently(picks):
     assert chisquare(counts, 50_000 * np.outer(RANKS, RANKS).ravel()).pvalue > 0.01
 
 
-@pytest.mark.slow
 @given(SEEDS)
 def test_four_pairs_have_two_complementary_children_each(seed):
     children = bred(ranks(), seed=seed, **STILL)[:, ELITES:]
