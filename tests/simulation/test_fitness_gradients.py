@@ -273,9 +273,13 @@ def test_gradients_equal_central_differences(animal):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:A program has more than")
+@pytest.mark.filterwarnings("ignore:the derivative of a trial runs on plain JAX")
 @pytest.mark.parametrize("name", sorted(path.stem for path in CONFIGS.glob("*.yaml")))
 def test_gradients_of_shipped_animals_equal_differences(name, x64):
-    """A fifth of a second is one native program with its backward pass, as in `refine`."""
+    """The trial of a fifth of a second and its backward pass are one program, as in `refine`.
+
+    On the ground, and for small gradients, differences are less certain than the gradient.
+    """
     simulation = configured(name)
     if simulation.genome.binary:
         simulation = configured(name, "controller.graded=true")
@@ -296,9 +300,9 @@ def test_gradients_of_shipped_animals_equal_differences(name, x64):
     differences = np.moveaxis((found[0] - found[1]).T / (2 * WIDTHS), -1, 0)
     expected, uncertainty = closest(differences.reshape(len(WIDTHS), -1).T)
     found = (directions * slopes).sum(1).T.ravel()
-    sure = uncertainty < TOLERANCE
-    np.testing.assert_allclose(found[sure], expected[sure], rtol=TOLERANCE)
-    assert sure.mean() > 0.5
+    limit = np.maximum(TOLERANCE, 10 * uncertainty)
+    assert (np.abs(found - expected) < limit * np.abs(expected)).all()
+    assert np.median(uncertainty) < 1e-3
 
 
 @pytest.mark.slow
