@@ -232,8 +232,8 @@ _POINTERS = 10
 def _with_near_pointers(body: str) -> str:
     """Return a function with pointers to its busiest places, so that most offsets take one byte.
 
-    Code of a single individual runs only once in a step, so it is as slow as it is long: the
-    processor waits for instructions. These offsets make it an eighth shorter.
+    Code of a single individual runs only once in a step, so the processor waits for instructions.
+    These offsets make it an eighth shorter.
     """
     places = [(base, int(place) // _REACH) for base, place in _PLACE.findall(body)]
     near = [key for key, _ in collections.Counter(places).most_common(_POINTERS)]
