@@ -62,8 +62,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/water/fluid.py",
-        "wrench = -product(patch.normal.T",
-        "wrench = product(patch.normal.T",
+        "wrench = -jnp.concatenate([moment, force])",
+        "wrench = jnp.concatenate([moment, force])",
         "physics/test_water.py",
     ),
     Mutant(
@@ -74,14 +74,14 @@ MUTANTS = (
     ),
     Mutant(
         "physics/water/fluid.py",
-        "product(patch.normal_outer * normal_factor[None], speed)",
-        "product(patch.normal_outer * 2 * normal_factor[None], speed)",
+        "sum_of_outer_products([patch.normal], normal_factor, speed)",
+        "sum_of_outer_products([patch.normal], 2 * normal_factor, speed)",
         "physics/test_water.py physics/test_swimming.py",
     ),
     Mutant(
         "physics/water/fluid.py",
-        "friction = jnp.concatenate([along * first, along * second])",
-        "friction = jnp.concatenate([along * first, along * first])",
+        "along = jnp.sqrt(first * first + second * second",
+        "along = jnp.sqrt(first * first + first * first",
         "physics/test_water.py physics/test_implicit_step.py",
     ),
     Mutant(

@@ -171,9 +171,7 @@ def test_a_body_without_skin_points_has_form_drag_alone():
     law, velocity = world.law(Drag), jnp.ones((6, 1))
     (patch,) = law.patches
     smooth = patch._replace(
-        tangential=patch.tangential[:, :0],
-        tangential_area=patch.tangential_area[:0],
-        tangential_outer=patch.tangential_outer[:, :0],
+        tangential=patch.tangential[:, :0], tangential_area=patch.tangential_area[:0]
     )
     found, _ = drag(dataclasses.replace(law, patches=(smooth,)), WATER, velocity)
     expected, _ = drag(law, WATER, velocity)

@@ -16,10 +16,10 @@ The force over a step is ``-c |v_0| v_1``, with the velocities at the start and 
 alone this is the exact solution of ``v' = -c |v| v`` for any step. Elsewhere it is of second order
 (Kahan 1993). The derivative ``2 c |v|`` would make it first order.
 
-W is the constant matrix of point Jacobians. Point velocities are ``W V`` and the wrench is
-``W^T F``. Its decrease per change of V, ``D = sum_p c_p |v_p| w_p w_p^T``, is a product of the
-constant outer products with the coefficients. These small matrix products serve the whole
-population.
+The rows w of the matrix W are the point Jacobians: point velocities are ``W V``. The decrease of
+the wrench per change of V is ``D = sum_p c_p |v_p| w_p w_p^T``, and the wrench is ``-D V``. For
+known bodies D is a product of constant outer products with the coefficients. These small matrix
+products serve the whole population.
 
 If the water has a surface, each point's force and derivative are scaled by the fraction of its
 patch under water.
@@ -36,7 +36,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.decisions import Condition, all_hold, chosen
-from evo_cpg.creature.algebra.numerics import MixedArray, Number, Numbers, smooth_step, xp
+from evo_cpg.creature.algebra.linear import matvec, matvec_t
+from evo_cpg.creature.algebra.numerics import (
+    MixedArray,
+    Number,
+    Numbers,
+    is_traced,
+    smooth_step,
+    xp,
+)
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
@@ -138,12 +146,23 @@ def velocity_rows(surface: Surface) -> list[Numbers]:
     ]
 
 
-def merge_alike(rows: Numbers, areas: Numbers) -> tuple[Numbers, Numbers]:
-    """Return one row for all rows that are equal up to their sign, with summed areas."""
+def merge_alike(
+    rows: Numbers, areas: Numbers, layout: PointLayout = "merged"
+) -> tuple[Numbers, Numbers]:
+    """Return one row for all rows that are equal up to their sign, with summed areas.
+
+    Points on opposite faces of a box move alike whatever its size. Layouts other than "merged"
+    merge only such points: their normals are axes of the body.
+    """
 
     def choose() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a sign for each row, the first row of each kind, and the members of each kind."""
         rounded = np.round(rows, _DECIMALS) + 0.0
+        if layout != "merged":
+            # A number of its own keeps any other point apart.
+            along_axis = (np.abs(rows[:, 3:]) == 1).any(1)
+            alone = np.where(along_axis, 0, 1 + np.arange(len(rows)))
+            rounded = np.column_stack([rounded, alone])
         leading = np.take_along_axis(rounded, (rounded != 0).argmax(1)[:, None], 1)
         signs = np.where(leading < 0, -1.0, 1.0)
         _, first, inverse = np.unique(
@@ -168,6 +187,28 @@ def outer_products(rows: Numbers) -> Numbers:
     return xp.stack([outer[:3, :3], outer[:3, 3:], outer[3:, 3:]]).reshape(27, -1)
 
 
+def sum_of_outer_products(
+    rows: Sequence[Numbers], factor: Numbers, weight: Float[Array, "p m"]
+) -> Float[Array, "27 m"]:
+    """Return the blocks of ``sum factor weight w w^T`` over points.
+
+    Args:
+        rows: one or several rows w of each point, ``(p, 6)`` each. Outer products of traced rows
+            are made in each step, because reading them from memory would take more time.
+        factor: constant factor of each point, ``(p,)``.
+        weight: factor of each point and body.
+    """
+    if not is_traced(rows, factor):
+        outer = sum(map(outer_products, rows))
+        return jnp.asarray(outer * factor[None], weight.dtype) @ weight
+    weight = jnp.asarray(factor, weight.dtype)[:, None] * weight
+    total = jnp.zeros((6, 6, weight.shape[1]), weight.dtype)
+    for own in rows:
+        w = jnp.asarray(own, weight.dtype).T[..., None]
+        total = total + (w[:, None] * (weight[None] * w)[None]).sum(2)
+    return jnp.stack([total[:3, :3], total[:3, 3:], total[3:, 3:]]).reshape(27, -1)
+
+
 # Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 _SPEED_FLOOR = 1e-12
 
@@ -186,10 +227,8 @@ class Patch(NamedTuple):
         bodies: indices in the tree, in increasing order.
         normal: rows for the normal velocity, ``(form points, 6)``.
         normal_area: area of each form point, m^2.
-        normal_outer: blocks of the outer products of the rows, ``(27, form points)``.
         tangential: rows for the two tangential velocities, ``(2, skin points, 6)``.
         tangential_area: area of each skin point, m^2.
-        tangential_outer: blocks of the outer products, summed over tangents, ``(27, skin points)``.
         normal_places: places of the form points, or None for water without a surface.
         tangential_places: places of the skin points, or None for water without a surface.
     """
@@ -197,10 +236,8 @@ class Patch(NamedTuple):
     bodies: tuple[int, ...]
     normal: np.ndarray
     normal_area: np.ndarray
-    normal_outer: np.ndarray
     tangential: np.ndarray
     tangential_area: np.ndarray
-    tangential_outer: np.ndarray
     normal_places: PointPlaces | None = None
     tangential_places: PointPlaces | None = None
 
@@ -264,7 +301,8 @@ def make_patches(
         skin: points for skin friction. The isotropic law uses the form points for both.
         law: drag law (`Drag`).
         surfacing: whether the water has a surface.
-        layout: "merged" merges equal bodies and points.
+        layout: "merged" merges equal bodies, and all points that move alike in this creature. Other
+            layouts merge only points that move alike in all creatures of their plan.
     """
     if law == "isotropic":
         skin = form
@@ -281,18 +319,16 @@ def make_patches(
         if not len(of_form.areas):
             continue
         normal, area = velocity_rows(of_form)[0], of_form.areas
-        if law == "normal" and layout == "merged" and not surfacing:
-            normal, area = merge_alike(normal, area)
+        if law == "normal" and not surfacing:
+            normal, area = merge_alike(normal, area, layout)
         _, first, second = velocity_rows(of_skin)
         patches.append(
             Patch(
                 bodies,
                 normal,
                 area,
-                outer_products(normal),
                 xp.stack([first, second]),
                 of_skin.areas,
-                outer_products(first) + outer_products(second),
                 places_of(of_form) if surfacing else None,
                 places_of(of_skin) if surfacing else None,
             )
@@ -382,11 +418,10 @@ def _patch_drag(
     if pose is not None:
         speed = speed * wet_fraction(patch.normal_places, pose)
         along = along * wet_fraction(patch.tangential_places, pose)
-    friction = jnp.concatenate([along * first, along * second])
-    wrench = -product(patch.normal.T * normal_factor[None], speed * normal)
-    wrench = wrench - product(
-        tangential_rows.T * jnp.concatenate([tangential_factor] * 2)[None], friction
-    )
-    derivative = product(patch.normal_outer * normal_factor[None], speed)
-    derivative = derivative + product(patch.tangential_outer * tangential_factor[None], along)
+    derivative = sum_of_outer_products([patch.normal], normal_factor, speed)
+    derivative = derivative + sum_of_outer_products([*patch.tangential], tangential_factor, along)
+    angular, mixed, linear = derivative.reshape(3, 3, 3, flat.shape[1])
+    moment = matvec(angular, flat[:3]) + matvec(mixed, flat[3:])
+    force = matvec_t(mixed, flat[:3]) + matvec(linear, flat[3:])
+    wrench = -jnp.concatenate([moment, force])
     return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *velocity.shape[1:])
