@@ -41,6 +41,7 @@ from evo_cpg.creature.laws import (
     laws_of,
     tendons_of,
 )
+from evo_cpg.creature.walk import Walk
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
 _LEAST_VOLUME = 1e-30
@@ -108,6 +109,8 @@ class Tree(CoordinateLaws):
         tendons: fixed tendons, or None if there are none.
         ball_limits: limits of the angles of balls, or None if there are none. The components of a
             ball have no limits of their own.
+        walk: the parents of the bodies if they differ between individuals. The bodies are then in
+            the order of the walk, each in a group of its own, and `parents` has no meaning.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -132,6 +135,7 @@ class Tree(CoordinateLaws):
     rest: Float[Numbers, " d"] | None
     tendons: Tendons | None = None
     ball_limits: BallLimits | None = None
+    walk: Walk | None = None
 
     @property
     def body_count(self) -> int:

@@ -54,6 +54,7 @@ from evo_cpg.physics.tree.spatial_algebra import (
     motion_at_child,
     wrench_at_parent,
 )
+from evo_cpg.physics.tree.walked import inwards, outwards
 
 
 class Accelerations(NamedTuple):
@@ -140,22 +141,22 @@ def _eliminate(tree: Tree, held: bool, given: _Given) -> Float[Array, "v *n"]:
     """Return the accelerations of `solve` as one vector."""
     offset, axes, inertia, bias, torque, torque_derivative = given
     batch_ndim = torque.ndim - 1
-    I_A, p_A = PerBody.of(inertia, batch_ndim), PerBody.of(bias, batch_ndim)
+    I_A, p_A = inwards(tree, inertia, batch_ndim), inwards(tree, bias, batch_ndim)
     joints = [(i, joints_of(i, axes, torque, torque_derivative)) for i in tree.groups]
     eliminated = []
 
     # Second pass, from the tips to the root: articulated-body inertias and bias forces.
     for i, joint in reversed(joints):
         felt = joint.condensed(I_A[i.bodies], p_A[i.bodies])
-        I_A = I_A.plus(i.parents, inertia_at_parent(felt.inertia, offset[:, i.bodies]))
-        p_A = p_A.plus(i.parents, wrench_at_parent(felt.bias, offset[:, i.bodies]))
+        I_A = I_A.plus_to_parents(i, inertia_at_parent(felt.inertia, offset[:, i.bodies]))
+        p_A = p_A.plus_to_parents(i, wrench_at_parent(felt.bias, offset[:, i.bodies]))
         eliminated.append(felt)
 
     # Third pass, from the root to the tips: accelerations.
     qdd = [jnp.zeros((0, *torque.shape[1:]), torque.dtype)]
     if tree.hanging is None:
         free = root.solved(I_A.root(), p_A.root())
-        a = PerBody([jax.tree.map(jnp.zeros_like, free) if held else free], batch_ndim)
+        a = outwards(tree, jax.tree.map(jnp.zeros_like, free) if held else free, batch_ndim)
         of_root = jnp.concatenate(a.root())
     else:
         joint = joints_of(tree.hanging, axes, torque, torque_derivative)
@@ -165,7 +166,7 @@ def _eliminate(tree: Tree, held: bool, given: _Given) -> Float[Array, "v *n"]:
         qdd.append(in_dof_order(x, batch_ndim))
         of_root = jnp.zeros((root.ROOT_DOFS, *torque.shape[1:]), torque.dtype)
     for (i, joint), felt in zip(joints, reversed(eliminated), strict=True):
-        a_i, x = joint.accelerations(felt, motion_at_child(a[i.parents], offset[:, i.bodies]))
+        a_i, x = joint.accelerations(felt, motion_at_child(a.of_parents(i), offset[:, i.bodies]))
         a = a.followed_by(a_i)
         qdd.append(in_dof_order(x, batch_ndim))
     return jnp.concatenate([of_root, *qdd])

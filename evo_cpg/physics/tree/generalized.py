@@ -21,8 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.linear import cross, expand_dims_like
 from evo_cpg.creature.tree import Tree
+from evo_cpg.creature.walk import Walk
 from evo_cpg.physics.tree import joints, root
 from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.per_body import PerBody, in_dof_order, of_joints, take
@@ -34,19 +35,20 @@ from evo_cpg.physics.tree.spatial_algebra import (
     motion_at_child,
     wrench_at_parent,
 )
+from evo_cpg.physics.tree.walked import inwards, outwards
 
 
 def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
     """Return the accelerations ``(3, b, *n)`` of all bodies, without those of `Kinematics`."""
     batch_ndim, qdd = y.ndim - 1, y[root.JOINTS]
-    a = PerBody([Motion(y[:3], y[3 : root.ROOT_DOFS])], batch_ndim)
+    a = outwards(tree, Motion(y[:3], y[3 : root.ROOT_DOFS]), batch_ndim)
     if tree.hanging is not None:
         still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
         i = tree.hanging
         S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
         a = PerBody.of(joints.accelerated(still, S, x), batch_ndim)
     for i in tree.groups:
-        a_i = motion_at_child(a[i.parents], kin.offset[:, i.bodies])
+        a_i = motion_at_child(a.of_parents(i), kin.offset[:, i.bodies])
         S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
         a = a.followed_by(joints.accelerated(a_i, S, x))
     return a[:]
@@ -55,12 +57,12 @@ def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> 
 def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Array, "v *n"]:
     """Return the generalized force of wrenches ``(3, b, *n)`` on all bodies."""
     batch_ndim = wrench.force.ndim - 2
-    f, torques = PerBody.of(wrench, batch_ndim), []
+    f, torques = inwards(tree, wrench, batch_ndim), []
     for i in reversed(tree.groups):
         f_i = f[i.bodies]
         torque = joints.torque_of(kin.axes.of(i, batch_ndim), f_i)
         torques.append(in_dof_order(torque, batch_ndim))
-        f = f.plus(i.parents, wrench_at_parent(f_i, kin.offset[:, i.bodies]))
+        f = f.plus_to_parents(i, wrench_at_parent(f_i, kin.offset[:, i.bodies]))
     on_root = f.root()
     if tree.hanging is not None:
         S = kin.axes.of(tree.hanging, batch_ndim)
@@ -86,9 +88,10 @@ def generalized_equations(
 
 def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "v v *n"]:
     """Return the mass matrix of the inertias ``(3, 3, b, *n)`` of all bodies."""
-    I_c = PerBody.of(inertia, inertia.linear.ndim - 3)
+    I_c = inwards(tree, inertia, inertia.linear.ndim - 3)
     for i in reversed(tree.groups):
-        I_c = I_c.plus(i.parents, inertia_at_parent(I_c[i.bodies], kin.offset[:, i.bodies]))
+        carried = inertia_at_parent(I_c[i.bodies], kin.offset[:, i.bodies])
+        I_c = I_c.plus_to_parents(i, carried)
     whole, size = I_c.root(), root.ROOT_DOFS + tree.dof_count
     rows = [[whole.angular, whole.mixed], [jnp.swapaxes(whole.mixed, 0, 1), whole.linear]]
     block = jnp.concatenate([jnp.concatenate(row, 1) for row in rows])
@@ -99,6 +102,8 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
     H = H.at[: len(block), : len(block)].set(block)
     if not tree.dof_count:
         return H
+    if tree.walk is not None:
+        return _with_joints_of_walk(tree, tree.walk, kin, I_c[:], H)
     # Joint elements on and below the diagonal. The force f = I^c S that a unit acceleration of a
     # degree of freedom needs climbs from its body to the root. All degrees of freedom climb
     # together, one body in each round of the loop. At every body, the product of f with the axes of
@@ -131,3 +136,27 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
     rows, columns = np.concatenate(places).T
     values = jnp.concatenate(values)
     return H.at[rows, columns].set(values).at[columns, rows].set(values)
+
+
+def _with_joints_of_walk(
+    tree: Tree, walk: Walk, kin: Kinematics, I_c: Inertia, H: Float[Array, "v v *n"]
+) -> Float[Array, "v v *n"]:
+    """Return the mass matrix with its joint elements, for any parents.
+
+    The element of two degrees of freedom is ``S_j^T I^c_i S_i`` about the root's origin, if one
+    moves the body of the other.
+    """
+    body, dofs = np.array(tree.dof_bodies, int), root.ROOT_DOFS + np.arange(tree.dof_count)
+    arm = take(kin.origin, body) - kin.origin[:, :1]
+    of_dofs = jax.tree.map(lambda x: take(x, body, 2), I_c)
+    needed = joints.momentum(of_dofs, jax.tree.map(lambda x: x[:, None], kin.axes))
+    force = needed.force[:, 0]
+    f = jnp.concatenate([needed.moment[:, 0] + cross(arm, force), force])
+    S = jnp.concatenate([kin.axes.angular, cross(arm, kin.axes.angular)])
+    one, other = np.tril_indices(tree.dof_count)
+    moves = jnp.asarray(walk.above, H.dtype)[body[one], body[other]]
+    values = expand_dims_like(moves, f[0]) * (S[:, other] * f[:, one]).sum(0)
+    rows, columns = dofs[one], dofs[other]
+    H = H.at[rows, columns].set(values).at[columns, rows].set(values)
+    H = H.at[dofs, : root.ROOT_DOFS].set(jnp.swapaxes(f, 0, 1))
+    return H.at[: root.ROOT_DOFS, dofs].set(f)

@@ -29,6 +29,7 @@ from evo_cpg.physics.tree.joints import Subspace
 from evo_cpg.physics.tree.per_body import PerBody, in_dof_order, of_joints
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 from evo_cpg.physics.tree.state import State
+from evo_cpg.physics.tree.walked import outwards
 
 
 class Kinematics(NamedTuple):
@@ -57,7 +58,7 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         # The root comes before the joints, because another order changes the rounding.
         rest, rotation = jnp.zeros_like(state.position), quaternion_to_matrix(state.orientation)
         first = Link(rotation, state.position, *root.motion(state.velocity))
-        bodies, local = PerBody([first], batch_ndim), local_frames(tree, state.q)
+        bodies, local = outwards(tree, first, batch_ndim), local_frames(tree, state.q)
         offsets, axes = [rest[:, None]], []
     else:
         if state.base is None:
@@ -68,7 +69,7 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         bodies = PerBody[Link]([], batch_ndim).followed_by(first)
         offsets, axes = [offset], [S]
     for i in tree.groups:
-        body, offset, S = linked(tree, i, bodies[i.parents], local[i.bodies], state.qd)
+        body, offset, S = linked(tree, i, bodies.of_parents(i), local[i.bodies], state.qd)
         bodies = bodies.followed_by(body)
         offsets.append(offset)
         axes.append(S)
@@ -91,7 +92,7 @@ def motion_of_bodies(
     """Return the motion of the bodies with other velocities of the root and the joints."""
     batch_ndim = qd.ndim - 1
     if tree.hanging is None:
-        bodies = PerBody([root.motion(velocity)], batch_ndim)
+        bodies = outwards(tree, root.motion(velocity), batch_ndim)
     else:
         i, offset = tree.hanging, kin.offset[:, :1]
         still = BodyMotion(*(jnp.zeros_like(offset) for _ in range(4)))
@@ -99,7 +100,7 @@ def motion_of_bodies(
         first = joints.carried(still, offset, S, rates)
         bodies = PerBody[BodyMotion]([], batch_ndim).followed_by(first)
     for i in tree.groups:
-        parent, offset = bodies[i.parents], kin.offset[:, i.bodies]
+        parent, offset = bodies.of_parents(i), kin.offset[:, i.bodies]
         S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
         bodies = bodies.followed_by(joints.carried(parent, offset, S, rates))
     return bodies[:]

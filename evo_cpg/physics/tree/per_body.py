@@ -34,8 +34,8 @@ class PerBody(Generic[Value]):
     """
 
     def __init__(self, values: Sequence[Value], batch_ndim: int):
-        self._values = tuple(values)
-        self._batch_ndim = batch_ndim
+        self.values = tuple(values)
+        self.batch_ndim = batch_ndim
 
     @classmethod
     def of(cls, stacked: Value, batch_ndim: int) -> "PerBody[Value]":
@@ -43,30 +43,38 @@ class PerBody(Generic[Value]):
         return cls([], batch_ndim).followed_by(stacked)
 
     def __getitem__(self, bodies: slice | Sequence[int]) -> Value:
-        chosen = range(len(self._values))[bodies] if isinstance(bodies, slice) else bodies
-        values, axis = [self._values[body] for body in chosen], -self._batch_ndim - 1
+        chosen = range(len(self.values))[bodies] if isinstance(bodies, slice) else bodies
+        values, axis = [self.values[body] for body in chosen], -self.batch_ndim - 1
         return jax.tree.map(lambda *parts: jnp.stack(parts, axis), *values)
 
     def root(self) -> Value:
         """Return the value of the first body, without an axis of bodies."""
-        return self._values[0]
+        return self.values[0]
+
+    def of_parents(self, group: Group) -> Value:
+        """Return the values of the parents of a group's bodies, stacked."""
+        return self[group.parents]
 
     def followed_by(self, stacked: Value) -> "PerBody[Value]":
         """Append the values of further bodies."""
         leaves, structure = jax.tree.flatten(stacked)
-        columns = [jnp.unstack(leaf, axis=-self._batch_ndim - 1) for leaf in leaves]
+        columns = [jnp.unstack(leaf, axis=-self.batch_ndim - 1) for leaf in leaves]
         more = [structure.unflatten(own) for own in zip(*columns, strict=True)]
-        return PerBody((*self._values, *more), self._batch_ndim)
+        return PerBody((*self.values, *more), self.batch_ndim)
+
+    def plus_to_parents(self, group: Group, stacked: Value) -> "PerBody[Value]":
+        """Add values of a group's bodies to their parents. The last group comes first."""
+        return self.plus(group.parents, stacked)
 
     def plus(self, bodies: Sequence[int], stacked: Value) -> "PerBody[Value]":
         """Add values to some bodies, like ``x.at[bodies].add(stacked)`` for an array.
 
         A body may occur more than once.
         """
-        axis, structure = -self._batch_ndim - 1, jax.tree.structure(stacked)
+        axis, structure = -self.batch_ndim - 1, jax.tree.structure(stacked)
         columns = []
         for k, parts in enumerate(jax.tree.leaves(stacked)):
-            totals = [jax.tree.leaves(value)[k] for value in self._values]
+            totals = [jax.tree.leaves(value)[k] for value in self.values]
             waiting = list(range(len(bodies)))
             if len(set(bodies)) == 1:
                 totals[bodies[0]] = totals[bodies[0]] + parts.sum(axis)
@@ -85,7 +93,7 @@ class PerBody(Generic[Value]):
                 waiting = [j for j in waiting if j not in now]
             columns.append(totals)
         values = [structure.unflatten(leaves) for leaves in zip(*columns, strict=True)]
-        return PerBody(values, self._batch_ndim)
+        return PerBody(values, self.batch_ndim)
 
 
 def of_joints(x: Array, group: Group, batch_ndim: int) -> Array:
