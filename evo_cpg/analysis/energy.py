@@ -50,7 +50,7 @@ from evo_cpg.physics.tree.joint_torque import (
 )
 from evo_cpg.physics.tree.joints import Subspace
 from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
-from evo_cpg.physics.tree.per_body import take
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.state import State
 from evo_cpg.physics.tree.tendon import length_of, lengths_of, stretch_of, torque_of
 from evo_cpg.physics.water.force_law import Bodies, buoyancy_alone, in_body_axes

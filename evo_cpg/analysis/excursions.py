@@ -16,7 +16,7 @@ from evo_cpg.physics.contact.contact_points import contact_points
 from evo_cpg.physics.contact.pairs import Pairs, make_pairs, separations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import kinematics
-from evo_cpg.physics.tree.per_body import take
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.tendon import torque_of
 from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.simulation.simulation import Simulation

@@ -56,7 +56,7 @@ from evo_cpg.physics.tree import root
 from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.muscle import pull_of
-from evo_cpg.physics.tree.per_body import take
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.force_law import buoyancy_alone, in_body_axes
 from evo_cpg.simulation.control_step import act, begin_episode, motor_command, sense

@@ -173,7 +173,7 @@ class DegreeOfFreedom(NamedTuple):
 
 
 # Kinds of joints, each a class in `evo_cpg.physics.tree.joint_kinds`.
-JointKind = Literal["weld", "turns", "ball", "chain"]
+JointKind = Literal["weld", "turns", "some turns", "ball", "chain"]
 
 # Smallest distance (rad) of the middle one of three angles from the angle at which the axes lie in
 # one plane, and rounding errors of angles.

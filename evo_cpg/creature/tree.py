@@ -44,7 +44,7 @@ from evo_cpg.creature.laws import (
 from evo_cpg.creature.walk import Walk
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
-_LEAST_VOLUME = 1e-30
+LEAST_VOLUME = 1e-30
 
 
 class Group(NamedTuple):
@@ -283,7 +283,7 @@ def build_tree(creature: Creature) -> Tree:
         joint_axes=xp.array([dof.axis for dof in dofs], float).reshape(-1, 3).T,
         joint_places=places,
         mass=mass,
-        volume=xp.maximum(xp.array([body.shape.volume for body in bodies]), _LEAST_VOLUME),
+        volume=xp.maximum(xp.array([body.shape.volume for body in bodies]), LEAST_VOLUME),
         com=com.T,
         root_centre=-child_anchor[0],
         centre_of_volume=None if com is centre else centre.T,

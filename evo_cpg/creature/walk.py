@@ -18,19 +18,21 @@ from evo_cpg.creature.algebra.numerics import Numbers
 
 
 class Walk(eqx.Module):
-    """Parents of the bodies of one individual. All numbers are 1 or 0.
+    """Parents of the bodies of one individual. Most numbers are 1 or 0, for yes or no.
 
     Attributes:
         follows: whether the body before is the parent.
         opens: whether a body is put into each slot.
         reads: whether the parent is the body in each slot.
         above: whether a body (second axis) is an ancestor of another body, or that body itself.
+        turns: sign of each joint axis, or 0 for an axis that the individual does not have.
     """
 
     follows: Float[Array | Numbers, " b"]
     opens: Float[Array | Numbers, "s b"]
     reads: Float[Array | Numbers, "s b"]
     above: Float[Array | Numbers, "b b"]
+    turns: Float[Array | Numbers, " d"]
 
 
 def slot_count(bodies: int) -> int:
@@ -53,12 +55,15 @@ def _least(slot: int) -> int:
     return 2 ** (slot + 1) - 1
 
 
-def walk_of(parents: Int[Array, " b"], slots: Int[Array, " b"]) -> Walk:
+def walk_of(
+    parents: Int[Array, " b"], slots: Int[Array, " b"], turns: Float[Array, " d"]
+) -> Walk:
     """Return the walk over the bodies of one individual.
 
     Args:
         parents: index of each body's parent, -1 for the root and for absent bodies.
         slots: slot that each body uses, -1 for none.
+        turns: sign of each joint axis, 0 for an absent one.
     """
     count = len(parents)
     bodies, every = jnp.arange(count), jnp.arange(slot_count(count))[:, None]
@@ -69,4 +74,4 @@ def walk_of(parents: Int[Array, " b"], slots: Int[Array, " b"]) -> Walk:
     for _ in range(count.bit_length()):
         above = jnp.minimum(above @ above, 1.0)
     opens, reads = (x[None] == every for x in (slots, in_slot))
-    return jax.tree.map(lambda x: x.astype(float), Walk(follows, opens, reads, above))
+    return jax.tree.map(lambda x: x.astype(float), Walk(follows, opens, reads, above, turns))

@@ -79,7 +79,7 @@ def walked(tree: Tree) -> tuple[Tree, np.ndarray, np.ndarray]:
         joint_axes=tree.joint_axes[:, dofs],
         armature=tree.armature[np.array(dofs)],
         dof_bodies=tuple(i for i, group in enumerate(groups, 1) for _ in range(group.axes)),
-        walk=jax.tree.map(np.asarray, walk_of(jnp.array(parents), jnp.array(slots))),
+        walk=jax.tree.map(np.asarray, walk_of(jnp.array(parents), jnp.array(slots), np.ones(0))),
     )
     return found, np.array(order), np.array(dofs)
 

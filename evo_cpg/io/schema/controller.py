@@ -6,6 +6,7 @@ from pydantic import Tag
 
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
+from evo_cpg.control.limb_oscillators import LimbOscillatorSettings, build_limb_oscillators
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.algebra.decisions import chosen
 from evo_cpg.creature.tree import Tree
@@ -50,6 +51,14 @@ class _PosturesSection(_ControllerSection):
         return build_posture_controller(tree, self._settings(), control_step)
 
 
+class _LimbOscillatorsSection(_ControllerSection):
+    uses_senses: ClassVar[bool] = False
+
+    def build(self, tree: Tree, control_step: float, **_: Any) -> Controller:
+        """Build the controller (see `build_limb_oscillators`)."""
+        return build_limb_oscillators(tree, self._settings(), control_step)
+
+
 BrainCpgConfig = section_of(
     BrainCpgSettings,
     "BrainCpgConfig",
@@ -64,11 +73,22 @@ BrainCpgConfig = section_of(
 PosturesConfig = section_of(
     PostureSettings, "PosturesConfig", __name__, "postures", default=True, base=_PosturesSection
 )
+LimbOscillatorsConfig = section_of(
+    LimbOscillatorSettings,
+    "LimbOscillatorsConfig",
+    __name__,
+    "limb_oscillators",
+    default=True,
+    base=_LimbOscillatorsSection,
+    max_rate=Annotated[float, RATE],
+    rate_gain=Annotated[float, RATE],
+)
 
 # Pyright cannot follow the two classes that are created at import.
 ControllerConfig: TypeAlias = Annotated[
     Annotated[BrainCpgConfig, Tag("brain_cpg")]  # pyright: ignore[reportInvalidTypeForm]
     | Annotated[PosturesConfig, Tag("postures")]  # pyright: ignore[reportInvalidTypeForm]
+    | Annotated[LimbOscillatorsConfig, Tag("limb_oscillators")]  # pyright: ignore[reportInvalidTypeForm]
     | Annotated[CustomConfig, Tag("custom")],
     by_type("brain_cpg"),
 ]

@@ -48,7 +48,7 @@ from evo_cpg.native.fuse import symmetric
 from evo_cpg.physics.contact.contact_model import STIFFNESS, ContactModel
 from evo_cpg.physics.contact.contact_points import contact_points
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.physics.tree.per_body import PerBody, take
+from evo_cpg.creature.per_body import PerBody, take
 from evo_cpg.physics.tree.spatial_algebra import Inertia, Wrench
 
 # Baumgarte stabilisation: fraction of a penetration that is undone in a step, and the fastest exit

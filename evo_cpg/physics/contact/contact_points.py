@@ -26,7 +26,7 @@ from evo_cpg.physics.contact.separation import RoundedBoxes
 from evo_cpg.physics.contact.sweep import Moving, fast_from, moved, time_of_crossing
 from evo_cpg.physics.contact.terrain import Plane, nearest
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.physics.tree.per_body import take
+from evo_cpg.creature.per_body import take
 
 # Slope up to which corners of a mesh count as low as the lowest one. The corners of a body that
 # falls flat at 5 rad/s are found 5 steps ahead.

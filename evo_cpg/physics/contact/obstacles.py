@@ -47,7 +47,7 @@ from evo_cpg.physics.contact.separation import (
 from evo_cpg.physics.contact.sweep import Moving, PartShapes, moved, times_of_contact
 from evo_cpg.physics.contact.terrain import Block, Boulder, Obstacle
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.physics.tree.per_body import take
+from evo_cpg.creature.per_body import take
 
 # A part keeps its points with the smallest gaps. Each further point on one obstacle counts as this
 # much farther away (m), so that a part that lies on two obstacles has points on both. The same

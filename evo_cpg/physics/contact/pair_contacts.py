@@ -51,7 +51,7 @@ from evo_cpg.physics.contact.pairs import (
 )
 from evo_cpg.physics.contact.separation import Separation
 from evo_cpg.physics.tree.kinematics import Kinematics, motion_of_bodies
-from evo_cpg.physics.tree.per_body import take
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.root import ROOT_DOFS
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 

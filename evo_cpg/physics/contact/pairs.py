@@ -47,7 +47,7 @@ from evo_cpg.physics.contact.separation import (
     separation_of_rounded,
 )
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.physics.tree.per_body import take
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 
 # c h of a pair, as a multiple of the geometric mean of the two masses.

@@ -46,7 +46,7 @@ from evo_cpg.physics.tree.joint_torque import (
     passive_torque,
 )
 from evo_cpg.physics.tree.kinematics import kinematics
-from evo_cpg.physics.tree.per_body import take
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.spatial_algebra import Wrench
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.tree.tendon import length_of, passive_force, torque_of

@@ -46,7 +46,7 @@ from evo_cpg.physics.tree.generalized import (
     mass_matrix,
 )
 from evo_cpg.physics.tree.joint_torque import changes_overload, linearized_torque
-from evo_cpg.physics.tree.per_body import take
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.root import JOINTS, ROOT_DOFS
 from evo_cpg.physics.tree.tendon import TendonForce, length_of
 

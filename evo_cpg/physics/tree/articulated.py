@@ -45,7 +45,7 @@ from evo_cpg.physics.tree.generalized import body_accelerations, generalized_for
 from evo_cpg.physics.tree.joint_kinds import joints_of
 from evo_cpg.physics.tree.joints import Subspace
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.physics.tree.per_body import PerBody, in_dof_order
+from evo_cpg.creature.per_body import PerBody, in_dof_order
 from evo_cpg.physics.tree.spatial_algebra import (
     Inertia,
     Motion,
@@ -54,7 +54,7 @@ from evo_cpg.physics.tree.spatial_algebra import (
     motion_at_child,
     wrench_at_parent,
 )
-from evo_cpg.physics.tree.walked import inwards, outwards
+from evo_cpg.creature.walked import inwards, outwards
 
 
 class Accelerations(NamedTuple):

@@ -4,6 +4,7 @@
 |---|---|---|
 | `Weld` | none | |
 | `Turns` | up to three through the origin of the joint's body, one after the other | at once |
+| `SomeTurns` | any of three axes of the body's frame | at once |
 | `Ball` | three that turn at once, with a rotation vector as coordinates | at once |
 | `AxisChain` | any others, such as slides and axes at their own places | one by one |
 
@@ -50,7 +51,7 @@ from evo_cpg.creature.axis_kinds import SPANNING
 from evo_cpg.creature.tree import Group, Tree
 from evo_cpg.native.fuse import symmetric
 from evo_cpg.physics.tree.joints import Subspace, accelerated, carried, momentum, torque_of
-from evo_cpg.physics.tree.per_body import PerBody, of_joints, take
+from evo_cpg.creature.per_body import PerBody, of_joints, take
 from evo_cpg.physics.tree.spatial_algebra import Inertia, Motion, Wrench, make_inertia
 
 
@@ -255,6 +256,30 @@ class Ball(Turns):
         return [x[:, j] for x in (turned, directions) for j in range(3)]
 
 
+class SomeTurns(Turns):
+    """Turns about axes of the body's frame, of which an individual may have some only (`Walk`).
+
+    An absent axis moves nothing. It has an armature of 1 and no torque, so the elimination passes
+    it unchanged.
+    """
+
+    @override
+    def columns(
+        self, tree: Tree, group: Group, body: int, frame: list[Array], x: _Coordinates, rows: Any
+    ) -> list[Array]:
+        assert tree.walk is not None
+        signs = expand_dims_like(tree.walk.turns, x.q)
+        found = super().columns(tree, group, body, frame, x._replace(sine=signs * x.sine), rows)
+        own = [take(signs, row, 0)[None] for row in rows]
+        directions = [column * sign for column, sign in zip(found[3:], own, strict=True)]
+        return found[:3] + directions
+
+    @override
+    def elimination(self, S: Subspace, torque: Array, diagonal: Array) -> AtOnce:
+        identity = expand_dims_like(np.eye(len(torque)), torque, torque.ndim + 1)
+        return AtOnce(S, torque, identity * diagonal[None], None)
+
+
 class Weld(Turns):
     """A joint without axes. It has no equations, and one by one nothing is eliminated."""
 
@@ -311,7 +336,7 @@ class AxisChain(Weld):
         return frame[:, :3], frame[:, 3], Subspace(jnp.stack(angular, 1), jnp.stack(linear, 1))
 
 
-_KINDS = {"weld": Weld(), "turns": Turns(), "ball": Ball(), "chain": AxisChain()}
+_KINDS = {"weld": Weld(), "turns": Turns(), "some turns": SomeTurns(), "ball": Ball(), "chain": AxisChain()}
 
 
 def displaced(tree: Tree, q: Float[Array, "d *n"], x: Float[Array, "d *n"]) -> Float[Array, "d *n"]:

@@ -31,7 +31,7 @@ from evo_cpg.physics.tree.joint_torque import (
     linearized_torque,
     motor_torque,
 )
-from evo_cpg.physics.tree.per_body import spread, take
+from evo_cpg.creature.per_body import spread, take
 from evo_cpg.physics.tree.root import JOINTS, ROOT_DOFS
 from evo_cpg.physics.tree.state import State
 

@@ -1,0 +1,312 @@
+"""Simulations of developed plans: any tree of boxes in one program.
+
+`numbers_of` computes the numbers of one plan, once per individual. `PlanInputs.put` builds the
+simulation from them inside the program of the trial. So nothing is compiled for a plan.
+
+A plan's part is a box. Its joint lies a tenth inside the parent's surface and a tenth inside the
+part (`SINK`), so that surfaces never coincide. An absent body has no mass, no surface and no
+contact. An absent axis has an armature of 1 and no torque. Both change nothing, exactly.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
+from evo_cpg.creature.creature import NO_LIMIT, Actuator, DegreeOfFreedom
+from evo_cpg.creature.development import SINK, Plan
+from evo_cpg.creature.laws import laws_of
+from evo_cpg.creature.shapes import Box, Surface
+from evo_cpg.creature.tree import LEAST_VOLUME, Group, Tree, spatial_inertia
+from evo_cpg.creature.walk import Walk, slot_count, walk_of
+from evo_cpg.physics.water.fluid import Drag, make_patches
+from evo_cpg.physics.water.force_law import ForceLaw
+from evo_cpg.simulation.simulation import Simulation
+
+_LAWS = ("armature", "lower", "upper", "servo_gain", "limit_stiffness", "limit_damping")
+_AXES = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanPhysics:
+    """Physical settings that all plans have in common.
+
+    Attributes:
+        density: density of the parts, kg/m^3.
+        motor_gain: gain of the strongest motors over the cross-section of the part and its half
+            thickness, N m s/rad per m^3. A motor is as strong as the thinner of its two parts.
+        weakest: gain of the weakest motors, as a fraction of the strongest.
+        form_resolution: see `evo_cpg.io.schema.world`.
+        skin_resolution: see `evo_cpg.io.schema.world`.
+        clearance: height of the lowest point at the start on ground, m.
+    """
+
+    density: float = 1000.0
+    motor_gain: float = 2e4
+    weakest: float = 0.1
+    form_resolution: int = 2
+    skin_resolution: int = 1
+    clearance: float = 0.0
+
+
+class PlanNumbers(NamedTuple):
+    """Numbers of one plan, for ``b`` bodies with ``d = 3 (b - 1)`` joint axes.
+
+    Attributes:
+        half: half extents, m.
+        reach: distance from the joint to the centre of each body, m.
+        offset: joint in the working frame of the parent, m.
+        orientation: rotation from body to parent in the neutral pose.
+        mass: masses, kg.
+        form: 1 for each point of form drag that no other body covers, else 0.
+        skin: the same for skin friction.
+        laws: numbers of the joints' laws, in the order of `_LAWS`.
+        lowest: height of the lowest point in the neutral pose over the root's centre, m.
+        walk: parents of the bodies.
+    """
+
+    half: Float[Array, "3 b"]
+    reach: Float[Array, " b"]
+    offset: Float[Array, "3 b"]
+    orientation: Float[Array, "3 3 b"]
+    mass: Float[Array, " b"]
+    form: Float[Array, "p b"]
+    skin: Float[Array, "q b"]
+    laws: Float[Array, "l d"]
+    lowest: Float[Array, ""]
+    walk: Walk
+
+
+class _Pose(NamedTuple):
+    """Neutral pose: origins and centres ``(b, 3)``, m, and rotations ``(b, 3, 3)`` of bodies."""
+
+    origin: Array
+    centre: Array
+    rotation: Array
+
+
+def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
+    """Return the numbers of a developed plan.
+
+    Args:
+        plan: one plan.
+        physics: settings in common.
+    """
+    count, present = len(plan.parent), plan.present
+    parent = jnp.maximum(plan.parent, 0)
+    reach = jnp.where(jnp.arange(count) > 0, SINK * plan.half[:, 0], 0.0)
+    along = jnp.eye(3)[0]
+    offset = plan.place + reach[parent][:, None] * along[None]
+    offset = jnp.where((present & (plan.parent >= 0))[:, None], offset, 0.0)
+    pose = _neutral_pose(plan, parent, offset, reach)
+    mass = jnp.where(present, 8 * physics.density * plan.half.prod(1), 0.0)
+    half = jnp.where(present[:, None], plan.half, 0.0)
+    sign = jnp.stack([plan.mirror, jnp.ones(count), plan.mirror], 1)
+    turns = jnp.where(plan.axes & present[:, None], sign, 0.0)[1:].reshape(-1)
+    walk = walk_of(plan.parent, plan.slot, turns)
+    inertia = _effective_inertia(pose, half, mass, walk)
+    corners = pose.centre[:, 2] - (jnp.abs(pose.rotation[:, 2]) * half).sum(1)
+    resolutions = physics.form_resolution, physics.skin_resolution
+    form, skin = (_uncovered(half, pose, present, resolution) for resolution in resolutions)
+    return PlanNumbers(
+        half.T,
+        reach,
+        offset.T,
+        jnp.moveaxis(plan.rotation, 0, -1),
+        mass,
+        form.T,
+        skin.T,
+        _laws(plan, parent, physics, inertia, walk),
+        jnp.where(present, corners, jnp.inf).min(),
+        walk,
+    )
+
+
+def _neutral_pose(
+    plan: Plan, parent: Int[Array, " b"], offset: Float[Array, "b 3"], reach: Float[Array, " b"]
+) -> _Pose:
+    """Return the neutral pose, with the root's centre at the origin."""
+    count = len(parent)
+
+    def place(body: Array, placed: tuple[Array, Array]) -> tuple[Array, Array]:
+        origin, rotation = placed
+        frame = rotation[parent[body]]
+        here = origin[parent[body]] + (frame * offset[body][None]).sum(1)
+        turned = (frame[:, :, None] * plan.rotation[body][None]).sum(1)
+        return origin.at[body].set(here), rotation.at[body].set(turned)
+
+    start = jnp.zeros((count, 3), offset.dtype), jnp.tile(jnp.eye(3), (count, 1, 1))
+    origin, rotation = jax.lax.fori_loop(1, count, place, start)
+    return _Pose(origin, origin + rotation[:, :, 0] * reach[:, None], rotation)
+
+
+def _effective_inertia(
+    pose: _Pose, half: Float[Array, "b 3"], mass: Float[Array, " b"], walk: Walk
+) -> Float[Array, " d"]:
+    """Return the effective inertia of each axis, as `evo_cpg.creature.tree` defines it."""
+    body = np.repeat(np.arange(1, len(mass)), _AXES)
+    axis = jnp.swapaxes(pose.rotation[1:], 1, 2).reshape(-1, 3)
+    square = half * half
+    own = mass[:, None] / 3 * (square.sum(1)[:, None] - square)
+    local = (axis[:, None, :, None] * pose.rotation[None]).sum(2)
+    arm = jnp.cross(axis[:, None], pose.centre[None] - pose.origin[body][:, None])
+    about = (local * local * own[None]).sum(-1) + mass[None] * (arm * arm).sum(-1)
+    moved = walk.above.T[body] > 0
+    outer, inner = jnp.where(moved, about, 0.0).sum(1), jnp.where(moved, 0.0, about).sum(1)
+    return outer * inner / jnp.maximum(outer + inner, jnp.finfo(about.dtype).tiny)
+
+
+def _laws(
+    plan: Plan,
+    parent: Int[Array, " b"],
+    physics: PlanPhysics,
+    inertia: Float[Array, " d"],
+    walk: Walk,
+) -> Float[Array, "l d"]:
+    """Return the laws of all axes. Strength follows the cross-section of the thinner part."""
+    width = plan.half[:, 1:]
+    section = 4 * width.prod(1) * width.min(1)
+    size = jnp.minimum(section, section[parent])
+    strength = physics.weakest + (1 - physics.weakest) * plan.strength
+    gain = jnp.repeat((physics.motor_gain * strength * size)[1:], _AXES)
+    dofs = [
+        DegreeOfFreedom(np.eye(3)[0], -limit, limit, 0.0, 0.0, 0.0, 0.0, 0.0, Actuator(own))
+        for limit, own in zip(plan.limit[1:].reshape(-1), gain, strict=True)
+    ]
+    found, here = laws_of(dofs, inertia), jnp.abs(walk.turns) > 0
+    absent = {"armature": 1.0, "lower": -NO_LIMIT, "upper": NO_LIMIT}
+    return jnp.stack([jnp.where(here, found[name], absent.get(name, 0.0)) for name in _LAWS])
+
+
+def _uncovered(
+    half: Float[Array, "b 3"], pose: _Pose, present: Bool[Array, " b"], resolution: int
+) -> Float[Array, "b p"]:
+    """Return 1 for each surface point of each box that no other box covers, else 0.
+
+    The joints lie inside both parts, so bodies shelter no other points
+    (`evo_cpg.creature.surface`).
+    """
+    unit = Box((2.0, 2.0, 2.0)).surface(resolution)
+    points = jnp.asarray(unit.points)[None] * half[:, None]
+    world = pose.centre[:, None] + (pose.rotation[:, None] * points[:, :, None]).sum(-1)
+    apart = world[:, :, None] - pose.centre[None, None]
+    # Each point in the frame of each other body.
+    local = (apart[..., None] * pose.rotation[None, None]).sum(-2)
+    inside = (jnp.abs(local) <= half[None, None]).all(-1) & present[None, None]
+    others = ~np.eye(len(half), dtype=bool)[:, None]
+    return (~(inside & others).any(-1)).astype(half.dtype)
+
+
+class PlanInputs:
+    """Inputs of a program whose individuals are plans, in place of `Inputs`.
+
+    Args:
+        star: simulation of a root with ``b - 1`` parts on it, all boxes with three axes.
+        physics: settings of the plans.
+
+    Attributes:
+        common: the star, with parents that may differ between individuals.
+    """
+
+    def __init__(self, star: Simulation, physics: PlanPhysics):
+        bodies = star.world.tree.body_count
+        tree = _with_walk(star.world.tree)
+        self.physics = physics
+        self.common = dataclasses.replace(star, world=dataclasses.replace(star.world, tree=tree))
+        self._like = jax.eval_shape(numbers_of, _no_plan(bodies), physics)
+        known = jax.tree.map(lambda leaf: np.ones(leaf.shape), self._like)
+        with recording_decisions() as self._decisions:
+            self._forces(self.common, tree, known)
+
+    def values(self, plan: Plan) -> Float[Array, " v"]:
+        """Return the inputs of a plan, as a vector."""
+        return jnp.concatenate([x.reshape(-1) for x in jax.tree.leaves(numbers_of(plan, self.physics))])
+
+    def put(self, common: Simulation, values: list[Array]) -> Simulation:
+        """Return the simulation of a plan. The values are those of `values`, as one array."""
+        (flat,), (leaves, structure) = values, jax.tree.flatten(self._like)
+        ends = np.cumsum([leaf.size for leaf in leaves])[:-1].tolist()
+        parts = zip(jnp.split(flat, ends), leaves, strict=True)
+        numbers = structure.unflatten([x.reshape(leaf.shape) for x, leaf in parts])
+        tree = _tree(common.world.tree, numbers)
+        with replaying_decisions(self._decisions):
+            forces = self._forces(common, tree, numbers)
+        world = dataclasses.replace(common.world, tree=tree, forces=forces)
+        controller = dataclasses.replace(common.controller, tree=tree)
+        return dataclasses.replace(common, world=world, controller=controller)
+
+    def _forces(self, common: Simulation, tree: Tree, numbers: PlanNumbers) -> tuple[ForceLaw, ...]:
+        """Return the forces of the water on a plan."""
+        found = []
+        for law in common.world.forces:
+            assert isinstance(law, Drag)
+            given = (numbers.form, self.physics.form_resolution), (
+                numbers.skin,
+                self.physics.skin_resolution,
+            )
+            form, skin = (_surfaces(tree, numbers.half, *each) for each in given)
+            patches = make_patches(tree, form, skin, law.law, False, "complete")
+            found.append(dataclasses.replace(law, patches=patches))
+        return tuple(found)
+
+
+def _no_plan(bodies: int) -> Plan:
+    """Return a plan without bodies, for the shapes of its arrays."""
+    none, flags, numbers = (np.zeros(bodies, kind) for kind in (float, bool, int))
+    three = np.zeros((bodies, 3))
+    return Plan(
+        present=flags, parent=numbers, half=three, place=three, rotation=np.zeros((bodies, 3, 3)),
+        mirror=none, axes=np.zeros((bodies, 3), bool), limit=three, strength=none, label=numbers,
+        copy=numbers, eye=flags, control=np.zeros((bodies, 3, 1)), slot=numbers,
+    )  # fmt: skip
+
+
+def _with_walk(tree: Tree) -> Tree:
+    """Return a star in which each part may hang on any earlier part."""
+    groups = [
+        Group(slice(i, i + 1), slice(3 * i - 3, 3 * i), _AXES, (0,), "some turns", group.kinds)
+        for group in tree.groups
+        for i in range(group.bodies.start, group.bodies.stop)
+    ]
+    count = tree.body_count
+    slots, nobody = np.zeros((slot_count(count), count)), np.zeros(count)
+    walk = Walk(nobody, slots, slots, np.eye(count), np.zeros(tree.dof_count))
+    return dataclasses.replace(tree, groups=tuple(groups), walk=walk)
+
+
+def _tree(common: Tree, numbers: PlanNumbers) -> Tree:
+    """Return the tree of a plan."""
+    size, none = 2 * numbers.half, jnp.zeros_like(numbers.reach)
+    com = jnp.stack([numbers.reach, none, none])
+    each = range(common.body_count)
+    inertias = [
+        spatial_inertia(mass, com[:, i], Box(tuple(size[:, i])).inertia(mass))
+        for i, mass in zip(each, numbers.mass, strict=True)
+    ]
+    volume = jnp.maximum(size.prod(0), LEAST_VOLUME)
+    return dataclasses.replace(
+        common,
+        joint_offset=numbers.offset,
+        joint_orientation=numbers.orientation,
+        mass=numbers.mass,
+        volume=volume,
+        com=com,
+        inertia=jnp.stack(inertias, -1),
+        walk=numbers.walk,
+        **dict(zip(_LAWS, numbers.laws, strict=True)),
+    )
+
+
+def _surfaces(
+    tree: Tree, half: Float[Any, "3 b"], uncovered: Float[Any, "p b"], resolution: int
+) -> dict[str, Surface]:
+    """Return the uncovered surface of each body by name, with no area where it is covered."""
+    found = {}
+    for i, name in enumerate(tree.names):
+        whole = Box(tuple(2 * half[:, i])).surface(resolution)
+        found[name] = whole._replace(areas=whole.areas * uncovered[:, i])
+    return found
