@@ -27,25 +27,29 @@ _ADDED = _REMOVED = 0.1
 _CHANGE = 0.1
 # Probability that a pointer which moves, or a new connection, leads to the new node.
 _TO_NEW = 0.5
+# Exponent of a uniform number, below 1 so that random plans of many nodes are more frequent.
+_FEW = 0.5
 # Probabilities of random connections beyond the first to each node, and of flags.
-_MORE, _FLAGS = 0.15, {"reflect": 0.4, "terminal": 0.1, "eye": 0.2}
+_MORE, _FLAGS = 0.25, {"reflect": 0.5, "terminal": 0.1, "eye": 0.2}
 
 
 def random_graph(key: Array, layout: GraphLayout) -> Graph:
     """Return a random plan of 1 to ``layout.nodes`` nodes.
 
-    A random tree of connections reaches all nodes, and further connections are random. A plan of
-    one node is a chain, because its root grows on itself.
+    A random tree of connections reaches all nodes, and further connections are random. Only the
+    latter may be terminal, so that every node grows. A plan of one node is a chain, because its
+    root grows on itself.
     """
     gene_key, count_key, tree_key, more_key, to_key = jax.random.split(key, 5)
     graph = _drawn(gene_key, layout)
-    number = jax.random.randint(count_key, (), 1, layout.nodes + 1)
+    number = 1 + jnp.floor(layout.nodes * jax.random.uniform(count_key) ** _FEW).astype(int)
     on, to = _random_tree(tree_key, number, layout)
     used = jnp.arange(layout.nodes) < number
     more = jax.random.bernoulli(more_key, _MORE, on.shape) & used[:, None]
     to = jnp.where(on, to, jax.random.randint(to_key, on.shape, 0, number))
     longer = jnp.maximum(graph.recursion, jnp.where(number == 1, 2, 1))
-    plan = {"used": used, "on": on | more, "to": to, "recursion": longer}
+    ends = jnp.where(on, 0, graph.terminal)
+    plan = {"used": used, "on": on | more, "to": to, "terminal": ends, "recursion": longer}
     return tidy(graph._replace(**{name: value.astype(float) for name, value in plan.items()}))
 
 
@@ -71,7 +75,10 @@ def _random_choice(key: Array, allowed: Bool[Array, "*rest k"]) -> Int[Array, "*
 
 
 def _drawn(key: Array, layout: GraphLayout) -> Graph:
-    """Return random genes of all nodes and connections. Small turns and scales are likelier."""
+    """Return random genes of all nodes and connections. Small turns and scales are likelier.
+
+    Pairs are off the plane of reflection, because most would otherwise overlap and not grow.
+    """
     uniform, factor = _uniform(key, layout), _uniform(jax.random.fold_in(key, 1), layout)
     genes = {name: jnp.zeros(shape) for name, shape in layout.shapes.items()}
     for name in FRACTIONS:
@@ -81,6 +88,9 @@ def _drawn(key: Array, layout: GraphLayout) -> Graph:
         genes[name] = jnp.round((jnp.floor(255 * uniform[name]) - 127) * part) / 128
     for name, probability in _FLAGS.items():
         genes[name] = (uniform[name] < probability).astype(float)
+    aside = (genes["reflect"] > 0)[..., None] & (jnp.arange(3) == 1)[None, None]
+    off_plane = jnp.where(genes["place"] < 0, -64.0, 64.0) + jnp.trunc(64 * genes["place"])
+    genes["place"] = jnp.where(aside, off_plane / 128, genes["place"])
     genes["recursion"] = 1 + jnp.floor(MOST_RECURSION * uniform["recursion"] ** 2)
     kinds = jnp.array(layout.kinds, float)
     genes["kind"] = kinds[jnp.floor(len(kinds) * uniform["kind"]).astype(int)]
