@@ -111,7 +111,7 @@ def developed(graph: Graph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
     grown = _grown(_rules(graph, bounds), layout, bounds)
     bodies, index = grown.bodies, jnp.arange(bounds.bodies)
     present = index < grown.count
-    order, slot = walk_order(jnp.where(present, bodies.parent, -1))
+    order, slot = walk_order(jnp.where(present & (index > 0), bodies.parent, -1))
     position = jnp.argsort(order)
     node = bodies.node[order]
     parent = jnp.where(index == 0, -1, position[bodies.parent[order]])

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
 from evo_cpg.creature.creature import NO_LIMIT, Actuator, DegreeOfFreedom
-from evo_cpg.creature.development import SINK, Plan
+from evo_cpg.creature.development import Plan
 from evo_cpg.creature.laws import laws_of
 from evo_cpg.creature.shapes import Box, Surface
 from evo_cpg.creature.tree import LEAST_VOLUME, Group, Tree, spatial_inertia
@@ -29,6 +29,9 @@ from evo_cpg.simulation.simulation import Simulation
 
 _LAWS = ("armature", "lower", "upper", "servo_gain", "limit_stiffness", "limit_damping")
 _AXES = 3
+
+SINK = 0.9
+"""Place of a joint between the centre and the surface, of the parent and of the part."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,7 +103,7 @@ def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
     parent = jnp.maximum(plan.parent, 0)
     reach = jnp.where(jnp.arange(count) > 0, SINK * plan.half[:, 0], 0.0)
     along = jnp.eye(3)[0]
-    offset = plan.place + reach[parent][:, None] * along[None]
+    offset = SINK * plan.place + reach[parent][:, None] * along[None]
     offset = jnp.where((present & (plan.parent >= 0))[:, None], offset, 0.0)
     pose = _neutral_pose(plan, parent, offset, reach)
     mass = jnp.where(present, 8 * physics.density * plan.half.prod(1), 0.0)
@@ -217,7 +220,7 @@ class PlanInputs:
         tree = _with_walk(star.world.tree)
         self.physics = physics
         self.common = dataclasses.replace(star, world=dataclasses.replace(star.world, tree=tree))
-        self._like = jax.eval_shape(numbers_of, _no_plan(bodies), physics)
+        self._like = jax.eval_shape(lambda plan: numbers_of(plan, physics), _no_plan(bodies))
         known = jax.tree.map(lambda leaf: np.ones(leaf.shape), self._like)
         with recording_decisions() as self._decisions:
             self._forces(self.common, tree, known)
