@@ -28,8 +28,6 @@ from evo_cpg.physics.water.force_law import ForceLaw
 from evo_cpg.simulation.simulation import Simulation
 
 _LAWS = ("armature", "lower", "upper", "servo_gain", "limit_stiffness", "limit_damping")
-_AXES = 3
-
 SINK = 0.9
 """Place of a joint between the centre and the surface, of the parent and of the part."""
 
@@ -46,6 +44,7 @@ class PlanPhysics:
         form_resolution: see `evo_cpg.io.schema.world`.
         skin_resolution: see `evo_cpg.io.schema.world`.
         clearance: height of the lowest point at the start on ground, m.
+        axes: axes (0 x, 1 y, 2 z) that any joint may have.
     """
 
     density: float = 1000.0
@@ -54,10 +53,11 @@ class PlanPhysics:
     form_resolution: int = 2
     skin_resolution: int = 1
     clearance: float = 0.0
+    axes: tuple[int, ...] = (0, 1, 2)
 
 
 class PlanNumbers(NamedTuple):
-    """Numbers of one plan, for ``b`` bodies with ``d = 3 (b - 1)`` joint axes.
+    """Numbers of one plan, for ``b`` bodies with ``d`` joint axes.
 
     Attributes:
         half: half extents, m.
@@ -109,9 +109,10 @@ def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
     mass = jnp.where(present, 8 * physics.density * plan.half.prod(1), 0.0)
     half = jnp.where(present[:, None], plan.half, 0.0)
     sign = jnp.stack([plan.mirror, jnp.ones(count), plan.mirror], 1)
-    turns = jnp.where(plan.axes & present[:, None], sign, 0.0)[1:].reshape(-1)
+    own = np.array(physics.axes)
+    turns = jnp.where(plan.axes & present[:, None], sign, 0.0)[1:, own].reshape(-1)
     walk = walk_of(plan.parent, plan.slot, turns)
-    inertia = _effective_inertia(pose, half, mass, walk)
+    inertia = _effective_inertia(pose, half, mass, walk, own)
     corners = pose.centre[:, 2] - (jnp.abs(pose.rotation[:, 2]) * half).sum(1)
     resolutions = physics.form_resolution, physics.skin_resolution
     form, skin = (_uncovered(half, pose, present, resolution) for resolution in resolutions)
@@ -148,11 +149,15 @@ def _neutral_pose(
 
 
 def _effective_inertia(
-    pose: _Pose, half: Float[Array, "b 3"], mass: Float[Array, " b"], walk: Walk
+    pose: _Pose,
+    half: Float[Array, "b 3"],
+    mass: Float[Array, " b"],
+    walk: Walk,
+    axes: Int[np.ndarray, " k"],
 ) -> Float[Array, " d"]:
     """Return the effective inertia of each axis, as `evo_cpg.creature.tree` defines it."""
-    body = np.repeat(np.arange(1, len(mass)), _AXES)
-    axis = jnp.swapaxes(pose.rotation[1:], 1, 2).reshape(-1, 3)
+    body = np.repeat(np.arange(1, len(mass)), len(axes))
+    axis = jnp.swapaxes(pose.rotation[1:][..., axes], 1, 2).reshape(-1, 3)
     square = half * half
     own = mass[:, None] / 3 * (square.sum(1)[:, None] - square)
     local = (axis[:, None, :, None] * pose.rotation[None]).sum(2)
@@ -175,10 +180,11 @@ def _laws(
     section = 4 * width.prod(1) * width.min(1)
     size = jnp.minimum(section, section[parent])
     strength = physics.weakest + (1 - physics.weakest) * plan.strength
-    gain = jnp.repeat((physics.motor_gain * strength * size)[1:], _AXES)
+    own = np.array(physics.axes)
+    gain = jnp.repeat((physics.motor_gain * strength * size)[1:], len(own))
     dofs = [
         DegreeOfFreedom(np.eye(3)[0], -limit, limit, 0.0, 0.0, 0.0, 0.0, 0.0, Actuator(own))
-        for limit, own in zip(plan.limit[1:].reshape(-1), gain, strict=True)
+        for limit, own in zip(plan.limit[1:, own].reshape(-1), gain, strict=True)
     ]
     found, here = laws_of(dofs, inertia), jnp.abs(walk.turns) > 0
     absent = {"armature": 1.0, "lower": -NO_LIMIT, "upper": NO_LIMIT}
@@ -208,7 +214,8 @@ class PlanInputs:
     """Inputs of a program whose individuals are plans, in place of `Inputs`.
 
     Args:
-        star: simulation of a root with ``b - 1`` parts on it, all boxes with three axes.
+        star: simulation of a root with ``b - 1`` parts on it, all boxes with the axes of the
+            physics.
         physics: settings of the plans.
 
     Attributes:
@@ -271,8 +278,9 @@ def _no_plan(bodies: int) -> Plan:
 def _with_walk(tree: Tree) -> Tree:
     """Return a star in which each part may hang on any earlier part."""
     groups = [
-        Group(slice(i, i + 1), slice(3 * i - 3, 3 * i), _AXES, (0,), "some turns", group.kinds)
+        Group(slice(i, i + 1), slice(k * i - k, k * i), k, (0,), "some turns", group.kinds)
         for group in tree.groups
+        for k in (group.axes,)
         for i in range(group.bodies.start, group.bodies.stop)
     ]
     count = tree.body_count

@@ -4,7 +4,7 @@
 |---|---|---|
 | `Weld` | none | |
 | `Turns` | up to three through the origin of the joint's body, one after the other | at once |
-| `SomeTurns` | any of three axes of the body's frame | at once |
+| `SomeTurns` | any of up to three axes of the body's frame | at once |
 | `Ball` | three that turn at once, with a rotation vector as coordinates | at once |
 | `AxisChain` | any others, such as slides and axes at their own places | one by one |
 
