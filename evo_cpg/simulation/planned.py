@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
+from evo_cpg.creature.algebra.numerics import MixedArray
 from evo_cpg.creature.creature import NO_LIMIT, Actuator, DegreeOfFreedom
 from evo_cpg.creature.development import Plan
 from evo_cpg.creature.laws import laws_of
@@ -28,6 +29,9 @@ from evo_cpg.physics.water.force_law import ForceLaw
 from evo_cpg.simulation.simulation import Simulation
 
 _LAWS = ("armature", "lower", "upper", "servo_gain", "limit_stiffness", "limit_damping")
+# Random plans that show which numbers of a simulation vary, and digits to which they are equal.
+_SAMPLES, _DIGITS = 3, 5
+
 SINK = 0.9
 """Place of a joint between the centre and the surface, of the parent and of the part."""
 
@@ -231,6 +235,7 @@ class PlanInputs:
         known = jax.tree.map(lambda leaf: np.ones(leaf.shape), self._like)
         with recording_decisions() as self._decisions:
             self._forces(self.common, tree, known)
+        self._varying = self._find_varying()
 
     def values(self, plan: Plan) -> Float[Array, " v"]:
         """Return the inputs of a plan, as a vector."""
@@ -242,12 +247,48 @@ class PlanInputs:
         ends = np.cumsum([leaf.size for leaf in leaves])[:-1].tolist()
         parts = zip(jnp.split(flat, ends), leaves, strict=True)
         numbers = structure.unflatten([x.reshape(leaf.shape) for x, leaf in parts])
+        built, structure = jax.tree.flatten(self._built(common, numbers))
+        varying = self._varying
+        flat = jnp.concatenate([jnp.ravel(built[place]) for place in varying.places])
+        traced, start = flat[varying.first], 0
+        for place, known in zip(varying.places, varying.known, strict=True):
+            rows = slice(start, start := start + known.size)
+            own = np.flatnonzero(varying.source[rows] >= 0)
+            given = varying.source[rows][own], varying.sign[rows][own]
+            built[place] = MixedArray(known, own, traced, *given)
+        return jax.tree.unflatten(structure, built)
+
+    def _built(self, common: Simulation, numbers: PlanNumbers) -> Simulation:
+        """Return the simulation with the numbers of a plan."""
         tree = _tree(common.world.tree, numbers)
         with replaying_decisions(self._decisions):
             forces = self._forces(common, tree, numbers)
         world = dataclasses.replace(common.world, tree=tree, forces=forces)
         controller = dataclasses.replace(common.controller, tree=tree)
         return dataclasses.replace(common, world=world, controller=controller)
+
+    def _find_varying(self) -> "_Varying":
+        """Find which elements of a simulation differ between plans, by some random numbers.
+
+        Elements that are always equal, up to their sign, are computed once, because many surface
+        points of a box have equal coordinates.
+        """
+        draw, leaves = np.random.default_rng(0), jax.tree.leaves(self._like)
+        structure = jax.tree.structure(self._like)
+        found = []
+        for _ in range(_SAMPLES):
+            sample = [jnp.asarray(draw.uniform(0.5, 1.5, leaf.shape)) for leaf in leaves]
+            built = self._built(self.common, structure.unflatten(sample))
+            found.append(jax.tree.leaves(built))
+        places = [
+            i
+            for i, each in enumerate(zip(*found, strict=True))
+            if isinstance(each[0], jax.Array) and each[0].size
+        ]
+        rows = np.stack([np.concatenate([np.ravel(x[i]) for i in places]) for x in found], -1)
+        source, sign, first = _alike(rows)
+        known = tuple(np.asarray(found[0][i], float) for i in places)
+        return _Varying(tuple(places), known, source, sign, first)
 
     def _forces(self, common: Simulation, tree: Tree, numbers: PlanNumbers) -> tuple[ForceLaw, ...]:
         """Return the forces of the water on a plan."""
@@ -262,6 +303,38 @@ class PlanInputs:
             patches = make_patches(tree, form, skin, law.law, False, "complete")
             found.append(dataclasses.replace(law, patches=patches))
         return tuple(found)
+
+
+class _Varying(NamedTuple):
+    """Elements of a simulation that differ between plans.
+
+    Attributes:
+        places: leaves with such elements.
+        known: these leaves. Their other elements are known.
+        source: number of the distinct element that each element of these leaves equals, in turn,
+            or -1 for a known element.
+        sign: sign of each element relative to the distinct element.
+        first: an element that equals each distinct element.
+    """
+
+    places: tuple[int, ...]
+    known: tuple[np.ndarray, ...]
+    source: np.ndarray
+    sign: np.ndarray
+    first: np.ndarray
+
+
+def _alike(rows: Float[np.ndarray, "e s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return `_Varying.source`, ``sign`` and ``first`` of elements in some samples."""
+    sign = np.where(rows[:, 0] < 0, -1, 1)
+    unit = 10.0 ** np.floor(np.log10(np.maximum(np.abs(rows), np.finfo(np.float32).tiny)))
+    size = sign[:, None] * np.round(rows / unit, _DIGITS) * unit
+    constant = (size == size[:, :1]).all(1)
+    varying = np.flatnonzero(~constant)
+    _, first, inverse = np.unique(size[varying], axis=0, return_index=True, return_inverse=True)
+    first, source = varying[first], np.full(len(rows), -1)
+    source[varying] = inverse.ravel()
+    return source, sign * sign[first[source]], first
 
 
 def _no_plan(bodies: int) -> Plan:

@@ -21,8 +21,9 @@ class MixedArray:
 
     Attributes:
         known: the array, with arbitrary values in the places of the traced elements.
-        traced: the traced elements.
+        traced: the traced elements. Several arrays may have elements in one such vector.
         index: index of each element in ``known`` followed by ``traced``.
+        signs: factor of each element, or None if all are 1.
         shape: shape of the array.
         dtype: dtype of the traced elements, which all elements take.
     """
@@ -30,17 +31,39 @@ class MixedArray:
     # With None, NumPy leaves arithmetic with this array to the methods below.
     __array_ufunc__ = None
 
-    def __init__(self, known: np.ndarray, places: np.ndarray, traced: jax.Array):
+    def __init__(
+        self,
+        known: np.ndarray,
+        places: np.ndarray,
+        traced: jax.Array,
+        sources: np.ndarray | None = None,
+        signs: np.ndarray | None = None,
+    ):
+        """Make an array of known and traced elements.
+
+        Args:
+            known: the array.
+            places: indices of the traced elements in the flattened array.
+            traced: vector of traced numbers.
+            sources: index of each traced element in the vector, or None for all in order.
+            signs: 1 or -1 for each traced element, or None for 1.
+        """
         self.known, self.traced = known, traced
         self.index = np.arange(known.size)
-        self.index[places] = known.size + np.arange(len(places))
+        self.index[places] = known.size + (np.arange(len(places)) if sources is None else sources)
         self.index = self.index.reshape(known.shape)
+        self.signs = None
+        if signs is not None and (signs < 0).any():
+            self.signs = np.ones(known.size)
+            self.signs[places] = signs
+            self.signs = self.signs.reshape(known.shape)
         self.shape, self.dtype = known.shape, traced.dtype
 
     def __jax_array__(self) -> jax.Array:
         """Return the whole array."""
         known = jnp.asarray(self.known.reshape(-1), self.traced.dtype)
-        return jnp.concatenate([known, self.traced])[self.index]
+        array = jnp.concatenate([known, self.traced])[self.index]
+        return array if self.signs is None else array * jnp.asarray(self.signs, array.dtype)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
