@@ -24,6 +24,7 @@ from evo_cpg.creature.laws import laws_of
 from evo_cpg.creature.shapes import Box, Surface
 from evo_cpg.creature.tree import LEAST_VOLUME, Group, Tree, spatial_inertia
 from evo_cpg.creature.walk import Walk, slot_count, walk_of
+from evo_cpg.physics.contact.contact_model import STIFFNESS, ContactModel
 from evo_cpg.physics.water.fluid import Drag, make_patches
 from evo_cpg.physics.water.force_law import ForceLaw
 from evo_cpg.simulation.simulation import Simulation
@@ -264,8 +265,18 @@ class PlanInputs:
         with replaying_decisions(self._decisions):
             forces = self._forces(common, tree, numbers)
         world = dataclasses.replace(common.world, tree=tree, forces=forces)
+        situations = common.situations
+        if world.contact_model is not None:
+            contact = _contact_model(world.contact_model, tree, numbers)
+            world = dataclasses.replace(world, contact_model=contact)
+            height = self.physics.clearance - numbers.lowest
+            situations = tuple(
+                each._replace(start_position=(*each.start_position[:2], height))
+                for each in situations
+            )
         controller = dataclasses.replace(common.controller, tree=tree)
-        return dataclasses.replace(common, world=world, controller=controller)
+        parts = {"world": world, "controller": controller, "situations": situations}
+        return dataclasses.replace(common, **parts)
 
     def _find_varying(self) -> "_Varying":
         """Find which elements of a simulation differ between plans, by some random numbers.
@@ -383,6 +394,12 @@ def _tree(common: Tree, numbers: PlanNumbers) -> Tree:
         walk=numbers.walk,
         **dict(zip(_LAWS, numbers.laws, strict=True)),
     )
+
+
+def _contact_model(model: ContactModel, tree: Tree, numbers: PlanNumbers) -> ContactModel:
+    """Return the contact points of a plan. Those of absent bodies have no stiffness."""
+    stiffness = STIFFNESS * jnp.sqrt(tree.mass.sum() * tree.mass[np.array(model.bodies)])
+    return model._replace(boxes=numbers.half, centre=tree.com, stiffness=stiffness)
 
 
 def _surfaces(
