@@ -30,7 +30,9 @@ _TO_NEW = 0.5
 # Exponent of a uniform number, below 1 so that random plans of many nodes are more frequent.
 _FEW = 0.5
 # Probabilities of random connections beyond the first to each node, and of flags.
-_MORE, _FLAGS = 0.25, {"reflect": 0.5, "terminal": 0.1, "eye": 0.2}
+_MORE, _FLAGS = 0.4, {"reflect": 0.6, "terminal": 0.1, "eye": 0.2}
+# Largest random sizes across a part, and random turns, as fractions of their ranges.
+_THIN, _TURN = 0.4, 0.5
 
 
 def random_graph(key: Array, layout: GraphLayout) -> Graph:
@@ -75,22 +77,26 @@ def _random_choice(key: Array, allowed: Bool[Array, "*rest k"]) -> Int[Array, "*
 
 
 def _drawn(key: Array, layout: GraphLayout) -> Graph:
-    """Return random genes of all nodes and connections. Small turns and scales are likelier.
+    """Return random genes of all nodes and connections.
 
-    Pairs are off the plane of reflection, because most would otherwise overlap and not grow.
+    The parts are slender and little turned. Pairs are on the left and right side, and other parts
+    of a limb on its far half, because most would otherwise overlap another part and not grow.
     """
     uniform, factor = _uniform(key, layout), _uniform(jax.random.fold_in(key, 1), layout)
+    uniform["size"] *= jnp.array([1, _THIN, _THIN])[None]
+    factor |= {"control": 1.0, "place": 1.0, "turn": _TURN * factor["turn"]}
     genes = {name: jnp.zeros(shape) for name, shape in layout.shapes.items()}
     for name in FRACTIONS:
         genes[name] = jnp.floor(256 * uniform[name]) / 256
     for name in SIGNED:
-        part = factor[name] if name in ("turn", "scale") else 1.0
-        genes[name] = jnp.round((jnp.floor(255 * uniform[name]) - 127) * part) / 128
+        genes[name] = jnp.round((jnp.floor(255 * uniform[name]) - 127) * factor[name]) / 128
     for name, probability in _FLAGS.items():
         genes[name] = (uniform[name] < probability).astype(float)
-    aside = (genes["reflect"] > 0)[..., None] & (jnp.arange(3) == 1)[None, None]
-    off_plane = jnp.where(genes["place"] < 0, -64.0, 64.0) + jnp.trunc(64 * genes["place"])
-    genes["place"] = jnp.where(aside, off_plane / 128, genes["place"])
+    x, y, z = jnp.unstack(genes["place"], axis=-1)
+    side = jnp.where(y < 0, -127 / 128, 127 / 128)
+    limb = (jnp.arange(layout.nodes) > 0)[:, None]
+    places = jnp.where(limb, jnp.abs(x), x), jnp.where(genes["reflect"] > 0, side, y), z
+    genes["place"] = jnp.stack(places, -1)
     genes["recursion"] = 1 + jnp.floor(MOST_RECURSION * uniform["recursion"] ** 2)
     kinds = jnp.array(layout.kinds, float)
     genes["kind"] = kinds[jnp.floor(len(kinds) * uniform["kind"]).astype(int)]
