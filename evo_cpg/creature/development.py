@@ -59,7 +59,7 @@ class PlanBounds:
         volume: largest volume of all bodies, m^3.
         turns: largest yaw, pitch and roll of a child from the surface normal, rad.
         angles: largest joint angles about x, y and z, rad.
-        overlap: depth to which boxes may overlap, m. It is less than the smallest extent.
+        overlap: depth to which boxes may overlap, m. All may overlap if it is above all extents.
     """
 
     bodies: int = 20
@@ -323,7 +323,6 @@ class _Growth(NamedTuple):
         link: connection that is tried.
         pending: images of the new group so far.
         clear: whether none of these images overlaps another body.
-        refused: number of groups refused because of an overlap.
     """
 
     bodies: _Bodies
@@ -334,7 +333,6 @@ class _Growth(NamedTuple):
     link: Int[Array, ""]
     pending: Int[Array, ""]
     clear: Bool[Array, ""]
-    refused: Int[Array, ""]
 
 
 def _grown(rules: _Rules, layout: GraphLayout, bounds: PlanBounds) -> _Growth:
@@ -352,7 +350,7 @@ def _grown(rules: _Rules, layout: GraphLayout, bounds: PlanBounds) -> _Growth:
         centre=jnp.zeros((3, number), int),
         attitude=jnp.zeros((3, 3, number), int).at[..., 0].set(_ONE * jnp.eye(3, dtype=int)),
     )
-    start = _Growth(bodies, none + 1, ones, none, none, none, none, jnp.array(True), none)
+    start = _Growth(bodies, none + 1, ones, none, none, none, none, jnp.array(True))
     attempts = number * layout.connections
     return jax.lax.fori_loop(0, attempts, lambda _, growth: _tried(growth, rules, bounds), start)
 
@@ -372,8 +370,9 @@ def _tried(growth: _Growth, rules: _Rules, bounds: PlanBounds) -> _Growth:
     # The members of a group have the same node and ancestors, so all or none may grow.
     total = growth.pending + copies
     last = growth.member + 1 == growth.size[growth.first]
-    may = last & _may_grow(parent, growth, rules) & (growth.count + total <= bounds.bodies)
-    grows, tried = may & clear, last & (growth.link + 1 == rules.on.shape[1])
+    room = growth.count + total <= bounds.bodies
+    grows = last & room & clear & _may_grow(parent, growth, rules)
+    tried = last & (growth.link + 1 == rules.on.shape[1])
     return _Growth(
         bodies,
         count=growth.count + jnp.where(grows, total, 0),
@@ -383,7 +382,6 @@ def _tried(growth: _Growth, rules: _Rules, bounds: PlanBounds) -> _Growth:
         link=jnp.where(tried, 0, growth.link + last),
         pending=jnp.where(last, 0, total),
         clear=clear | last,
-        refused=growth.refused + (may & ~clear),
     )
 
 
