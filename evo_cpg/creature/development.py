@@ -110,10 +110,6 @@ class Plan(NamedTuple):
     slot: Int[Array, " b"]
 
 
-# Numbers of an absent body.
-_ABSENT = False, -1, 0, 0, np.eye(3)[None], 1, False, 0, 0, 0, 0, False, 0, -1
-
-
 def developed(graph: Graph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
     """Return the bodies that a graph grows into.
 
@@ -152,7 +148,8 @@ def developed(graph: Graph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
         slot=slot,
     )
     shown = [present.reshape(-1, *(1,) * (x.ndim - 1)) for x in plan]
-    return Plan(*map(jnp.where, shown, plan, _ABSENT))
+    absent = False, -1, 0, 0, jnp.eye(3)[None], 1, False, 0, 0, 0, 0, False, 0, -1
+    return Plan(*map(jnp.where, shown, plan, absent))
 
 
 def _geometry(

@@ -1,6 +1,7 @@
 """Development of graphs into bodies: Sims's examples, mirror images, overlaps and the walk."""
 
 import dataclasses
+import functools
 import itertools
 
 import jax
@@ -23,6 +24,11 @@ COUNT = 256
 
 
 def develop(bounds: PlanBounds):
+    return _develop(bounds, jax.config.jax_enable_x64)
+
+
+@functools.cache
+def _develop(bounds: PlanBounds, _precise: bool):
     return quick_jit(jax.vmap(lambda graph: developed(graph, LAYOUT, bounds)))
 
 
@@ -37,12 +43,16 @@ def one_of(plans, index: int):
 def random_graphs(seed: int) -> Graph:
     """Return random plans, of which half are mutated."""
     keys = jax.random.split(jax.random.key(seed), COUNT)
+    return _draw(jax.config.jax_enable_x64)(keys)
 
+
+@functools.cache
+def _draw(_precise: bool):
     def draw(key):
         graph = random_graph(key, LAYOUT)
         return mutated(key, graph, LAYOUT, jnp.where(jax.random.bernoulli(key), 5.0, 0.0))
 
-    return quick_jit(jax.vmap(draw))(keys)
+    return quick_jit(jax.vmap(draw))
 
 
 def graph_of(nodes: list[dict], links: list[tuple[int, dict]]) -> Graph:
@@ -262,12 +272,12 @@ def test_no_boxes_overlap_except_parents(plans):
 
 def test_parts_are_refused_only_for_overlaps():
     rng = np.random.default_rng(0)
-    number, shape = 1000, (1000, LAYOUT.nodes, LAYOUT.connections)
-    graph = jax.tree.map(lambda x: np.zeros((number, *x.shape)), graph_of([{}] * 3, [])._asdict())
+    shape = COUNT, LAYOUT.nodes, LAYOUT.connections
+    graph = jax.tree.map(lambda x: np.zeros((COUNT, *x.shape)), graph_of([{}] * 3, [])._asdict())
     graph["used"][:, :3] = graph["on"][:, 0, :2] = graph["recursion"][:] = 1
     graph["to"][:, 0, :2] = 1, 2
     graph["size"][:, 0] = 0.75
-    graph["size"][:, 1:] = rng.uniform(0, 1, (number, 5, 3))
+    graph["size"][:, 1:] = rng.uniform(0, 1, (COUNT, 5, 3))
     graph["place"], graph["turn"] = (rng.uniform(-1, 1, (*shape, 3)) for _ in range(2))
     graph = jax.tree.map(lambda x: jnp.asarray(x, float), Graph(**graph))
     free = as_numpy(develop(FREE)(graph))
@@ -282,7 +292,7 @@ def test_parts_are_refused_only_for_overlaps():
     _, refused = siblings(BOUNDS.overlap + 0.001)
     accepted, _ = siblings(BOUNDS.overlap - 0.001)
     assert (count[refused] == 2).all() and (count[accepted] == 3).all()
-    assert refused.sum() > 50 and accepted.sum() > 500 and (refused | accepted).mean() > 0.98
+    assert refused.sum() > 10 and accepted.sum() > 100 and (refused | accepted).mean() > 0.98
 
 
 def random_trees(number: int, bodies: int) -> np.ndarray:
@@ -339,7 +349,7 @@ def test_plans_are_equal_alone_and_in_batches():
     function = jax.vmap(lambda graph: developed(graph, LAYOUT, bounds))
     batch = as_numpy(jit_as_for_users(function)(graphs))
     single = jit_as_for_users(lambda graph: developed(graph, LAYOUT, bounds))
-    few = as_numpy(develop(bounds)(jax.tree.map(lambda x: x[7:3:-1], graphs)))
+    few = as_numpy(jit_as_for_users(function)(jax.tree.map(lambda x: x[7:3:-1], graphs)))
     for i in range(48):
         alone = single(one_of(graphs, i))
         for value, other in zip(one_of(batch, i), alone, strict=True):
