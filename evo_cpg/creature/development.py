@@ -338,7 +338,7 @@ def _grown(rules: _Rules, layout: GraphLayout, bounds: PlanBounds) -> _Growth:
     none, zeros, ones = jnp.array(0), jnp.zeros(number, int), jnp.ones(number, int)
     bodies = _Bodies(
         node=zeros,
-        parent=zeros,
+        parent=zeros.at[0].set(-1),
         via=zeros,
         mirror=ones,
         enlarged=zeros,

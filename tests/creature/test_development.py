@@ -304,43 +304,42 @@ def random_trees(number: int, bodies: int) -> np.ndarray:
     return np.where((index > 0) & (index < sizes), parent, -1)
 
 
-def test_open_bodies_never_use_one_slot():
-    parent = random_trees(100_000, 20)
-    order, slot = map(np.asarray, jit_as_for_users(jax.vmap(walk_order))(parent))
-    tree, index = np.arange(len(parent))[:, None], np.arange(20)
-    present = np.where(index == 0, True, parent >= 0)[tree, order]
-    assert (np.diff(present.astype(int)) <= 0).all()
-    position = np.argsort(order)
-    walked = np.where(parent[tree, order] >= 0, position[tree, parent[tree, order]], -1)
-    assert (walked < index).all()
-    # A body of a subtree is the first one of it, or has its parent in it.
-    size, last = np.ones_like(walked), np.full_like(walked, -1)
-    for i in range(19, 0, -1):
-        has = walked[:, i] >= 0
-        rows, above = np.flatnonzero(has), walked[has, i]
-        size[rows, above] += size[rows, i]
-        last[rows, above] = np.maximum(last[rows, above], i)
-    ends = index + np.where(present, size, 0)
-    inside = (index[None, :, None] < index) & (index < ends[..., None])
-    ancestors = np.zeros_like(inside)
-    for i in range(1, 20):
-        rows = np.flatnonzero(walked[:, i] >= 0)
-        ancestors[rows, :, i] = ancestors[rows, :, walked[rows, i]]
-        ancestors[rows, walked[rows, i], i] = True
-    np.testing.assert_array_equal(inside, ancestors)
+def check_walk(parent: np.ndarray, slot: np.ndarray) -> None:
+    """Check trees (tree, body) in the order of their walk."""
+    tree, index = np.arange(len(parent))[:, None], np.arange(parent.shape[1])
+    present = (index == 0) | (parent >= 0)
+    assert (np.diff(present.astype(int)) <= 0).all() and (parent < index).all()
+    size, last, ancestors = np.ones_like(parent), np.full_like(parent, -1), np.eye(len(index)) > 0
+    for i in index[:0:-1]:
+        rows = np.flatnonzero(parent[:, i] >= 0)
+        size[rows, parent[rows, i]] += size[rows, i]
+        last[rows, parent[rows, i]] = np.maximum(last[rows, parent[rows, i]], i)
+    ancestors = np.repeat(ancestors[None], len(parent), 0)
+    for i in index[1:]:
+        rows = np.flatnonzero(parent[:, i] >= 0)
+        ancestors[rows, :, i] |= ancestors[rows, :, parent[rows, i]]
+    # Subtrees are contiguous, so the order is preorder.
+    inside = (index[:, None] <= index) & (index < (index + size)[..., None])
+    np.testing.assert_array_equal((inside & present[:, None])[present], ancestors[present])
     # Sizes fall among siblings, but the largest subtree is last.
-    one, other = walked[:, :, None], walked[:, None]
-    siblings = (one == other) & (one >= 0) & (index[:, None] < index)
-    is_last = last[tree, walked] == index
-    falls = size[:, :, None] >= size[:, None]
-    assert (falls | ~siblings | is_last[:, None]).all()
-    assert (~falls | (size[:, :, None] == size[:, None]) | ~siblings | ~is_last[:, None]).all()
+    siblings = (parent[:, :, None] == parent[:, None]) & (parent >= 0)[..., None]
+    earlier, is_last = siblings & (index[:, None] < index), last[tree, parent] == index
+    sizes, following = size[..., None], size[:, None]
+    assert (np.where(is_last[:, None], sizes <= following, sizes >= following) | ~earlier).all()
     # A body holds its slot from its place in the walk until its last child.
-    children = ((walked[:, None] == index[:, None]) & present[:, None]).sum(-1)
-    np.testing.assert_array_equal(slot >= 0, children > 1)
+    np.testing.assert_array_equal(slot >= 0, last > index + 1)
     held = (index[:, None] < index) & (index < last[..., None]) & (slot >= 0)[..., None]
     assert not (held & (slot[..., None] == slot[:, None])).any()
     assert slot.max() == 2
+
+
+def test_open_bodies_never_use_one_slot(plans):
+    trees = random_trees(100_000, 20)
+    order, slot = map(np.asarray, jit_as_for_users(jax.vmap(walk_order))(trees))
+    parent = np.take_along_axis(trees, order, 1)
+    walked = np.take_along_axis(np.argsort(order), np.maximum(parent, 0), 1)
+    check_walk(np.where(parent >= 0, walked, -1), slot)
+    check_walk(plans.parent, plans.slot)
 
 
 def test_plans_are_equal_alone_and_in_batches():
