@@ -1,4 +1,4 @@
-"""Development of a graph into bodies (Sims 1994, "Evolving virtual creatures", section 3).
+"""Development of a graph into bodies (Sims 1994, "Evolving virtual creatures").
 
 The root part is the first body. Bodies grow breadth-first along the connections of their nodes:
 
@@ -17,7 +17,8 @@ The root part is the first body. Bodies grow breadth-first along the connections
 Frames are at the centres of the boxes. Every body but the root has its joint at the centre of its
 near end face, ``(-half_x, 0, 0)`` in its own frame. The root faces +x, and z is up.
 
-Differs from Sims 1994: he lets parts overlap.
+Differs from Sims 1994: a part that would overlap does not grow. Sims discards creatures with parts
+that overlap too much. A rule of growth keeps the rest of the creature instead.
 """
 
 import dataclasses

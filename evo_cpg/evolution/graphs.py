@@ -1,7 +1,7 @@
 """Random, mutated, crossed and grafted body plans (Sims 1994, "Evolving virtual creatures").
 
-The functions treat one plan, so that `jax.vmap` treats a population. Each result is tidy: its genes
-are multiples of their steps, its connections point to used nodes, and its root has a connection.
+The functions take one plan, and `jax.vmap` applies them to a population. Every result is tidy: its
+genes are multiples of their steps, its connections point to used nodes, and its root has one.
 """
 
 import jax
@@ -20,9 +20,10 @@ from evo_cpg.creature.graph import (
     tidy,
 )
 
-# Fractions of the alterations that add a connection and that remove one. The fractions are equal,
-# so that mutation alone neither grows nor shrinks the plans. Other alterations change a gene.
-_ADDED = _REMOVED = 0.1
+# Fractions of the alterations that add a connection and that remove one. More are added, because a
+# removal takes all nodes behind it along. So mutation alone hardly changes the mean number of
+# bodies. Other alterations change a gene.
+_ADDED, _REMOVED = 0.12, 0.06
 # Standard deviation of a change, as a fraction of the gene's range.
 _CHANGE = 0.1
 # Probability that a pointer which moves, or a new connection, leads to the new node.
@@ -110,7 +111,7 @@ def _uniform(key: Array, layout: GraphLayout) -> dict[str, Array]:
 
 
 def mutated(key: Array, graph: Graph, layout: GraphLayout, rate: Array | float) -> Graph:
-    """Return a plan with random alterations (Sims 1994, section 5.1).
+    """Return a plan with random alterations, as Sims mutates directed graphs.
 
     An alteration changes a gene of a node or connection, moves the pointer of a connection, adds a
     connection or removes one. Real genes change by normal random numbers, and choices get another
@@ -208,7 +209,7 @@ def _moved(name: str, value: Array, normal: Array) -> Array:
 
 
 def crossed(key: Array, one: Graph, other: Graph) -> Graph:
-    """Return a plan whose nodes are from one parent, then from the other (Sims 1994, 5.2).
+    """Return a plan whose nodes are from one parent, then from the other, as Sims crosses graphs.
 
     Half of the children switch back at a second crossover point. A pointer leads to the node at the
     same place as before, or to a random node if that place is empty. The root is from ``one``.
@@ -229,7 +230,7 @@ def crossed(key: Array, one: Graph, other: Graph) -> Graph:
 
 
 def grafted(key: Array, one: Graph, other: Graph) -> Graph:
-    """Return one parent with a part of the other (Sims 1994, section 5.2).
+    """Return one parent with a part of the other, as Sims grafts graphs.
 
     A random connection of ``one`` leads to a random node of ``other``. This node and all that it
     reaches are copied to the free places, the nearest first, as many as fit. Places are free if no

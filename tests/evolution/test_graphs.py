@@ -18,11 +18,16 @@ mutate = quick_jit(jax.vmap(lambda key, one, rate: mutated(key, one, LAYOUT, rat
 draw = quick_jit(jax.vmap(lambda key: random_graph(key, LAYOUT)))
 as_vectors = quick_jit(jax.vmap(LAYOUT.pack, out_axes=-1))
 as_plans, as_bytes, from_bytes = map(quick_jit, (LAYOUT.unpack, LAYOUT.as_bytes, LAYOUT.from_bytes))
+develop = quick_jit(jax.vmap(lambda graph: developed(graph, LAYOUT, PlanBounds())))
 tidied = quick_jit(jax.vmap(tidy))
 
 
 def keys(seed: int) -> jax.Array:
     return jax.random.split(jax.random.key(seed), COUNT)
+
+
+def bodies(plans: Graph) -> np.ndarray:
+    return np.asarray(develop(plans).present.sum(1))
 
 
 @pytest.fixture(scope="module")
@@ -174,9 +179,14 @@ def test_grafts_bring_all_that_a_node_reaches(plans):
 
 
 def test_random_plans_have_all_sizes():
-    plans = draw(keys(6))
-    develop = quick_jit(jax.vmap(lambda graph: developed(graph, LAYOUT, PlanBounds())))
-    sizes = np.asarray(develop(plans).present.sum(1))
+    sizes = bodies(draw(keys(6)))
     counts = np.bincount(sizes, minlength=21)
     assert counts[2:].all() and counts[:2].sum() < 0.01 * COUNT
     assert 7 <= np.median(sizes) <= 11 and counts[20] < 0.25 * COUNT
+
+
+def test_mutation_alone_hardly_changes_mean_size():
+    first = last = draw(keys(6))
+    for generation in range(10):
+        last = mutate(keys(100 + generation), last, 6.0)
+    assert 0.75 < bodies(last).mean() / bodies(first).mean() < 1.25
