@@ -1,4 +1,4 @@
-"""Development of a graph into bodies (Sims 1994, "Evolving virtual creatures", section 3).
+"""Development of a graph into bodies (Sims 1994, "Evolving virtual creatures").
 
 The root part is the first body. Bodies grow breadth-first along the connections of their nodes:
 
@@ -17,11 +17,13 @@ The root part is the first body. Bodies grow breadth-first along the connections
 Frames are at the centres of the boxes. Every body but the root has its joint at the centre of its
 near end face, ``(-half_x, 0, 0)`` in its own frame. The root faces +x, and z is up.
 
-Differs from Sims 1994: he lets parts overlap.
+Differs from Sims 1994: a part that would overlap does not grow. Sims discards creatures with parts
+that overlap too much. A rule of growth keeps the rest of the creature instead.
 """
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -31,11 +33,21 @@ from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.linear import matmul, matvec, matvec_t, t_matmul
 from evo_cpg.creature.graph import JOINT_AXES, MOST_RECURSION, Graph, GraphLayout
+from evo_cpg.creature.walk import walk_order
 
-# Largest factor by which a connection enlarges, and smallest by which it shrinks.
-_LARGER, _SMALLER = 1.5, 0.5
-# Added to direction cosines, so that a cross product of nearly parallel edges separates no boxes.
-_PARALLEL = 1e-5
+# Numbers of the growth are whole, so that the compiler cannot round them in different ways. Then a
+# plan has the same bodies alone, in any batch, in float32 and in float64. Cosines, and places on
+# faces, are multiples of 2^-15. Lengths are multiples of 2^-13 of the largest half extent. The
+# error of a body's place is about 0.1 mm then. Only the overlap test depends on it.
+_BITS, _LENGTH = 15, 2**13
+_ONE = 2**_BITS
+# Steps of the logarithm from the smallest to the largest half extent, 0.2 % of a length each, and
+# a step of the logarithm of all lengths if the volume is too large.
+_SIZES, _SHRINKING = 1024, 0.001
+# Largest factors by which a connection enlarges and shrinks.
+_LARGER, _SMALLER = 1.5, 2.0
+# Added to rounded cosines, so that the cross product of nearly parallel edges separates no boxes.
+_PARALLEL = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +60,7 @@ class PlanBounds:
         volume: largest volume of all bodies, m^3.
         turns: largest yaw, pitch and roll of a child from the surface normal, rad.
         angles: largest joint angles about x, y and z, rad.
-        overlap: depth to which boxes may overlap, m. It is less than the smallest extent.
+        overlap: depth to which boxes may overlap, m. All may overlap if it is above all extents.
     """
 
     bodies: int = 20
@@ -108,15 +120,14 @@ def developed(graph: Graph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
         layout: sizes of the graph.
         bounds: limits of the plan.
     """
-    grown = _grown(_rules(graph, bounds), layout, bounds)
-    bodies, index = grown.bodies, jnp.arange(bounds.bodies)
-    present = index < grown.count
-    order, slot = walk_order(jnp.where(present & (index > 0), bodies.parent, -1))
-    position = jnp.argsort(order)
-    node = bodies.node[order]
-    parent = jnp.where(index == 0, -1, position[bodies.parent[order]])
-    volume = jnp.where(present, 8 * bodies.half.prod(0), 0.0).sum()
-    shrink = _cube_root(jnp.minimum(bounds.volume / volume, 1))
+    growth = _grown(_rules(graph, bounds), layout, bounds)
+    index = jnp.arange(bounds.bodies)
+    present = index < growth.count
+    order, slot = walk_order(jnp.where(present, growth.bodies.parent, -1))
+    bodies = jax.tree.map(lambda x: x[..., order], growth.bodies)
+    parent = jnp.where(index == 0, -1, jnp.argsort(order)[bodies.parent])
+    half, place, rotation = _geometry(graph, bodies, parent, present, bounds)
+    node = bodies.node
     kind = jnp.clip(jnp.round(graph.kind[node]), 0, len(JOINT_AXES) - 1).astype(int)
     axes = jnp.asarray(JOINT_AXES)[kind] & (index > 0)[:, None]
     label = graph.label[node].astype(int)
@@ -124,10 +135,10 @@ def developed(graph: Graph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
     plan = Plan(
         present,
         parent,
-        half=jnp.moveaxis(bodies.half, -1, 0)[order] * shrink,
-        place=jnp.moveaxis(bodies.place, -1, 0)[order] * shrink,
-        rotation=jnp.moveaxis(bodies.rotation, -1, 0)[order],
-        mirror=bodies.mirror[order],
+        half,
+        place,
+        rotation,
+        mirror=bodies.mirror.astype(half.dtype),
         axes=axes,
         limit=jnp.where(axes, graph.limits[node] * jnp.array(bounds.angles)[None], 0.0),
         strength=graph.strength[node],
@@ -137,128 +148,165 @@ def developed(graph: Graph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
         control=graph.control[node],
         slot=slot,
     )
-    return _without_absent(plan)
+    shown = [present.reshape(-1, *(1,) * (x.ndim - 1)) for x in plan]
+    absent = False, -1, 0, 0, jnp.eye(3)[None], 1, False, 0, 0, 0, 0, False, 0, -1
+    return Plan(*map(jnp.where, shown, plan, absent))
 
 
-def _without_absent(plan: Plan) -> Plan:
-    """Return a plan whose absent bodies have fixed numbers, so that equal plans are equal."""
-    nothing = jax.tree.map(jnp.zeros_like, plan)
-    nothing = nothing._replace(
-        parent=nothing.parent - 1,
-        slot=nothing.slot - 1,
-        mirror=nothing.mirror + 1,
-        rotation=jnp.broadcast_to(jnp.eye(3, dtype=plan.half.dtype)[None], plan.rotation.shape),
-    )
+def _geometry(
+    graph: Graph,
+    bodies: "_Bodies",
+    parent: Int[Array, " b"],
+    present: Bool[Array, " b"],
+    bounds: PlanBounds,
+) -> tuple[Float[Array, "b 3"], Float[Array, "b 3"], Float[Array, "b 3 3"]]:
+    """Return half extents, joint places (m) and rotations of bodies in their final order."""
+    lengths = jnp.asarray(_lengths(bounds), float)[bodies.size]
+    # A sum of whole numbers below 2^24 is exact, so its order does not matter.
+    unit = 2.0 ** math.ceil(math.log2(8 * bounds.half[1] ** 3 * bounds.bodies)) / 2**23
+    x, y, z = 2 * lengths
+    volumes = jnp.where(present, jnp.round(x * y * z / unit), 0.0)
+    half = lengths * _shrunk(volumes.sum() * unit, bounds)
+    sides = _sides(bodies.mirror)
+    place, depth = _places(graph)
+    face = (place / depth[None]).reshape(3, -1)[:, bodies.via]
+    rotation = _rotations(graph, bounds, lambda x: jnp.asarray(x, float), _float_product)
+    rotation = rotation.reshape(3, 3, -1)[..., bodies.via] * sides[:, None] * sides[None]
+    root = jnp.arange(len(parent)) == 0
+    place = jnp.where(root[None], 0.0, face * half[:, parent] * sides)
+    rotation = jnp.where(root[None, None], jnp.eye(3)[..., None], rotation)
+    return half.T, place.T, jnp.moveaxis(rotation, -1, 0)
 
-    def choose(value: Array, other: Array) -> Array:
-        mask = plan.present.reshape(-1, *(1,) * (value.ndim - 1))
-        return jnp.where(mask, value, other)
 
-    return jax.tree.map(choose, plan, nothing)
+def _shrunk(volume: Float[Array, ""], bounds: PlanBounds) -> Float[Array, ""]:
+    """Return the largest factor on lengths, of a table, that reduces a volume enough.
 
-
-def _cube_root(fraction: Array) -> Array:
-    """Return the cube root of a number from 1e-9 to 1 by Newton's method.
-
-    Library functions round differently alone and in vectors, arithmetic does not.
+    A cube root would round differently alone and in vectors.
     """
-    root = jnp.ones_like(fraction)
-    for _ in range(24):
-        root = (2 * root + fraction / (root * root)) / 3
-    return root
+    most = 8 * bounds.half[1] ** 3 * bounds.bodies
+    steps = 1 + max(math.ceil(math.log(most / bounds.volume) / 3 / _SHRINKING), 0)
+    factors = np.exp(-_SHRINKING * np.arange(steps + 1))
+    above = volume * jnp.asarray(factors**3, float) > bounds.volume
+    return jnp.asarray(factors, float)[above.sum()]
 
 
 class _Rules(NamedTuple):
-    """A graph in SI units, with the components first and nodes or connections last."""
+    """A graph in whole numbers, with the components first and nodes or connections last."""
 
     used: Bool[Array, " k"]
-    half: Float[Array, "3 k"]
+    size: Int[Array, "3 k"]
     recursion: Int[Array, " k"]
     on: Bool[Array, "k c"]
     to: Int[Array, "k c"]
     terminal: Bool[Array, "k c"]
     copies: Int[Array, "k c"]
-    scale: Float[Array, "k c"]
-    face: Float[Array, "3 k c"]
-    rotation: Float[Array, "3 3 k c"]
+    enlarged: Int[Array, "k c"]
+    face: Int[Array, "3 k c"]
+    rotation: Int[Array, "3 3 k c"]
 
 
 def _rules(graph: Graph, bounds: PlanBounds) -> _Rules:
-    """Return a graph in SI units. Tables replace exponentials and sines, as for `_cube_root`."""
-    steps = np.arange(-128, 129) / 128
-    low, high = bounds.half
-    sizes = low * (high / low) ** (np.arange(257) / 256)
-    scales = np.where(steps < 0, (1 / _SMALLER) ** steps, _LARGER**steps)
-    angles = np.array(bounds.turns)[:, None] * steps
-    turn = jnp.moveaxis(_signed(graph.turn), -1, 0)
-    cos, sin = (jnp.stack([*map(_looked_up, f(angles), turn)]) for f in (np.cos, np.sin))
-    place = jnp.moveaxis(_signed(graph.place), -1, 0) - 128.0
-    depth = jnp.abs(place).max(0)
-    # A place at the centre has no direction, so it becomes the middle of the front face.
-    place = jnp.where((depth == 0)[None], jnp.array([1.0, 0, 0])[:, None, None], place)
-    face = place / jnp.maximum(depth, 1)[None]
-    nodes = len(graph.used)
+    steps, nodes = np.arange(-128, 129) / 128, len(graph.used)
+    logs = steps * np.log(np.where(steps < 0, _SMALLER, _LARGER))
+    logs = np.round(logs / np.log(bounds.half[1] / bounds.half[0]) * _SIZES)
+    place, depth = _places(graph)
+    size = jnp.clip(jnp.round(graph.size.T * 256), 0, 256).astype(int)
     return _Rules(
         used=(graph.used > 0.5) | (jnp.arange(nodes) == 0),
-        half=_looked_up(sizes, jnp.clip(jnp.round(graph.size * 256), 0, 256).astype(int)).T,
+        size=size * (_SIZES // 256),
         recursion=jnp.clip(jnp.round(graph.recursion), 1, MOST_RECURSION).astype(int),
         on=graph.on > 0.5,
         to=jnp.clip(jnp.round(graph.to), 0, nodes - 1).astype(int),
         terminal=graph.terminal > 0.5,
         copies=1 + (graph.reflect > 0.5).astype(int),
-        scale=_looked_up(scales, _signed(graph.scale)),
-        face=face,
-        rotation=matmul(_normal_frame(face), _turned(cos, sin)),
+        enlarged=jnp.asarray(logs, int)[_signed(graph.scale) + 128],
+        face=place * _ONE // depth[None],
+        rotation=_rotations(
+            graph, bounds, lambda x: jnp.asarray(np.round(x * _ONE), int), _product
+        ),
     )
 
 
 def _signed(gene: Array) -> Int[Array, "..."]:
-    return jnp.clip(jnp.round(gene * 128) + 128, 0, 256).astype(int)
+    """Return signed fractions as whole numbers from -128 to 128."""
+    return jnp.clip(jnp.round(gene * 128), -128, 128).astype(int)
 
 
-def _looked_up(table: np.ndarray, index: Array) -> Array:
-    return jnp.asarray(table, float)[index]
+def _product(a: Array, b: Array) -> Array:
+    """Return a product of which one factor is a multiple of 2^-15."""
+    return (a * b + _ONE // 2) >> _BITS
 
 
-def _normal_frame(face: Float[Array, "3 k c"]) -> Float[Array, "3 3 k c"]:
-    """Return rotations whose first column is the outward normal of the face that has a place.
+def _float_product(a: Array, b: Array) -> Array:
+    """Return a product of numbers up to 1, rounded so that sums of two products are exact.
 
-    The child keeps the parent's z axis on the front, back and sides, and its y axis elsewhere.
+    Otherwise the compiler may join a product and a sum, with another rounding.
     """
-    axis = jnp.abs(face).argmax(0)
-    sign = jnp.sign(jnp.take_along_axis(face, axis[None], 0))[0]
-    one, none = jnp.ones_like(sign), jnp.zeros_like(sign)
-    x, y, z = ((axis == i) * sign for i in range(3))
-    level, upright = jnp.where(axis == 2, none, one), jnp.where(axis == 2, one, none)
-    rows = [[x, -y, -z], [y, x + upright, none], [z, none, level]]
-    return jnp.stack([jnp.stack(row) for row in rows])
+    steps = 2.0 ** (jnp.finfo(a.dtype).nmant - 1)
+    return jnp.round(a * b * steps) / steps
 
 
-def _turned(cos: Float[Array, "3 k c"], sin: Float[Array, "3 k c"]) -> Float[Array, "3 3 k c"]:
-    """Return rotations by yaw about z, then pitch about the new y, then roll about the new x."""
-    (cz, cy, cx), (sz, sy, sx) = cos, sin
-    return jnp.stack(
-        [
-            jnp.stack([cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx]),
-            jnp.stack([sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx]),
-            jnp.stack([-sy, cy * sx, cy * cx]),
-        ]
+def _lengths(bounds: PlanBounds) -> np.ndarray:
+    """Return the half extent for each step of its logarithm, m."""
+    low, high = bounds.half
+    return low * (high / low) ** (np.arange(_SIZES + 1) / _SIZES)
+
+
+def _places(graph: Graph) -> tuple[Int[Array, "3 k c"], Int[Array, "k c"]]:
+    """Return directions to the joints, and their largest components.
+
+    A place at the centre has no direction. It becomes the middle of the front face.
+    """
+    place = jnp.moveaxis(_signed(graph.place), -1, 0)
+    depth = jnp.abs(place).max(0)
+    front = jnp.array([1, 0, 0])[:, None, None]
+    return jnp.where((depth == 0)[None], front, place), jnp.maximum(depth, 1)
+
+
+def _rotations(
+    graph: Graph,
+    bounds: PlanBounds,
+    table: Callable[[np.ndarray], Array],
+    product: Callable[[Array, Array], Array],
+) -> Array:
+    """Return rotations from the child's frame to the parent's, without mirroring.
+
+    The first column is the outward normal, turned by yaw about z, pitch about the new y, and roll
+    about the new x. Without turns, the child keeps the parent's z axis on the front, back and
+    sides, and its y axis elsewhere.
+    """
+    angles = np.array(bounds.turns)[:, None] * (np.arange(-128, 129) / 128)
+    turn = jnp.moveaxis(_signed(graph.turn) + 128, -1, 0)
+    (cz, cy, cx), (sz, sy, sx) = (
+        [table(row)[gene] for row, gene in zip(f(angles), turn, strict=True)]
+        for f in (np.cos, np.sin)
     )
+    czsy, szsy = product(cz, sy), product(sz, sy)
+    turned = [
+        [product(cz, cy), product(czsy, sx) - product(sz, cx), product(czsy, cx) + product(sz, sx)],
+        [product(sz, cy), product(szsy, sx) + product(cz, cx), product(szsy, cx) - product(cz, sx)],
+        [-sy, product(cy, sx), product(cy, cx)],
+    ]
+    place, _ = _places(graph)
+    axis = jnp.abs(place).argmax(0)
+    x, y, z = jnp.where(axis[None] == jnp.arange(3)[:, None, None], jnp.sign(place), 0)
+    upright = jnp.abs(z)
+    frame = [[x, -y, -z], [y, x + upright, 0 * z], [z, 0 * z, 1 - upright]]
+    return matmul(*(jnp.stack([*map(jnp.stack, each)]) for each in (frame, turned)))
 
 
 class _Bodies(NamedTuple):
-    """Bodies in the order of growth, with the bodies last. Centre and attitude are the root's."""
+    """Bodies, with the bodies last. Centres and attitudes are in the root's frame."""
 
     node: Int[Array, " b"]
     parent: Int[Array, " b"]
-    mirror: Float[Array, " b"]
-    scale: Float[Array, " b"]
+    via: Int[Array, " b"]
+    mirror: Int[Array, " b"]
+    enlarged: Int[Array, " b"]
     occurred: Int[Array, "k b"]
-    half: Float[Array, "3 b"]
-    place: Float[Array, "3 b"]
-    rotation: Float[Array, "3 3 b"]
-    centre: Float[Array, "3 b"]
-    attitude: Float[Array, "3 3 b"]
+    size: Int[Array, "3 b"]
+    centre: Int[Array, "3 b"]
+    attitude: Int[Array, "3 3 b"]
 
 
 class _Growth(NamedTuple):
@@ -273,7 +321,6 @@ class _Growth(NamedTuple):
         link: connection that is tried.
         pending: images of the new group so far.
         clear: whether none of these images overlaps another body.
-        refused: number of groups refused because of an overlap.
     """
 
     bodies: _Bodies
@@ -284,30 +331,24 @@ class _Growth(NamedTuple):
     link: Int[Array, ""]
     pending: Int[Array, ""]
     clear: Bool[Array, ""]
-    refused: Int[Array, ""]
 
 
 def _grown(rules: _Rules, layout: GraphLayout, bounds: PlanBounds) -> _Growth:
     """Return the bodies after every connection of every body has been tried."""
-    number, nodes = bounds.bodies, layout.nodes
-    zero = jnp.zeros((3, number))
-    first = (jnp.arange(number) == 0)[None]
-    straight = jnp.where(first[None], jnp.eye(3)[..., None], 0.0)
+    number = bounds.bodies
+    none, zeros, ones = jnp.array(0), jnp.zeros(number, int), jnp.ones(number, int)
     bodies = _Bodies(
-        node=jnp.zeros(number, int),
-        parent=jnp.zeros(number, int),
-        mirror=jnp.ones(number),
-        scale=jnp.ones(number),
-        occurred=(first & (jnp.arange(nodes) == 0)[:, None]).astype(int),
-        half=jnp.where(first, rules.half[:, :1], zero),
-        place=zero,
-        rotation=straight,
-        centre=zero,
-        attitude=straight,
+        node=zeros,
+        parent=zeros.at[0].set(-1),
+        via=zeros,
+        mirror=ones,
+        enlarged=zeros,
+        occurred=jnp.zeros((layout.nodes, number), int).at[0, 0].set(1),
+        size=jnp.broadcast_to(rules.size[:, :1], (3, number)),
+        centre=jnp.zeros((3, number), int),
+        attitude=jnp.zeros((3, 3, number), int).at[..., 0].set(_ONE * jnp.eye(3, dtype=int)),
     )
-    none, all_clear = jnp.array(0), jnp.array(True)
-    size = jnp.ones(number, int)
-    start = _Growth(bodies, none + 1, size, none, none, none, none, all_clear, none)
+    start = _Growth(bodies, none + 1, ones, none, none, none, none, jnp.array(True))
     attempts = number * layout.connections
     return jax.lax.fori_loop(0, attempts, lambda _, growth: _tried(growth, rules, bounds), start)
 
@@ -327,8 +368,9 @@ def _tried(growth: _Growth, rules: _Rules, bounds: PlanBounds) -> _Growth:
     # The members of a group have the same node and ancestors, so all or none may grow.
     total = growth.pending + copies
     last = growth.member + 1 == growth.size[growth.first]
-    may = last & _may_grow(parent, growth, rules) & (growth.count + total <= bounds.bodies)
-    grows, tried = may & clear, last & (growth.link + 1 == rules.on.shape[1])
+    room = growth.count + total <= bounds.bodies
+    grows = last & room & clear & _may_grow(parent, growth, rules)
+    tried = last & (growth.link + 1 == rules.on.shape[1])
     return _Growth(
         bodies,
         count=growth.count + jnp.where(grows, total, 0),
@@ -338,7 +380,6 @@ def _tried(growth: _Growth, rules: _Rules, bounds: PlanBounds) -> _Growth:
         link=jnp.where(tried, 0, growth.link + last),
         pending=jnp.where(last, 0, total),
         clear=clear | last,
-        refused=growth.refused + (may & ~clear),
     )
 
 
@@ -360,28 +401,37 @@ def _may_grow(parent: _Bodies, growth: _Growth, rules: _Rules) -> Bool[Array, ""
 
 def _images(parent: _Bodies, own: Array, link: Array, rules: _Rules, bounds: PlanBounds) -> _Bodies:
     """Return the body that grows at a connection, then its mirrored copy."""
-    target = rules.to[parent.node, link]
-    mirror = parent.mirror * jnp.array([1.0, -1.0])
-    sides = jnp.stack([jnp.ones_like(mirror), mirror, jnp.ones_like(mirror)])
-    scale = parent.scale * rules.scale[parent.node, link]
-    half = jnp.clip(rules.half[:, target] * scale, *bounds.half)[:, None]
-    place = (parent.half * rules.face[:, parent.node, link])[:, None] * sides
-    rotation = rules.rotation[:, :, parent.node, link][..., None] * sides[:, None] * sides[None]
+    node, two = parent.node, jnp.ones(2, int)
+    target, units = rules.to[node, link], _units(bounds)
+    mirror = parent.mirror * jnp.array([1, -1])
+    enlarged = parent.enlarged + rules.enlarged[node, link]
+    size = jnp.clip(rules.size[:, target] + enlarged, 0, _SIZES)
+    place = _product(units[parent.size], rules.face[:, node, link])
+    sides = _sides(mirror)
+    rotation = rules.rotation[:, :, node, link][..., None] * sides[:, None] * sides[None]
     attitude = parent.attitude[..., None]
-    offset = place + rotation[:, 0] * half[:1]
+    offset = place[:, None] * sides + _product(units[size[0]], rotation[:, 0])
     occurred = parent.occurred + (jnp.arange(len(parent.occurred)) == target)
     return _Bodies(
-        node=jnp.stack([target] * 2),
-        parent=jnp.stack([own] * 2),
+        node=target * two,
+        parent=own * two,
+        via=(node * rules.on.shape[1] + link) * two,
         mirror=mirror,
-        scale=jnp.stack([scale] * 2),
-        occurred=jnp.stack([occurred] * 2, -1),
-        half=jnp.concatenate([half] * 2, -1),
-        place=place,
-        rotation=rotation,
-        centre=parent.centre[:, None] + matvec(attitude, offset),
-        attitude=matmul(attitude, rotation),
+        enlarged=enlarged * two,
+        occurred=occurred[:, None] * two[None],
+        size=size[:, None] * two[None],
+        centre=parent.centre[:, None] + ((matvec(attitude, offset) + _ONE // 2) >> _BITS),
+        attitude=(matmul(attitude, rotation) + _ONE // 2) >> _BITS,
     )
+
+
+def _sides(mirror: Array) -> Array:
+    """Return the diagonal of diag(1, mirror, 1)."""
+    return jnp.stack([jnp.ones_like(mirror), mirror, jnp.ones_like(mirror)])
+
+
+def _units(bounds: PlanBounds) -> Int[Array, " sizes"]:
+    return jnp.asarray(np.round(_lengths(bounds) / bounds.half[1] * _LENGTH), int)
 
 
 def _overlap(images: _Bodies, bodies: _Bodies, bounds: PlanBounds) -> Bool[Array, "2 b"]:
@@ -390,78 +440,21 @@ def _overlap(images: _Bodies, bodies: _Bodies, bounds: PlanBounds) -> Bool[Array
     Boxes that are smaller by half the depth on all sides meet unless one of 15 axes separates them
     (Gottschalk, Lin and Manocha 1996, "OBBTree").
     """
-    a, b = ((x - bounds.overlap / 2) for x in (images.half[..., None], bodies.half[:, None]))
-    cosines = t_matmul(images.attitude[..., None], bodies.attitude[:, :, None])
+    units = _units(bounds) - round(bounds.overlap / 2 / bounds.half[1] * _LENGTH)
+    a, b = units[images.size][..., None], units[bodies.size][:, None]
+    attitude, other = images.attitude[..., None], bodies.attitude[:, :, None]
+    cosines = (t_matmul(attitude, other) + _ONE // 2) >> _BITS
+    # Boxes that are farther apart than 4 half extents on an axis are apart at this distance, too.
+    # Products of whole numbers of 32 bits are then exact.
     apart = bodies.centre[:, None] - images.centre[..., None]
-    t = matvec_t(images.attitude[..., None], apart)
+    apart = jnp.clip(apart, -4 * _LENGTH, 4 * _LENGTH)
+    t = (matvec_t(attitude, apart) + _ONE // 2) >> _BITS
     size = jnp.abs(cosines) + _PARALLEL
-    (a1, a2), (b1, b2), (t1, t2) = ((jnp.roll(x, -k, 0) for k in (1, 2)) for x in (a, b, t))
+    (a1, a2), (b1, b2), (t1, t2) = ([jnp.roll(x, -k, 0) for k in (1, 2)] for x in (a, b, t))
     (c1, c2), (rows1, rows2) = ([jnp.roll(x, -k, 0) for k in (1, 2)] for x in (cosines, size))
     columns1, columns2 = (jnp.roll(size, -k, 1) for k in (1, 2))
-    faces = jnp.abs(t) > a + matvec(size, b)
-    other_faces = jnp.abs(matvec_t(cosines, t)) > b + matvec_t(size, a)
+    faces = jnp.abs(t) * _ONE > a * _ONE + matvec(size, b)
+    other_faces = jnp.abs(matvec_t(cosines, t)) > b * _ONE + matvec_t(size, a)
     reach = a1[:, None] * rows2 + a2[:, None] * rows1 + b1[None] * columns2 + b2[None] * columns1
     edges = jnp.abs(t2[:, None] * c1 - t1[:, None] * c2) > reach
     return ~(faces.any(0) | other_faces.any(0) | edges.any((0, 1)))
-
-
-def walk_order(parent: Int[Array, " b"]) -> tuple[Int[Array, " b"], Int[Array, " b"]]:
-    """Return the order in which bodies are walked, and the slots of bodies in that order.
-
-    The order is preorder. Among the children of a body, the one with the largest subtree is last,
-    and the others precede it by falling size. A walk keeps values of bodies with several children
-    in slots until their last child. The order needs few slots (Sethi and Ullman 1970, "The
-    generation of optimal code for arithmetic expressions"): 3 for up to 30 bodies.
-
-    Args:
-        parent: index of each body's parent, which precedes the body. It is -1 for the root, which
-            is body 0, and for absent bodies.
-
-    Returns:
-        The indices of the bodies in the order of the walk, with absent bodies last. Then, in that
-        order, the slot of each body with several children, otherwise -1.
-    """
-    number = len(parent)
-    index = jnp.arange(number)
-    child = parent[None] == index[:, None]  # of a body (row)
-    below = _descendants(parent)
-    size = below.sum(1)
-    before = (size[:, None] > size[None]) | (
-        (size[:, None] == size[None]) & (index[:, None] < index[None])
-    )
-    siblings = (parent[:, None] == parent[None]) & (parent >= 0)[None]
-    last = (parent >= 0) & ~(siblings & before).any(0)
-    before = siblings & ((before & ~last[:, None]) | (last[None] & ~last[:, None]))
-    offset = jnp.where(parent >= 0, 1 + (before * size[:, None]).sum(0), 0)
-    absent = (parent < 0) & (index > 0)
-    position = jnp.where(absent, number + index, (below * offset[:, None]).sum(0))
-    order = jnp.argsort(position)
-    return order, _slots(child, last)[order]
-
-
-def _descendants(parent: Int[Array, " b"]) -> Bool[Array, "b b"]:
-    """Return whether a body (column) is another one (row) or hangs on it."""
-    index = jnp.arange(len(parent))
-
-    def add(body: Array, below: Array) -> Array:
-        above = below[:, parent[body]] & (parent[body] >= 0)
-        return jnp.where((index == body)[None], above[:, None] | (index == body)[:, None], below)
-
-    return jax.lax.fori_loop(0, len(parent), add, jnp.zeros((len(parent),) * 2, bool))
-
-
-def _slots(child: Bool[Array, "b b"], last: Bool[Array, " b"]) -> Int[Array, " b"]:
-    """Return the slot of each body with several children, otherwise -1."""
-    number = len(last)
-
-    def add(i: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        needed, slots = state
-        own, body = child[number - 1 - i], jnp.arange(number) == number - 1 - i
-        slot = jnp.where(own & ~last, needed, 0).max()
-        after = jnp.where(own & last, needed, 0).max()
-        several = own.sum() > 1
-        count = jnp.where(several, jnp.maximum(after, slot + 1), after)
-        return jnp.where(body, count, needed), jnp.where(body & several, slot, slots)
-
-    none = jnp.zeros(number, int)
-    return jax.lax.fori_loop(0, number, add, (none, none - 1))[1]

@@ -1,7 +1,7 @@
 """Random, mutated, crossed and grafted body plans (Sims 1994, "Evolving virtual creatures").
 
-The functions treat one plan, so that `jax.vmap` treats a population. Each result is tidy: its genes
-are multiples of their steps, its connections point to used nodes, and its root has a connection.
+The functions take one plan, and `jax.vmap` applies them to a population. Every result is tidy: its
+genes are multiples of their steps, its connections point to used nodes, and its root has one.
 """
 
 import jax
@@ -20,9 +20,10 @@ from evo_cpg.creature.graph import (
     tidy,
 )
 
-# Fractions of the alterations that add a connection and that remove one. The fractions are equal,
-# so that mutation alone neither grows nor shrinks the plans. Other alterations change a gene.
-_ADDED = _REMOVED = 0.1
+# Fractions of the alterations that add a connection and that remove one. More are added, because a
+# removal takes all nodes behind it along. So mutation alone hardly changes the mean number of
+# bodies. Other alterations change a gene.
+_ADDED, _REMOVED = 0.12, 0.06
 # Standard deviation of a change, as a fraction of the gene's range.
 _CHANGE = 0.1
 # Probability that a pointer which moves, or a new connection, leads to the new node.
@@ -30,7 +31,9 @@ _TO_NEW = 0.5
 # Exponent of a uniform number, below 1 so that random plans of many nodes are more frequent.
 _FEW = 0.5
 # Probabilities of random connections beyond the first to each node, and of flags.
-_MORE, _FLAGS = 0.25, {"reflect": 0.5, "terminal": 0.1, "eye": 0.2}
+_MORE, _FLAGS = 0.4, {"reflect": 0.6, "terminal": 0.1, "eye": 0.2}
+# Largest random sizes across a part, and random turns, as fractions of their ranges.
+_THIN, _TURN = 0.4, 0.5
 
 
 def random_graph(key: Array, layout: GraphLayout) -> Graph:
@@ -75,22 +78,26 @@ def _random_choice(key: Array, allowed: Bool[Array, "*rest k"]) -> Int[Array, "*
 
 
 def _drawn(key: Array, layout: GraphLayout) -> Graph:
-    """Return random genes of all nodes and connections. Small turns and scales are likelier.
+    """Return random genes of all nodes and connections.
 
-    Pairs are off the plane of reflection, because most would otherwise overlap and not grow.
+    The parts are slender and little turned. Pairs are on the left and right side, and other parts
+    of a limb on its far half, because most would otherwise overlap another part and not grow.
     """
     uniform, factor = _uniform(key, layout), _uniform(jax.random.fold_in(key, 1), layout)
+    uniform["size"] *= jnp.array([1, _THIN, _THIN])[None]
+    factor |= {"control": 1.0, "place": 1.0, "turn": _TURN * factor["turn"]}
     genes = {name: jnp.zeros(shape) for name, shape in layout.shapes.items()}
     for name in FRACTIONS:
         genes[name] = jnp.floor(256 * uniform[name]) / 256
     for name in SIGNED:
-        part = factor[name] if name in ("turn", "scale") else 1.0
-        genes[name] = jnp.round((jnp.floor(255 * uniform[name]) - 127) * part) / 128
+        genes[name] = jnp.round((jnp.floor(255 * uniform[name]) - 127) * factor[name]) / 128
     for name, probability in _FLAGS.items():
         genes[name] = (uniform[name] < probability).astype(float)
-    aside = (genes["reflect"] > 0)[..., None] & (jnp.arange(3) == 1)[None, None]
-    off_plane = jnp.where(genes["place"] < 0, -64.0, 64.0) + jnp.trunc(64 * genes["place"])
-    genes["place"] = jnp.where(aside, off_plane / 128, genes["place"])
+    x, y, z = jnp.unstack(genes["place"], axis=-1)
+    side = jnp.where(y < 0, -127 / 128, 127 / 128)
+    limb = (jnp.arange(layout.nodes) > 0)[:, None]
+    places = jnp.where(limb, jnp.abs(x), x), jnp.where(genes["reflect"] > 0, side, y), z
+    genes["place"] = jnp.stack(places, -1)
     genes["recursion"] = 1 + jnp.floor(MOST_RECURSION * uniform["recursion"] ** 2)
     kinds = jnp.array(layout.kinds, float)
     genes["kind"] = kinds[jnp.floor(len(kinds) * uniform["kind"]).astype(int)]
@@ -104,7 +111,7 @@ def _uniform(key: Array, layout: GraphLayout) -> dict[str, Array]:
 
 
 def mutated(key: Array, graph: Graph, layout: GraphLayout, rate: Array | float) -> Graph:
-    """Return a plan with random alterations (Sims 1994, section 5.1).
+    """Return a plan with random alterations, as Sims mutates directed graphs.
 
     An alteration changes a gene of a node or connection, moves the pointer of a connection, adds a
     connection or removes one. Real genes change by normal random numbers, and choices get another
@@ -202,7 +209,7 @@ def _moved(name: str, value: Array, normal: Array) -> Array:
 
 
 def crossed(key: Array, one: Graph, other: Graph) -> Graph:
-    """Return a plan whose nodes are from one parent, then from the other (Sims 1994, 5.2).
+    """Return a plan whose nodes are from one parent, then from the other, as Sims crosses graphs.
 
     Half of the children switch back at a second crossover point. A pointer leads to the node at the
     same place as before, or to a random node if that place is empty. The root is from ``one``.
@@ -223,7 +230,7 @@ def crossed(key: Array, one: Graph, other: Graph) -> Graph:
 
 
 def grafted(key: Array, one: Graph, other: Graph) -> Graph:
-    """Return one parent with a part of the other (Sims 1994, section 5.2).
+    """Return one parent with a part of the other, as Sims grafts graphs.
 
     A random connection of ``one`` leads to a random node of ``other``. This node and all that it
     reaches are copied to the free places, the nearest first, as many as fit. Places are free if no

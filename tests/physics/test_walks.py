@@ -10,7 +10,7 @@ import pytest
 from creatures import quick_jit, random_creature, random_state
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.tree import Group, Tree, build_tree
-from evo_cpg.creature.walk import slot_count, walk_of
+from evo_cpg.creature.walk import walk_of, walk_order
 from evo_cpg.physics.step.equations import body_equations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.articulated import solve
@@ -25,39 +25,11 @@ from evo_cpg.physics.tree.spatial_algebra import Wrench
 OF_BODIES = ("joint_offset", "joint_orientation", "mass", "volume", "com", "inertia")
 
 
-def order_of_walk(parents) -> tuple[list[int], list[int], list[int]]:
-    """Return the bodies in the order of a walk, with the parent and the slot of each."""
-    children = [[i for i, p in enumerate(parents) if p == q] for q in range(len(parents))]
-    order, found = [], []
-
-    def size(body: int) -> int:
-        return 1 + sum(map(size, children[body]))
-
-    def visit(body: int, parent: int) -> None:
-        place = len(order)
-        order.append(body)
-        found.append(parent)
-        by_size = sorted(children[body], key=size, reverse=True)
-        for child in by_size[1:] + by_size[:1]:
-            visit(child, place)
-
-    visit(0, -1)
-    slots = [-1] * len(order)
-
-    def used(place: int) -> int:
-        below = [used(k) for k, parent in enumerate(found) if parent == place]
-        if len(below) < 2:
-            return sum(below)
-        slots[place] = max(below[:-1])
-        return max(below[-1], slots[place] + 1)
-
-    used(0)
-    return order, found, slots
-
-
 def walked(tree: Tree) -> tuple[Tree, np.ndarray, np.ndarray]:
     """Return a tree with a walk, and its bodies and degrees of freedom in the order of the walk."""
-    order, parents, slots = order_of_walk(tree.parents)
+    order, slots = map(np.asarray, walk_order(jnp.array(tree.parents)))
+    place = np.argsort(order)
+    parents = [-1, *(place[tree.parents[body]] for body in order[1:])]
     of_body = {
         body: (group, group.dofs.start + (body - group.bodies.start) * group.axes)
         for group in tree.groups
@@ -71,7 +43,7 @@ def walked(tree: Tree) -> tuple[Tree, np.ndarray, np.ndarray]:
         groups.append(
             Group(slice(place, place + 1), own, group.axes, (0,), group.kind, group.kinds)
         )
-    moved = {name: getattr(tree, name)[..., np.array(order)] for name in OF_BODIES}
+    moved = {name: getattr(tree, name)[..., order] for name in OF_BODIES}
     found = dataclasses.replace(
         tree,
         **moved,
@@ -81,7 +53,7 @@ def walked(tree: Tree) -> tuple[Tree, np.ndarray, np.ndarray]:
         dof_bodies=tuple(i for i, group in enumerate(groups, 1) for _ in range(group.axes)),
         walk=jax.tree.map(np.asarray, walk_of(jnp.array(parents), jnp.array(slots), np.ones(0))),
     )
-    return found, np.array(order), np.array(dofs)
+    return found, order, np.array(dofs)
 
 
 def results(tree: Tree, state, torque, y, push) -> tuple:
@@ -126,17 +98,3 @@ def test_any_parents_give_the_motion_of_the_known_tree(seed):
         expected += (*(x[:, bodies] for x in moving), wrench[v])
         for one, same in zip(jax.tree.leaves(found), expected, strict=True):
             np.testing.assert_allclose(one, same, rtol=1e-9, atol=1e-9 * np.abs(same).max())
-
-
-def test_slots_suffice_for_every_tree():
-    rng = np.random.default_rng(0)
-    for _ in range(2000):
-        reach = int(rng.integers(1, 20))
-        parents = [-1, *(int(rng.integers(max(0, i - reach), i)) for i in range(1, 20))]
-        _, found, slots = order_of_walk(parents)
-        assert max(slots) < slot_count(20) == 3
-        open_in = {}
-        for body, parent in enumerate(found):
-            assert parent in (body - 1, *open_in.values())
-            if slots[body] >= 0:
-                open_in[slots[body]] = body
