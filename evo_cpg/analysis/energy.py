@@ -36,6 +36,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import as_matrix_of, cross, dot, expand_dims_like, matvec
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.contact.contact import find_contacts
 from evo_cpg.physics.contact.pair_contacts import find_pair_contacts
 from evo_cpg.physics.step.step import needs_iteration
@@ -50,7 +51,6 @@ from evo_cpg.physics.tree.joint_torque import (
 )
 from evo_cpg.physics.tree.joints import Subspace
 from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
-from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.state import State
 from evo_cpg.physics.tree.tendon import length_of, lengths_of, stretch_of, torque_of
 from evo_cpg.physics.water.force_law import Bodies, buoyancy_alone, in_body_axes

@@ -11,12 +11,12 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.analysis.energy import along_time
 from evo_cpg.creature.algebra.linear import expand_dims_like, matvec
 from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.per_body import take
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.physics.contact.contact_points import contact_points
 from evo_cpg.physics.contact.pairs import Pairs, make_pairs, separations
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import kinematics
-from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.tendon import torque_of
 from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.simulation.simulation import Simulation

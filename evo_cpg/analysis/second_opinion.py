@@ -38,6 +38,7 @@ from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.laws import CoordinateLaws
+from evo_cpg.creature.per_body import take
 from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.io.models.mujoco_state import (
     CarriedInertia,
@@ -56,7 +57,6 @@ from evo_cpg.physics.tree import root
 from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.muscle import pull_of
-from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.force_law import buoyancy_alone, in_body_axes
 from evo_cpg.simulation.control_step import act, begin_episode, motor_command, sense

@@ -56,9 +56,7 @@ def _least(slot: int) -> int:
     return 2 ** (slot + 1) - 1
 
 
-def walk_of(
-    parents: Int[Array, " b"], slots: Int[Array, " b"], turns: Float[Array, " d"]
-) -> Walk:
+def walk_of(parents: Int[Array, " b"], slots: Int[Array, " b"], turns: Float[Array, " d"]) -> Walk:
     """Return the walk over the bodies of one individual.
 
     Args:

@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 from typing_extensions import override
 
+from evo_cpg.creature.per_body import PerBody, Value
 from evo_cpg.creature.tree import Group, Tree
 from evo_cpg.creature.walk import Walk, may_open, may_read, slot_count
-from evo_cpg.creature.per_body import PerBody, Value
 
 
 def outwards(tree: Tree, root: Value, batch_ndim: int) -> PerBody[Value]:

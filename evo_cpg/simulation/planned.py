@@ -240,7 +240,9 @@ class PlanInputs:
 
     def values(self, plan: Plan) -> Float[Array, " v"]:
         """Return the inputs of a plan, as a vector."""
-        return jnp.concatenate([x.reshape(-1) for x in jax.tree.leaves(numbers_of(plan, self.physics))])
+        return jnp.concatenate(
+            [x.reshape(-1) for x in jax.tree.leaves(numbers_of(plan, self.physics))]
+        )
 
     def put(self, common: Simulation, values: list[Array]) -> Simulation:
         """Return the simulation of a plan. The values are those of `values`, as one array."""
@@ -306,9 +308,9 @@ class PlanInputs:
         found = []
         for law in common.world.forces:
             assert isinstance(law, Drag)
-            given = (numbers.form, self.physics.form_resolution), (
-                numbers.skin,
-                self.physics.skin_resolution,
+            given = (
+                (numbers.form, self.physics.form_resolution),
+                (numbers.skin, self.physics.skin_resolution),
             )
             form, skin = (_surfaces(tree, numbers.half, *each) for each in given)
             patches = make_patches(tree, form, skin, law.law, False, "complete")

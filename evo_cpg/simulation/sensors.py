@@ -17,10 +17,10 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.linear import as_matrix_of, dot, expand_dims_like, matvec, matvec_t
 from evo_cpg.creature.algebra.numerics import MixedArray, Number, Numbers, xp
 from evo_cpg.creature.creature import Creature, DepthSensor, LightSensor
+from evo_cpg.creature.per_body import take
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.creature.per_body import take
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 
 # Added under square roots, so that a light at the sensor's own place gives a finite gradient.

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like, matvec
 from evo_cpg.creature.algebra.numerics import Numbers
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.contact.contact_points import contact_points
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import Kinematics, kinematics
-from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.state import State
 
 

@@ -44,11 +44,11 @@ from evo_cpg.creature.algebra.linear import (
     matvec_t,
     skew,
 )
+from evo_cpg.creature.per_body import PerBody, take
 from evo_cpg.native.fuse import symmetric
 from evo_cpg.physics.contact.contact_model import STIFFNESS, ContactModel
 from evo_cpg.physics.contact.contact_points import contact_points
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.creature.per_body import PerBody, take
 from evo_cpg.physics.tree.spatial_algebra import Inertia, Wrench
 
 # Baumgarte stabilisation: fraction of a penetration that is undone in a step, and the fastest exit

@@ -20,13 +20,13 @@ from evo_cpg.creature.algebra.linear import (
     matvec_t,
 )
 from evo_cpg.creature.algebra.numerics import MixedArray, Numbers, xp
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.contact.contact_model import CORNERS, ContactModel, ContactPoints
 from evo_cpg.physics.contact.obstacles import meeting_time, obstacle_points, tangent_point
 from evo_cpg.physics.contact.separation import RoundedBoxes
 from evo_cpg.physics.contact.sweep import Moving, fast_from, moved, time_of_crossing
 from evo_cpg.physics.contact.terrain import Plane, nearest
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.creature.per_body import take
 
 # Slope up to which corners of a mesh count as low as the lowest one. The corners of a body that
 # falls flat at 5 rad/s are found 5 steps ahead.

@@ -35,6 +35,7 @@ from evo_cpg.creature.algebra.linear import (
     where_each,
 )
 from evo_cpg.creature.algebra.numerics import xp
+from evo_cpg.creature.per_body import take
 from evo_cpg.physics.contact.box_separation import separation_of_boxes
 from evo_cpg.physics.contact.contact_model import NEAREST, ContactPoints, Ground, Parts, Solids
 from evo_cpg.physics.contact.separation import (
@@ -47,7 +48,6 @@ from evo_cpg.physics.contact.separation import (
 from evo_cpg.physics.contact.sweep import Moving, PartShapes, moved, times_of_contact
 from evo_cpg.physics.contact.terrain import Block, Boulder, Obstacle
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.creature.per_body import take
 
 # A part keeps its points with the smallest gaps. Each further point on one obstacle counts as this
 # much farther away (m), so that a part that lies on two obstacles has points on both. The same

@@ -37,6 +37,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec, t_matmul
+from evo_cpg.creature.per_body import take
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.contact.contact import rest_velocity
@@ -51,7 +52,6 @@ from evo_cpg.physics.contact.pairs import (
 )
 from evo_cpg.physics.contact.separation import Separation
 from evo_cpg.physics.tree.kinematics import Kinematics, motion_of_bodies
-from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.root import ROOT_DOFS
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 

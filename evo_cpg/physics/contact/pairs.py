@@ -27,6 +27,7 @@ from evo_cpg.creature.algebra.decisions import Condition, Undecidable, all_hold,
 from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec, skew
 from evo_cpg.creature.algebra.numerics import Numbers, is_traced, xp
 from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.creature.per_body import take
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.self_collision import (
     LeftOut,
@@ -47,7 +48,6 @@ from evo_cpg.physics.contact.separation import (
     separation_of_rounded,
 )
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 
 # c h of a pair, as a multiple of the geometric mean of the two masses.

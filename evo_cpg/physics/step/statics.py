@@ -31,6 +31,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec, matvec_t
+from evo_cpg.creature.per_body import take
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.contact.contact import BAUMGARTE_FRACTION
 from evo_cpg.physics.contact.contact_points import contact_points
@@ -46,7 +47,6 @@ from evo_cpg.physics.tree.joint_torque import (
     passive_torque,
 )
 from evo_cpg.physics.tree.kinematics import kinematics
-from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.spatial_algebra import Wrench
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.tree.tendon import length_of, passive_force, torque_of

@@ -32,6 +32,7 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import cross, dot, matvec, where_each
 from evo_cpg.creature.algebra.numerics import xp
+from evo_cpg.creature.per_body import take
 from evo_cpg.native.fuse import solve_symmetric
 from evo_cpg.physics.contact.contact import ContactLinearization
 from evo_cpg.physics.contact.pair_contacts import PairForces
@@ -46,7 +47,6 @@ from evo_cpg.physics.tree.generalized import (
     mass_matrix,
 )
 from evo_cpg.physics.tree.joint_torque import changes_overload, linearized_torque
-from evo_cpg.creature.per_body import take
 from evo_cpg.physics.tree.root import JOINTS, ROOT_DOFS
 from evo_cpg.physics.tree.tendon import TendonForce, length_of
 

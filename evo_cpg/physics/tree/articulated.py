@@ -38,14 +38,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import matvec, matvec_t
+from evo_cpg.creature.per_body import PerBody, in_dof_order
 from evo_cpg.creature.tree import Tree
+from evo_cpg.creature.walked import inwards, outwards
 from evo_cpg.native.fuse import self_adjoint
 from evo_cpg.physics.tree import root
 from evo_cpg.physics.tree.generalized import body_accelerations, generalized_force
 from evo_cpg.physics.tree.joint_kinds import joints_of
 from evo_cpg.physics.tree.joints import Subspace
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.creature.per_body import PerBody, in_dof_order
 from evo_cpg.physics.tree.spatial_algebra import (
     Inertia,
     Motion,
@@ -54,7 +55,6 @@ from evo_cpg.physics.tree.spatial_algebra import (
     motion_at_child,
     wrench_at_parent,
 )
-from evo_cpg.creature.walked import inwards, outwards
 
 
 class Accelerations(NamedTuple):

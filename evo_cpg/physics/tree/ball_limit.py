@@ -16,8 +16,8 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.linear import dot, expand_dims_like
 from evo_cpg.creature.axis_kinds import SPANNING
 from evo_cpg.creature.laws import BallLimits
-from evo_cpg.physics.tree.joint_torque import Coordinates, expected_limit_torque, limit_torque
 from evo_cpg.creature.per_body import take
+from evo_cpg.physics.tree.joint_torque import Coordinates, expected_limit_torque, limit_torque
 from evo_cpg.physics.tree.root import JOINTS, ROOT_DOFS
 from evo_cpg.physics.tree.state import State
 

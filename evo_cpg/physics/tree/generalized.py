@@ -22,11 +22,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like
+from evo_cpg.creature.per_body import PerBody, in_dof_order, of_joints, take
 from evo_cpg.creature.tree import Tree
 from evo_cpg.creature.walk import Walk
+from evo_cpg.creature.walked import inwards, outwards
 from evo_cpg.physics.tree import joints, root
 from evo_cpg.physics.tree.kinematics import Kinematics
-from evo_cpg.creature.per_body import PerBody, in_dof_order, of_joints, take
 from evo_cpg.physics.tree.spatial_algebra import (
     Inertia,
     Motion,
@@ -35,7 +36,6 @@ from evo_cpg.physics.tree.spatial_algebra import (
     motion_at_child,
     wrench_at_parent,
 )
-from evo_cpg.creature.walked import inwards, outwards
 
 
 def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:

@@ -48,10 +48,10 @@ from evo_cpg.creature.algebra.rotation import (
     quaternion_to_rotation_vector,
 )
 from evo_cpg.creature.axis_kinds import SPANNING
+from evo_cpg.creature.per_body import PerBody, of_joints, take
 from evo_cpg.creature.tree import Group, Tree
 from evo_cpg.native.fuse import symmetric
 from evo_cpg.physics.tree.joints import Subspace, accelerated, carried, momentum, torque_of
-from evo_cpg.creature.per_body import PerBody, of_joints, take
 from evo_cpg.physics.tree.spatial_algebra import Inertia, Motion, Wrench, make_inertia
 
 
@@ -336,7 +336,13 @@ class AxisChain(Weld):
         return frame[:, :3], frame[:, 3], Subspace(jnp.stack(angular, 1), jnp.stack(linear, 1))
 
 
-_KINDS = {"weld": Weld(), "turns": Turns(), "some turns": SomeTurns(), "ball": Ball(), "chain": AxisChain()}
+_KINDS = {
+    "weld": Weld(),
+    "turns": Turns(),
+    "some turns": SomeTurns(),
+    "ball": Ball(),
+    "chain": AxisChain(),
+}
 
 
 def displaced(tree: Tree, q: Float[Array, "d *n"], x: Float[Array, "d *n"]) -> Float[Array, "d *n"]:

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import cross, dot, matmul, matvec, matvec_t, t_matmul
-from evo_cpg.creature.tree import Group
 from evo_cpg.creature.per_body import of_joints, take
+from evo_cpg.creature.tree import Group
 from evo_cpg.physics.tree.spatial_algebra import (
     BodyMotion,
     Inertia,

@@ -22,14 +22,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.rotation import quaternion_to_matrix
+from evo_cpg.creature.per_body import PerBody, in_dof_order, of_joints
 from evo_cpg.creature.tree import Tree
+from evo_cpg.creature.walked import outwards
 from evo_cpg.physics.tree import hanging, joints, root
 from evo_cpg.physics.tree.joint_kinds import Link, linked, local_frames
 from evo_cpg.physics.tree.joints import Subspace
-from evo_cpg.creature.per_body import PerBody, in_dof_order, of_joints
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 from evo_cpg.physics.tree.state import State
-from evo_cpg.creature.walked import outwards
 
 
 class Kinematics(NamedTuple):

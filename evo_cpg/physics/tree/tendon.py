@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.laws import Tendons
+from evo_cpg.creature.per_body import spread, take
 from evo_cpg.physics.tree.joint_torque import (
     Coordinates,
     MotorCommand,
@@ -31,7 +32,6 @@ from evo_cpg.physics.tree.joint_torque import (
     linearized_torque,
     motor_torque,
 )
-from evo_cpg.creature.per_body import spread, take
 from evo_cpg.physics.tree.root import JOINTS, ROOT_DOFS
 from evo_cpg.physics.tree.state import State
 

@@ -53,9 +53,9 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.linear import dot, expand_dims_like, matmul_t
 from evo_cpg.creature.algebra.numerics import Numbers, xp
 from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.per_body import take
 from evo_cpg.creature.shapes import Cell, Profile
 from evo_cpg.creature.tree import Tree
-from evo_cpg.creature.per_body import take
 
 # Least w_i as a fraction of H: a level edge of a box has w_i = 0, and w_i is a divisor. The same
 # holds for w and H of a cylinder, as fractions of the root of their squares' sum. The surface

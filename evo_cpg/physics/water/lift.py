@@ -56,10 +56,10 @@ from evo_cpg.creature.algebra.linear import (
 )
 from evo_cpg.creature.algebra.numerics import Numbers, smooth_step, xp
 from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.per_body import spread, take
 from evo_cpg.creature.slender import LEAST_BODIES, slender_chains
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
-from evo_cpg.creature.per_body import spread, take
 from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart
 
 # Reduction of the potential slope, and vortex lift of a rectangular plate. Polhamus's 3.14 is for

@@ -59,10 +59,10 @@ from evo_cpg.creature.algebra.decisions import chosen, some_hold
 from evo_cpg.creature.algebra.linear import as_matrix_of, cross, dot, expand_dims_like
 from evo_cpg.creature.algebra.numerics import Number, Numbers, smooth_step, xp
 from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.creature.per_body import spread, take
 from evo_cpg.creature.shapes import Ellipsoid
 from evo_cpg.creature.slender import LEAST_BODIES, SlenderChain, slender_chains
 from evo_cpg.creature.tree import Tree
-from evo_cpg.creature.per_body import spread, take
 from evo_cpg.physics.water.added_mass import ellipsoid
 from evo_cpg.physics.water.force_law import Bodies, ForceLaw, WrenchPart, blocks
 
