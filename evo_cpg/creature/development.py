@@ -48,6 +48,8 @@ _SIZES, _SHRINKING = 1024, 0.001
 _LARGER, _SMALLER = 1.5, 2.0
 # Added to rounded cosines, so that the cross product of nearly parallel edges separates no boxes.
 _PARALLEL = 4
+# Least fraction of the largest joint angle, because a joint without any range is no joint.
+_LEAST_TURN = 1 / 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,6 +134,7 @@ def developed(graph: Graph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
     axes = jnp.asarray(JOINT_AXES)[kind] & (index > 0)[:, None]
     label = graph.label[node].astype(int)
     earlier = (label[:, None] == label[None]) & (index[None] < index[:, None])
+    turning = _LEAST_TURN + (1 - _LEAST_TURN) * graph.limits
     plan = Plan(
         present,
         parent,
@@ -140,7 +143,7 @@ def developed(graph: Graph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
         rotation,
         mirror=bodies.mirror.astype(half.dtype),
         axes=axes,
-        limit=jnp.where(axes, graph.limits[node] * jnp.array(bounds.angles)[None], 0.0),
+        limit=jnp.where(axes, turning[node] * jnp.array(bounds.angles)[None], 0.0),
         strength=graph.strength[node],
         label=label,
         copy=earlier.sum(1),

@@ -51,7 +51,7 @@ class Graph(NamedTuple):
         label: number that identifies the node from the mutation that created it on.
         size: logarithm of each half extent (x, y, z), as a fraction of the allowed range.
         kind: joint to the parent, an index of `JOINT_AXES`.
-        limits: largest joint angle about x, y and z, as a fraction of the largest allowed angle.
+        limits: largest joint angle about x, y and z, from the least to the largest allowed angle.
         strength: strength of the joint's motor, as a fraction of the strongest.
         recursion: how often the node may occur on a path from the root, from 1 to 4.
         eye: whether the part has an eye.

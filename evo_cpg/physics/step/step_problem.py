@@ -61,6 +61,10 @@ _LARGEST_TURN = 0.3
 # chain of boxes on the ground: below 1e-3 with 10 joints, at times 1e-3 with 20, 0.2 with 40.
 _LONGEST_ELIMINATED = 16
 
+# Joint axes of a walk beyond which equations are solved body by body: any two bodies may be on one
+# branch, so elimination fills the whole matrix.
+_LARGEST_DENSE = 12
+
 # Force (N) or torque (N m) that counts as zero.
 _NONE = 1e-12
 
@@ -179,7 +183,8 @@ class StepProblem(NamedTuple):
             if parent >= 0:
                 depth[body] = depth[parent] + axes[body]
         joined = linear.tendons is not None or linear.balls is not None
-        if joined or depth.max() <= _LONGEST_ELIMINATED:
+        dense = tree.walk is not None and tree.dof_count > _LARGEST_DENSE
+        if joined or (depth.max() <= _LONGEST_ELIMINATED and not dense):
             return self._by_elimination(linear)
         inertia, bias = equations.inertia, equations.bias
         if contacts is not None and linear.contact is not None:
