@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 
 from evo_cpg.creature.algebra.decisions import Condition, all_hold
 from evo_cpg.creature.algebra.numerics import Numbers, is_traced, xp
@@ -22,7 +22,7 @@ from evo_cpg.creature.tree import Tree
 
 # Alternating projections that find the nearest points of two boxes, and the gap (m) below which
 # boxes count as overlapping.
-_PROJECTIONS, _TOUCH = 200, 1e-4
+_PROJECTIONS, TOUCH = 200, 1e-4
 
 # Numbers of pieces of joint ranges that are tried first, and the factor on the size of bodies in
 # these tries. If the enlarged bodies never meet, the same number shows it for similar bodies, too.
@@ -91,7 +91,28 @@ def passing_at_rest(
     turned = rotations[bodies]
     within = xp.array([box.centre for box in boxes])
     middle = centres[bodies] + xp.einsum("bij,bj->bi", turned, within)
+    gaps = gaps_of_boxes(middle, turned, half, np.array(pairs, int).reshape(-1, 2).T)
     first, second = np.array(pairs, int).reshape(-1, 2).T
+    return (gaps - radius[first] - radius[second] < TOUCH) & ruled
+
+
+def gaps_of_boxes(
+    middle: Float[Numbers, "b 3"],
+    turned: Float[Numbers, "b 3 3"],
+    half: Float[Numbers, "b 3"],
+    pairs: Int[np.ndarray, "2 p"],
+) -> Float[Numbers, " p"]:
+    """Return the gaps between pairs of boxes, m, 0 for boxes that touch or overlap.
+
+    Alternating projections find the nearest points.
+
+    Args:
+        middle: centres, m.
+        turned: rotations.
+        half: half extents, m.
+        pairs: indices of the boxes of each pair.
+    """
+    first, second = pairs
 
     def project(point: Numbers, body: np.ndarray) -> Numbers:
         own = xp.einsum("pij,pi->pj", turned[body], point - middle[body])
@@ -110,8 +131,7 @@ def passing_at_rest(
         for _ in range(_PROJECTIONS):
             points = on_both(_, points)
     here, there = points
-    gaps = xp.linalg.norm(there - here, axis=1) - radius[first] - radius[second]
-    return (gaps < _TOUCH) & ruled
+    return xp.linalg.norm(there - here, axis=1)
 
 
 class LeftOut(NamedTuple):

@@ -21,10 +21,12 @@ from evo_cpg.creature.algebra.numerics import MixedArray
 from evo_cpg.creature.creature import NO_LIMIT, Actuator, DegreeOfFreedom
 from evo_cpg.creature.development import Plan
 from evo_cpg.creature.laws import laws_of
+from evo_cpg.creature.self_collision import TOUCH, gaps_of_boxes
 from evo_cpg.creature.shapes import Box, Surface
 from evo_cpg.creature.tree import LEAST_VOLUME, Group, Tree, spatial_inertia
 from evo_cpg.creature.walk import Walk, slot_count, walk_of
 from evo_cpg.physics.contact.contact_model import STIFFNESS, ContactModel
+from evo_cpg.physics.contact.pairs import KINDS, PAIR_STIFFNESS, Alike, Pairs
 from evo_cpg.physics.water.fluid import Drag, make_patches
 from evo_cpg.physics.water.force_law import ForceLaw
 from evo_cpg.simulation.simulation import Simulation
@@ -73,6 +75,7 @@ class PlanNumbers(NamedTuple):
         form: 1 for each point of form drag that no other body covers, else 0.
         skin: the same for skin friction.
         laws: numbers of the joints' laws, in the order of `_LAWS`.
+        pairs: 1 for each two bodies that must not pass through each other, else 0.
         lowest: height of the lowest point in the neutral pose over the root's centre, m.
         walk: parents of the bodies.
     """
@@ -85,6 +88,7 @@ class PlanNumbers(NamedTuple):
     form: Float[Array, "p b"]
     skin: Float[Array, "q b"]
     laws: Float[Array, "l d"]
+    pairs: Float[Array, " k"]
     lowest: Float[Array, ""]
     walk: Walk
 
@@ -130,6 +134,7 @@ def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
         form.T,
         skin.T,
         _laws(plan, parent, physics, inertia, walk),
+        _separate(plan, half, pose),
         jnp.where(present, corners, jnp.inf).min(),
         walk,
     )
@@ -215,6 +220,24 @@ def _uncovered(
     return (~(inside & others).any(-1)).astype(half.dtype)
 
 
+def _every_pair(count: int) -> Int[np.ndarray, "2 k"]:
+    """Return all pairs of different bodies."""
+    return np.stack(np.triu_indices(count, 1))
+
+
+def _separate(plan: Plan, half: Float[Array, "b 3"], pose: _Pose) -> Float[Array, " k"]:
+    """Return 1 for each pair of bodies that must not pass through each other, else 0.
+
+    The rule is that of a drawn animal (`evo_cpg.creature.self_collision`): bodies at a joint pass,
+    and so do bodies that touch in the neutral pose.
+    """
+    first, second = _every_pair(len(half))
+    gaps = gaps_of_boxes(pose.centre, pose.rotation, half, _every_pair(len(half)))
+    joined = (plan.parent[second] == first) | (plan.parent[first] == second)
+    both = plan.present[first] & plan.present[second]
+    return (both & ~joined & (gaps >= TOUCH)).astype(half.dtype)
+
+
 class PlanInputs:
     """Inputs of a program whose individuals are plans, in place of `Inputs`.
 
@@ -231,7 +254,10 @@ class PlanInputs:
         bodies = star.world.tree.body_count
         tree = _with_walk(star.world.tree)
         self.physics = physics
-        self.common = dataclasses.replace(star, world=dataclasses.replace(star.world, tree=tree))
+        world = dataclasses.replace(star.world, tree=tree)
+        if world.contact_model is not None:
+            world = dataclasses.replace(world, pairs=_all_pairs(tree))
+        self.common = dataclasses.replace(star, world=world)
         self._like = jax.eval_shape(lambda plan: numbers_of(plan, physics), _no_plan(bodies))
         known = jax.tree.map(lambda leaf: np.ones(leaf.shape), self._like)
         with recording_decisions() as self._decisions:
@@ -270,7 +296,9 @@ class PlanInputs:
         situations = common.situations
         if world.contact_model is not None:
             contact = _contact_model(world.contact_model, tree, numbers)
-            world = dataclasses.replace(world, contact_model=contact)
+            world = dataclasses.replace(
+                world, contact_model=contact, pairs=_pairs(world.pairs, tree, numbers)
+            )
             height = self.physics.clearance - numbers.lowest
             situations = tuple(
                 each._replace(start_position=(*each.start_position[:2], height))
@@ -402,6 +430,27 @@ def _contact_model(model: ContactModel, tree: Tree, numbers: PlanNumbers) -> Con
     """Return the contact points of a plan. Those of absent bodies have no stiffness."""
     stiffness = STIFFNESS * jnp.sqrt(tree.mass.sum() * tree.mass[np.array(model.bodies)])
     return model._replace(boxes=numbers.half, centre=tree.com, stiffness=stiffness)
+
+
+def _all_pairs(tree: Tree) -> Pairs:
+    """Return all pairs of bodies, as boxes."""
+    first, second = _every_pair(tree.body_count).tolist()
+    plain, none = (0, 1, 2), np.zeros((3, tree.body_count))
+    run = Alike("boxes", (plain, plain), len(first))
+    stiffness = np.zeros(len(first) * KINDS[run.kind][1])
+    return Pairs(tuple(first), tuple(second), (run,), none, none, none[0], stiffness)
+
+
+def _pairs(common: Pairs | None, tree: Tree, numbers: PlanNumbers) -> Pairs | None:
+    """Return the pairs of a plan. Those that may pass have no stiffness."""
+    if common is None:
+        return None
+    one, two = (tree.mass[np.array(each)] for each in _every_pair(tree.body_count))
+    stiffness = PAIR_STIFFNESS * jnp.sqrt(one * two) * numbers.pairs
+    points = len(common.stiffness) // len(common.first)
+    return dataclasses.replace(
+        common, centre=tree.com, half_extents=numbers.half, stiffness=jnp.tile(stiffness, points)
+    )
 
 
 def _surfaces(

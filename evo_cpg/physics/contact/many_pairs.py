@@ -30,7 +30,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from evo_cpg.creature.algebra.linear import cross, dot, matvec
+from evo_cpg.creature.algebra.linear import cross, dot, expand_dims_like, matvec
+from evo_cpg.creature.algebra.numerics import is_traced
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.fuse import unset
@@ -250,28 +251,44 @@ class ManyPairContacts:
 
     def _laws(self, points: Float[Array, "p k *n"], count: Int[Array, "*n"]) -> Array:
         """Return `_Lists.laws` of listed points."""
-        bodies = np.array(self.tree.dof_bodies, int)
-        chains = [np.isin(bodies, chain_to_root(self.tree, b)) for b in range(self.tree.body_count)]
-        moves = np.array(chains, np.float32)
-        signs = moves[self.owners[1]] - moves[self.owners[0]]
+        bodies, sign_of = np.array(self.tree.dof_bodies, int), self._signs(points)
         S = self.kin.axes
         moments = cross(S.angular, self.places[:, bodies])
         if S.linear is not None:
             moments = moments - S.linear
-        signs = signs.astype(points.dtype)
         stiffness = jnp.asarray(self.pairs.stiffness, points.dtype) / self.h
 
         def law(k: Array) -> Array:
             point = _at(points, k)
             number, normal, places, _ = _parts(point)
             first, second = (cross(p, normal)[:, None] for p in places)
-            sign = _constant(signs.T, number)
+            sign = sign_of(number)
             turned = dot(S.angular, jnp.where(sign[None] > 0, second, first))
             J = sign * (turned - dot(normal[:, None], moments))
             first_two = [rest_velocity(point[1], self.h), _constant(stiffness, number)]
             return jnp.concatenate([jnp.stack(first_two), J])
 
         return _table(count, self.size, law, self.qd)
+
+    def _signs(self, points: Float[Array, "p k *n"]) -> Callable[[Array], Array]:
+        """Return a function from the number of a point to the sign of each joint's effect on it.
+
+        A joint parts the points if it moves the second body only (1) or the first only (-1).
+        """
+        tree, bodies = self.tree, np.array(self.tree.dof_bodies, int)
+        if tree.walk is None:
+            chains = [np.isin(bodies, chain_to_root(tree, b)) for b in range(tree.body_count)]
+            moves = np.array(chains, points.dtype)
+            signs = moves[self.owners[1]] - moves[self.owners[0]]
+            return lambda number: _constant(signs.T, number)
+        above = jnp.asarray(tree.walk.above, points.dtype)[:, bodies].T
+        moves = jnp.broadcast_to(expand_dims_like(above, points), (*above.shape, *points.shape[2:]))
+
+        def signs_of(number: Array) -> Array:
+            first, second = (_own(moves, _constant(each, number)) for each in self.owners)
+            return second - first
+
+        return signs_of
 
 
 class _Sums(NamedTuple):
@@ -403,6 +420,8 @@ def _near_points(pairs: Pairs, bodies: _Bodies, like: Array) -> tuple[Array, Arr
         pair = first[p], second[p]
         away = _at(bodies.boxes[0], pair[1], 1) - _at(bodies.boxes[0], pair[0], 1)
         close = dot(away, away) < sum(_at(bodies.ball, body) for body in pair) ** 2
+        if is_traced(pairs.stiffness):
+            close = close & (_at(jnp.asarray(pairs.stiffness), numbers[p]) > 0)
 
         def look(listed: tuple[Array, Array]) -> tuple[Array, Array]:
             for r, run in enumerate(pairs.runs):

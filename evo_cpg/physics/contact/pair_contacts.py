@@ -181,7 +181,7 @@ def find_pair_contacts(
     tree: Tree, pairs: Pairs, kin: Kinematics, qd: Float[Array, "d *n"], h: float
 ) -> PairContacts:
     """Find the nearest points of all pairs, and their separation velocities."""
-    if pairs.looped:
+    if pairs.looped or tree.walk is not None:
         return ManyPairContacts(tree, pairs, kin, qd, h)
     where = separations(pairs, kin)
     rest, bias = rest_velocity(where.gap, h), _bias(pairs, kin.origin, kin, where)

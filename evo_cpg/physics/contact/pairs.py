@@ -51,7 +51,7 @@ from evo_cpg.physics.tree.kinematics import Kinematics
 from evo_cpg.physics.tree.spatial_algebra import BodyMotion
 
 # c h of a pair, as a multiple of the geometric mean of the two masses.
-_STIFFNESS = 60.0
+PAIR_STIFFNESS = 60.0
 
 # Kinds of pairs: the function that finds their nearest points, and the number of points of a pair.
 KINDS = {
@@ -262,7 +262,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
     one, two = (tree.rigid_mass[np.array(_of_points(x, runs))] for x in (first, second))
     # A fixed root without mass counts like the limb that touches it.
     one, two = xp.where(one > 0, one, two), xp.where(two > 0, two, one)
-    stiffness = _STIFFNESS * xp.sqrt(one * two)
+    stiffness = PAIR_STIFFNESS * xp.sqrt(one * two)
     if whole_plan:
         passing = passing_at_rest(creature, tree, settings, pairs)
         of_pair = _of_points(tuple(range(len(pairs))), runs)
