@@ -212,12 +212,19 @@ def _audited(opened: Run, champions: Sequence[Champion], limits: Sequence[str]) 
     opened.require_configured()
     allowed = limits_from(limits, opened.config.audit.limits())
     source, folders = opened.folder.config, class_folders(opened.folder)
+    groups = [(opened, champions)]
+    if opened.experiment.simulation.bodies:
+        groups = [(own := opened.of_body(each), [own.champion]) for each in champions]
     with working("auditing: compiling for each of several simulations") as work:
 
         def tell(what: str, done: int, total: int) -> None:
             work.doing(f"auditing, {done + 1} of {total}: {what}")
 
-        return audits(opened.experiment, champions, allowed, opened.config, source, folders, tell)
+        return [
+            made
+            for own, some in groups
+            for made in audits(own.experiment, some, allowed, own.config, source, folders, tell)
+        ]
 
 
 def audits(

@@ -10,6 +10,7 @@ Axes are those of the body's frame. A body is long along the axis from its joint
 root is long along its longest edge.
 """
 
+import dataclasses
 import fnmatch
 import functools
 import itertools
@@ -26,7 +27,7 @@ from typing_extensions import override
 from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.io.batched import BodyPlan
-from evo_cpg.io.errors import ConfigError, Key, KeyProblem, nearest
+from evo_cpg.io.errors import Key, KeyProblem, nearest
 from evo_cpg.io.keys import parts_of
 from evo_cpg.io.numbers import number_at, number_keys, with_numbers
 from evo_cpg.io.schema.copies import copies_named
@@ -39,7 +40,7 @@ from evo_cpg.io.schema.shape import (
     CapsuleConfig,
     CylinderConfig,
     EllipsoidConfig,
-    LoftConfig,
+    MeshConfig,
     ShapeConfig,
     SphereConfig,
 )
@@ -120,7 +121,9 @@ def scaling_of(config: ExperimentConfig, binary: bool) -> Scaling:
         KeyProblem: a pattern matches nothing, a quantity does not exist, or a range is wrong.
     """
     genes = [
-        gene for key, given in config.evolution.body_genes.items() for gene in _genes(config, key, given)
+        gene
+        for key, given in config.evolution.body_genes.items()
+        for gene in _genes(config, key, given)
     ]
     bodies, count = config.creature.bodies, len(genes)
     axes, motors = np.zeros((len(bodies), 3, count)), np.zeros((len(bodies), count))
@@ -138,9 +141,13 @@ def scaling_of(config: ExperimentConfig, binary: bool) -> Scaling:
     kept = [key for key in own if own[key] != 0]
     for g, gene in enumerate(genes):
         if not any(rows[key][g] for key in kept):
-            raise KeyProblem((*_SECTION, gene.key), "changes nothing: the bodies lack this quantity")
+            raise KeyProblem(
+                (*_SECTION, gene.key), "changes nothing: the bodies lack this quantity"
+            )
     low, high = (tuple(gene.given.range[i] / gene.unit for gene in genes) for i in (0, 1))
-    log = tuple((gene.given.scale or ("log" if gene.relative else "linear")) == "log" for gene in genes)
+    log = tuple(
+        (gene.given.scale or ("log" if gene.relative else "linear")) == "log" for gene in genes
+    )
     names, units = tuple(gene.name for gene in genes), tuple(gene.unit for gene in genes)
     made = BodyGenes(names, low, high, log, units, binary)
     return Scaling(
@@ -174,7 +181,11 @@ def _genes(config: ExperimentConfig, key: str, given: BodyGeneConfig) -> Iterato
         )
         units = {1.0}
         if quantity not in _FACTORS:
-            units = {_extent(body, axis, where) for body in bodies for axis in _axes(body, quantity, where)}
+            units = {
+                _extent(body, axis, where)
+                for body in bodies
+                for axis in _axes(body, quantity, where)
+            }
         if len(units) > 1:
             sizes = ", ".join(f"{unit:g}" for unit in sorted(units))
             raise KeyProblem(
@@ -218,7 +229,9 @@ def _groups(config: ExperimentConfig, key: str, pattern: str, sharing: str) -> l
 def _images(config: ExperimentConfig) -> dict[int, int]:
     """Return the mirror image, left or right, of entries of the creature that have one."""
     creature = config.creature.build()
-    centres = dict(zip((body.name for body in creature.bodies), neutral_pose(creature)[0], strict=True))
+    centres = dict(
+        zip((body.name for body in creature.bodies), neutral_pose(creature)[0], strict=True)
+    )
     slack = _MIRRORED * max(np.ptp(list(centres.values()), axis=0).max(), np.finfo(float).tiny)
     places = [
         np.array([centres[copy.name] for copy in config.creature.copies() if copy.entry == i])
@@ -270,7 +283,9 @@ def _extent(body: BodyConfig, axis: int, where: Key) -> float:
     if isinstance(shape, (CapsuleConfig, CylinderConfig)):
         return shape.length if axis == 0 else 2 * shape.radius
     kind = "none" if shape is None else shape.type
-    raise KeyProblem(where, f"{body.name!r} has the shape {kind}. Only scale and strength apply to it")
+    raise KeyProblem(
+        where, f"{body.name!r} has the shape {kind}. Only scale and strength apply to it"
+    )
 
 
 def _rows(
@@ -289,7 +304,7 @@ def _rows(
     """
     creature, everything = config.creature, config.creature.copies()
 
-    def one(rows: Sequence[np.ndarray], problem: str) -> np.ndarray:
+    def one(rows: Any, problem: str) -> np.ndarray:
         """Return equal rows as one."""
         uneven = np.any([row != rows[0] for row in rows], axis=0)
         if uneven.any():
@@ -298,7 +313,6 @@ def _rows(
 
     for i, body in enumerate(creature.bodies):
         own, key, joint = axes[i], f"creature.bodies.{i}", body.joint
-        whole = functools.partial(one, own, f"{body.name!r} can only scale as a whole, because it has ")
         yield from _of_shape(body.shape, f"{key}.shape", own, body.name, one)
         for k, part in enumerate(body.parts):
             if any(part.rotation_deg):
@@ -313,7 +327,6 @@ def _rows(
             # A mass that grows with the volume, times a square of lengths.
             row = 5 * one(own, f"{body.name!r} has an inertia in numbers, so use scale")
             yield from ((f"{key}.inertia.{k}", row) for k in range(6))
-        del whole
         if joint is None:
             continue
         yield from ((f"{key}.joint.child_at.{a}", own[a]) for a in range(3))
@@ -329,19 +342,24 @@ def _rows(
             )
             rows = [axes[owner, a] for owner in owners]
             if body.radial > 1 and a < 2:
-                problem = f"{body.name!r} is copied around its parent, whose x and y must be scaled alike"
+                problem = (
+                    f"{body.name!r} is copied around its parent, whose x and y must be scaled alike"
+                )
                 rows += [axes[owner, 1 - a] for owner in owners]
             yield f"{key}.joint.at.{a}", one(rows, problem)
         across = own.sum(0) - own[_along(body)] + motors[i]
         several = isinstance(joint.actuator, list)
-        for k, motor in enumerate(joint.actuator if several else [joint.actuator]):
+        given: Any = joint.actuator if several else [joint.actuator]
+        for k, motor in enumerate(given):
             place = f"{key}.joint.actuator" + (f".{k}" if several else "")
             for name in _STRENGTHS:
                 if isinstance(getattr(motor, name, None), float):
                     yield f"{place}.{name}", across
     for kind in ("light_sensors", "depth_sensors", "sensors"):
         for k, sensor in enumerate(getattr(creature, kind)):
-            carriers = {copy.entry for copy in copies_named(getattr(sensor, "body", ""), everything)}
+            carriers = {
+                copy.entry for copy in copies_named(getattr(sensor, "body", ""), everything)
+            }
             for i in carriers if hasattr(sensor, "position") else ():
                 yield from ((f"creature.{kind}.{k}.position.{a}", axes[i, a]) for a in range(3))
 
@@ -351,7 +369,7 @@ def _of_shape(
     key: str,
     own: Float[np.ndarray, "3 f"],
     name: str,
-    one: Callable[[Sequence[np.ndarray], str], np.ndarray],
+    one: Callable[..., np.ndarray],
 ) -> Iterator[tuple[str, Float[np.ndarray, " f"]]]:
     """Yield the key and the exponents of every number of a shape."""
     if isinstance(shape, BoxConfig):
@@ -365,9 +383,9 @@ def _of_shape(
         yield f"{key}.radius", one(own, f"{name!r} is a sphere. Use scale")
     elif shape is not None and own.any():
         row = one(own, f"{name!r} is a {shape.type}, of which only the scale can evolve")
-        if not isinstance(shape, LoftConfig):
+        if isinstance(shape, MeshConfig):
             one([row, 0 * row], f"{name!r} is a mesh, whose size cannot evolve")
-        for k in range(len(shape.sections)):
+        for k in range(len(getattr(shape, "sections", ()))):
             yield from ((f"{key}.sections.{k}.at.{a}", row) for a in range(3))
             yield from ((f"{key}.sections.{k}.{x}", row) for x in ("width", "height"))
 
@@ -440,8 +458,6 @@ def evolved(config: ExperimentConfig, source: Path | str, simulation: Simulation
         KeyProblem: genes of the body are wrong (see `scaling_of`).
         ConfigError: a body is not allowed.
     """
-    import dataclasses
-
     bodies = _made(config.model_dump_json(), str(source), simulation.controller.binary)
     return dataclasses.replace(bodies.common, bodies=bodies)
 
@@ -453,7 +469,10 @@ def without_body_genes(config: ExperimentConfig) -> ExperimentConfig:
 
 
 def config_of(
-    config: ExperimentConfig, simulation: Simulation, genes: Float[np.ndarray, " g"], source: Path | str
+    config: ExperimentConfig,
+    simulation: Simulation,
+    genes: Float[np.ndarray, " g"],
+    source: Path | str,
 ) -> ExperimentConfig:
     """Return the configuration of an individual's own body, which does not evolve any more.
 

@@ -64,7 +64,8 @@ def rollout(
             return rollout(own, genes, keys, trial, observers, backward=backward, begin=begin)
 
         own = [jnp.asarray(value, genes.dtype) for value in values]
-        return jax.vmap(alone, in_axes=-1, out_axes=-1)(own, genes, keys, trial)
+        found = jax.vmap(alone, in_axes=-1, out_axes=-1)(own, genes, keys, trial)
+        return jax.tree.map(lambda one, result: one.of_bodies(result), observers, found)
     # An argument without effect is dropped from the program.
     keys = None if simulation.noise.silent else keys
     trial = None if len(simulation.situations) == 1 else trial

@@ -7,7 +7,7 @@ folders, commands and the API treat a genome as a vector of `Genome.count` numbe
 
 import abc
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
 from evo_cpg.control.controller import Controller
-from evo_cpg.creature.algebra.numerics import Number, Numbers, Triple, xp
+from evo_cpg.creature.algebra.numerics import Number, Triple, xp
 from evo_cpg.native.engine import Engine
 from evo_cpg.physics.contact.pairs import Pairs
 from evo_cpg.physics.step.world import World
@@ -25,7 +25,6 @@ from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.sensors import Sensor, Sensors
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
-
 
 # Bits of a body's gene in a binary genome: 256 values between its bounds.
 _BITS = 8
@@ -66,8 +65,8 @@ class BodyGenes(NamedTuple):
         genes = jax.random.uniform(key, (self.number, *batch), dtype, -1.0, 1.0)
         return (genes > 0).astype(dtype) if self.binary else genes
 
-    def factors(self, genes: Float[Numbers, "g *n"]) -> Float[Numbers, "f *n"]:
-        """Return the factors, in the precision of the genes, which may be traced."""
+    def factors(self, genes: Any) -> Any:
+        """Return the factors ``(f, *n)`` of genes ``(g, *n)``, which may be traced."""
         if self.binary:
             code = xp.cumsum(genes.reshape(len(self.names), _BITS, *genes.shape[1:]), 1) % 2
             weights = 2.0 ** np.arange(_BITS)[::-1] / (2**_BITS - 1)
@@ -76,8 +75,8 @@ class BodyGenes(NamedTuple):
             part = 1.0 - xp.abs((genes + 1.0) / 2.0 % 2.0 - 1.0)
         return self.at(part)
 
-    def at(self, part: Float[Numbers, "f *n"]) -> Float[Numbers, "f *n"]:
-        """Return the factors at a fraction of their range, from 0 to 1."""
+    def at(self, part: Any) -> Any:
+        """Return the factors ``(f, *n)`` at fractions of their ranges, from 0 to 1."""
         column = (-1, *(1,) * (part.ndim - 1))
         low, high, log = (
             np.array(x).reshape(column) for x in (self.low, self.high, self.logarithmic)
@@ -133,9 +132,21 @@ class Genome(NamedTuple):
         """Return the decoded genes. Called once per trial."""
         return Phenotype(self.controller.decode(genes[: self.controller.gene_count]))
 
-    def of_body(self, genes: Float[Numbers, "g *n"]) -> Float[Numbers, "b *n"]:
-        """Return the genes of the body alone."""
+    def of_body(self, genes: Any) -> Any:
+        """Return the genes of the body alone, of genes ``(g, *n)``."""
         return genes[self.controller.gene_count :]
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Names of the evolved quantities of the body."""
+        return self.body.names if self.body else ()
+
+    def sizes_of(self, genes: Float[np.ndarray, " g"]) -> dict[str, float]:
+        """Return the evolved quantities of one individual's body: lengths in m, and factors."""
+        if not self.body:
+            return {}
+        sizes = self.body.factors(self.of_body(genes).astype(float)) * np.array(self.body.units)
+        return dict(zip(self.body.names, sizes.tolist(), strict=True))
 
     def misfit(self, genes: Float[np.ndarray, " _"]) -> str | None:
         """Return the reason why genes of one individual do not fit, or None if they fit."""

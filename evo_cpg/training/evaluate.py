@@ -96,7 +96,6 @@ def compile_trials(
         trials of an individual are next to each other. The last argument holds the values of the
         inputs.
     """
-
     bodies, kept = None if inputs else simulation.bodies, []
     if bodies:
         # The values come from a program of their own, in float64 and for any number of bodies, so

@@ -3,9 +3,10 @@
 import abc
 import functools
 import math
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_serializer, model_validator
 
 from evo_cpg.evolution.genetics import BitGenetics, RealGenetics
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
@@ -102,6 +103,12 @@ class MapSection(Section):
 
     body: dict[str, BodyGene] = Field(default_factory=dict)
     axes: Annotated[tuple[AxisConfig, ...], Field(max_length=6)] = ()
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """Write no genes of a fixed body, as in configurations of earlier versions."""
+        found = write(self)
+        return found if found.get("body") else {k: x for k, x in found.items() if k != "body"}
 
     @property
     def body_genes(self) -> dict[str, BodyGeneConfig]:
