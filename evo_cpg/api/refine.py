@@ -99,8 +99,8 @@ def refine(
             raise UsageError(f"{run}: the body's genes are bits, which have no derivative")
         if keys and experiment.simulation.bodies:
             raise UsageError(
-                f"{keys[0]}: cannot be refined in a run whose bodies evolve. Leave the keys out, or "
-                f"refine a run of the exported body: evo-cpg export {run} animal.yaml"
+                f"{keys[0]}: cannot be refined in a run whose bodies evolve. Leave the keys out, "
+                f"or refine a run of the exported body: evo-cpg export {run} animal.yaml"
             )
         if keys and experiment.runs > 1:
             raise UsageError(

@@ -1,10 +1,10 @@
 """Genes of the body: patterns of a configuration as factors on its numbers.
 
 A number of the configuration is its own value times a product of factors, each with an exponent:
-``number = own * prod(factor ** exponent)``. The length of a body, for example, scales the size along
-one axis, the mass in kg, and the places on the body: its own joint, its children's joints and its
-eyes. So joints move with the surfaces that they sit on. The strength of the joint's motors follows
-the cross-section: its exponent is the number of scaled axes across the body.
+``number = own * prod(factor ** exponent)``. The length of a body, for example, scales the size
+along one axis, the mass in kg, and the places on the body: its own joint, its children's joints and
+its eyes. So joints move with the surfaces that they sit on. The strength of the joint's motors
+follows the cross-section: its exponent is the number of scaled axes across the body.
 
 Axes are those of the body's frame. A body is long along the axis from its joint to its centre. A
 root is long along its longest edge.
