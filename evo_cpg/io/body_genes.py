@@ -55,8 +55,9 @@ _FACTORS = ("girth", "scale", "strength")
 # Numbers of a motor that its strength multiplies.
 _STRENGTHS = ("gain", "stiffness", "torque_limit", "gear", "area")
 
-# Most bodies from which the plan is made, and seed of those drawn at random.
-_SAMPLES, _SEED = 32, 0
+# Number of bodies from which the plan is made: more if limbs can touch, because every pair that
+# touches in any body belongs to the plan. Most are corners of the range, and some are random.
+_SAMPLES, _SAMPLES_APART, _RANDOM, _SEED = 32, 10, 4, 0
 
 # Bodies that are built at a time. A fixed number gives each body the same bits in any population.
 _WIDTH = 64
@@ -161,7 +162,10 @@ def _genes(config: ExperimentConfig, key: str, given: BodyGeneConfig) -> Iterato
     if not low < high:
         raise KeyProblem(where, f"the range must rise, got {low:g} to {high:g}")
     if parts_of(key)[0] in type(config).model_fields:
-        number_at(config, key)
+        try:
+            number_at(config, key)
+        except ConfigError as error:
+            raise KeyProblem(where, error.problem) from None
         if given.scale == "log" and low <= 0:
             raise KeyProblem(where, f"a logarithmic range must be positive, got {low:g}")
         yield _Gene(key, key, given, (), (), 1.0, False)
@@ -405,7 +409,10 @@ class EvolvedBodies(Bodies):
             ConfigError: a body at a bound is not allowed, or bodies differ in more than numbers.
         """
         self.scaling, self.genes = scaling, scaling.genes
-        numbers = scaling.numbers(_samples(scaling.genes))
+        on_ground = config.world.ground is not None
+        touching = config.creature.build_self_collision(on_ground) is not None
+        count = _SAMPLES if touching else _SAMPLES_APART
+        numbers = scaling.numbers(_samples(scaling.genes, count))
         self._plan = BodyPlan(config, source, numbers)
         batched = self._plan.batched
         self.common = batched.common
@@ -437,12 +444,13 @@ class EvolvedBodies(Bodies):
         return self._plan.one(self._numbers(genes), checks=False)[0]
 
 
-def _samples(genes: BodyGenes) -> Float[np.ndarray, "f n"]:
-    """Return factors of bodies at the corners of the range, and of random bodies."""
+def _samples(genes: BodyGenes, number: int) -> Float[np.ndarray, "f n"]:
+    """Return factors of random bodies, and of bodies at the corners of the range."""
     count = len(genes.names)
-    corners = [np.zeros(count), np.ones(count), *np.eye(count), *(1 - np.eye(count))]
-    drawn = np.random.default_rng(_SEED).random((_SAMPLES, count))
-    return genes.at(np.array([*corners, *drawn])[:_SAMPLES].T)
+    drawn = np.random.default_rng(_SEED).random((number, count))
+    ends = [np.zeros(count), np.ones(count)]
+    corners = [*ends, *np.eye(count), *(1 - np.eye(count))][: number - _RANDOM]
+    return genes.at(np.array([*corners, *drawn])[:number].T)
 
 
 @functools.lru_cache(maxsize=8)
