@@ -27,7 +27,7 @@ from typing_extensions import override
 from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.io.batched import BodyPlan
-from evo_cpg.io.errors import Key, KeyProblem, nearest
+from evo_cpg.io.errors import ConfigError, Key, KeyProblem, nearest
 from evo_cpg.io.keys import parts_of
 from evo_cpg.io.numbers import number_at, number_keys, with_numbers
 from evo_cpg.io.schema.copies import copies_named
