@@ -44,7 +44,8 @@ from evo_cpg.io.schema.shape import (
     ShapeConfig,
     SphereConfig,
 )
-from evo_cpg.simulation.simulation import Bodies, BodyGenes, Simulation
+from evo_cpg.simulation.simulation import BodyBuilder, BodyGenes, Simulation
+from evo_cpg.training.devices import Layout, population_mesh, run_in_blocks, sharded
 
 _SECTION = "evolution", "body"
 
@@ -394,13 +395,15 @@ def _of_shape(
             yield from ((f"{key}.sections.{k}.{x}", row) for x in ("width", "height"))
 
 
-class EvolvedBodies(Bodies):
-    """Builder of the bodies of a configuration (see `Bodies`).
+class EvolvedBodies(BodyBuilder):
+    """Builder of the bodies of a configuration (see `BodyBuilder`).
 
     Attributes:
         scaling: numbers of the configuration as functions of the genes' factors.
         common: simulation of the plan, at the configuration's own numbers.
     """
+
+    _origin: tuple[str, str, bool]
 
     def __init__(self, config: ExperimentConfig, source: Path | str, scaling: Scaling):
         """Make the plan from bodies of the whole range.
@@ -421,7 +424,12 @@ class EvolvedBodies(Bodies):
             (jax.tree_util.keystr(paths[place][0]), elements)
             for place, elements in zip(batched.inputs.places, batched.inputs.elements, strict=True)
         )
-        self._run = jax.jit(jax.vmap(self._one, in_axes=-1, out_axes=-1))
+        self._mesh = population_mesh()
+        self._run = sharded(jax.vmap(self._one, in_axes=-1, out_axes=-1), self._mesh, (2,))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the configuration alone, because programs cannot be pickled."""
+        return _made, self._origin
 
     def _one(self, genes: Float[Array, " b"]) -> list[Array]:
         values, fits = self._plan.one(self._numbers(genes))
@@ -432,12 +440,9 @@ class EvolvedBodies(Bodies):
 
     @override
     def values(self, genes: Float[np.ndarray, "b n"]) -> list[Float[np.ndarray, "_ n"]]:
-        count = genes.shape[1]
-        padded = np.pad(genes.astype(float), ((0, 0), (0, -count % _WIDTH)), mode="edge")
-        chunks = np.split(padded, padded.shape[1] // _WIDTH, axis=1)
+        spread, own = Layout(self._mesh, _WIDTH), genes.astype(float)
         with jax.enable_x64(True):
-            found = jax.device_get([self._run(chunk) for chunk in chunks])
-        return [np.concatenate(x, axis=1)[:, :count] for x in zip(*found, strict=True)]
+            return run_in_blocks(self._run, spread, own.shape[1], lambda lanes: (own[:, lanes],))
 
     @override
     def traced(self, genes: Float[Array, " b"]) -> list[Array]:
@@ -456,7 +461,9 @@ def _samples(genes: BodyGenes, number: int) -> Float[np.ndarray, "f n"]:
 @functools.lru_cache(maxsize=8)
 def _made(text: str, source: str, binary: bool) -> EvolvedBodies:
     config = ExperimentConfig.model_validate_json(text)
-    return EvolvedBodies(without_body_genes(config), source, scaling_of(config, binary))
+    made = EvolvedBodies(without_body_genes(config), source, scaling_of(config, binary))
+    made._origin = text, source, binary
+    return made
 
 
 def evolved(config: ExperimentConfig, source: Path | str, simulation: Simulation) -> Simulation:

@@ -62,7 +62,7 @@ def evolved_inputs(simulation: Simulation) -> tuple[Inputs, list[int]]:
     A changed simulation, such as one with another task, may lack some of the leaves.
 
     Returns:
-        The inputs, and the index of each among `Bodies.inputs`.
+        The inputs, and the index of each among `BodyBuilder.inputs`.
     """
     assert simulation.bodies is not None
     paths = jax.tree_util.tree_flatten_with_path(simulation)[0]

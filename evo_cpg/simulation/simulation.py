@@ -88,7 +88,7 @@ class BodyGenes(NamedTuple):
 class Phenotype(NamedTuple):
     """Decoded genes of every individual, except those of the body.
 
-    The body's genes become numbers of the simulation before the trial (see `Bodies`).
+    The body's genes become numbers of the simulation before the trial (see `BodyBuilder`).
 
     Attributes:
         controller: genes as `Controller.act` takes them, see `Controller.decode`.
@@ -155,7 +155,7 @@ class Genome(NamedTuple):
         return f"the genome has {genes.size} genes, not {self.count}"
 
 
-class Bodies(abc.ABC):
+class BodyBuilder(abc.ABC):
     """Builder of the numbers of a simulation in which evolved bodies differ.
 
     All bodies of an experiment have one plan. So one program serves all, and their numbers are its
@@ -235,7 +235,7 @@ class Simulation(eqx.Module):
     extra_sensors: tuple[Sensor, ...] = ()
     rules: Rules | None = None
     measures: Measures = Measures()
-    bodies: Bodies | None = eqx.field(static=True, default=None)
+    bodies: BodyBuilder | None = eqx.field(static=True, default=None)
 
     @property
     def genome(self) -> Genome:
