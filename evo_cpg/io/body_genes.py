@@ -34,7 +34,7 @@ from evo_cpg.io.schema.copies import copies_named
 from evo_cpg.io.schema.creature import BodyConfig
 from evo_cpg.io.schema.evolution import BodyGeneConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
-from evo_cpg.io.schema.joint import TurnConfig
+from evo_cpg.io.schema.joint import JointConfig, TurnConfig
 from evo_cpg.io.schema.shape import (
     BoxConfig,
     CapsuleConfig,
@@ -65,9 +65,6 @@ _WIDTH = 64
 
 # Largest distance from the mirror image of a body, as a fraction of the creature's size.
 _MIRRORED = 1e-6
-
-# Tie between the edges of a body.
-_EQUAL = 1e-9
 
 
 class Scaling(NamedTuple):
@@ -143,9 +140,7 @@ def scaling_of(config: ExperimentConfig, binary: bool) -> Scaling:
     kept = [key for key in own if own[key] != 0]
     for g, gene in enumerate(genes):
         if not any(rows[key][g] for key in kept):
-            raise KeyProblem(
-                (*_SECTION, gene.key), "changes nothing: the bodies lack this quantity"
-            )
+            raise KeyProblem((*_SECTION, gene.key), "changes nothing: no body has such numbers")
     low, high = (tuple(gene.given.range[i] / gene.unit for gene in genes) for i in (0, 1))
     log = tuple(
         (gene.given.scale or ("log" if gene.relative else "linear")) == "log" for gene in genes
@@ -182,14 +177,12 @@ def _genes(config: ExperimentConfig, key: str, given: BodyGeneConfig) -> Iterato
         scaled = tuple(
             (i, axis)
             for i, body in zip(group, bodies, strict=True)
-            for axis in _axes(body, quantity, where)
+            for axis in _axes(body, quantity)
         )
         units = {1.0}
         if quantity not in _FACTORS:
             units = {
-                _extent(body, axis, where)
-                for body in bodies
-                for axis in _axes(body, quantity, where)
+                _extent(body, axis, where) for body in bodies for axis in _axes(body, quantity)
             }
         if len(units) > 1:
             sizes = ", ".join(f"{unit:g}" for unit in sorted(units))
@@ -255,15 +248,13 @@ def _images(config: ExperimentConfig) -> dict[int, int]:
     return {i: k for i, k in pairs if mirrored(i, k)}
 
 
-def _axes(body: BodyConfig, quantity: str, where: Key) -> tuple[int, ...]:
+def _axes(body: BodyConfig, quantity: str) -> tuple[int, ...]:
     """Return the axes of a body that a quantity scales."""
     if quantity in ("scale", "strength"):
         return (0, 1, 2) if quantity == "scale" else ()
     if quantity in "xyz":
         return ("xyz".index(quantity),)
     along = _along(body)
-    if isinstance(body.shape, SphereConfig):
-        raise KeyProblem(where, f"{body.name!r} is a sphere, which has no {quantity}. Use scale")
     return (along,) if quantity == "length" else tuple(i for i in range(3) if i != along)
 
 
@@ -275,7 +266,7 @@ def _along(body: BodyConfig) -> int:
     if not place.any():
         shape = body.shape
         place = np.array(getattr(shape, "size", getattr(shape, "radii", (1.0, 0.0, 0.0))))
-    return int(np.argmax(place >= (1 - _EQUAL) * place.max()))
+    return int(np.argmax(place))
 
 
 def _extent(body: BodyConfig, axis: int, where: Key) -> float:
@@ -293,12 +284,17 @@ def _extent(body: BodyConfig, axis: int, where: Key) -> float:
     )
 
 
+# Keys of numbers with the exponents of each factor, and a function that returns equal rows as one.
+_Rows = Iterator[tuple[str, Float[np.ndarray, " f"]]]
+_One = Callable[[Any, str], np.ndarray]
+
+
 def _rows(
     config: ExperimentConfig,
     axes: Float[np.ndarray, "b 3 f"],
     motors: Float[np.ndarray, "b f"],
     genes: Sequence[_Gene],
-) -> Iterator[tuple[str, Float[np.ndarray, " f"]]]:
+) -> _Rows:
     """Yield the key and the exponents of every number of the creature that genes scale.
 
     Args:
@@ -307,80 +303,98 @@ def _rows(
         motors: exponent of each factor for the strength of each body's motors.
         genes: the genes.
     """
-    creature, everything = config.creature, config.creature.copies()
 
     def one(rows: Any, problem: str) -> np.ndarray:
-        """Return equal rows as one."""
         uneven = np.any([row != rows[0] for row in rows], axis=0)
         if uneven.any():
             raise KeyProblem((*_SECTION, genes[int(uneven.argmax())].key), problem)
         return rows[0]
 
-    for i, body in enumerate(creature.bodies):
-        own, key, joint = axes[i], f"creature.bodies.{i}", body.joint
-        yield from _of_shape(body.shape, f"{key}.shape", own, body.name, one)
-        for k, part in enumerate(body.parts):
-            if any(part.rotation_deg):
-                one(own, f"{body.name!r} has turned parts, so use scale")
-            yield from _of_shape(part.shape, f"{key}.parts.{k}.shape", own, body.name, one)
-            yield from ((f"{key}.parts.{k}.at.{a}", own[a]) for a in range(3))
-        if body.mass is not None:
-            yield f"{key}.mass", own.sum(0)
-        if body.centre_of_mass is not None:
-            yield from ((f"{key}.centre_of_mass.{a}", own[a]) for a in range(3))
-        if body.inertia is not None:
-            # A mass that grows with the volume, times a square of lengths.
-            row = 5 * one(own, f"{body.name!r} has an inertia in numbers, so use scale")
-            yield from ((f"{key}.inertia.{k}", row) for k in range(6))
-        if joint is None:
-            continue
-        yield from ((f"{key}.joint.child_at.{a}", own[a]) for a in range(3))
-        for k, axis in enumerate(joint.axes if joint.axes != "ball" else ()):
-            if isinstance(axis, TurnConfig) and axis.at is not None:
-                yield from ((f"{key}.joint.axes.{k}.at.{a}", own[a]) for a in range(3))
-        names = {copy.parent for copy in everything if copy.entry == i}
-        owners = sorted({copy.entry for copy in everything if copy.name in names})
-        for a in range(3 if owners else 0):
-            problem = (
-                f"joint.at of {body.name!r} lies on several bodies. Let them share a gene "
-                "(genes: one), or write the first body of the row as an entry of its own"
-            )
-            rows = [axes[owner, a] for owner in owners]
-            if body.radial > 1 and a < 2:
-                problem = (
-                    f"{body.name!r} is copied around its parent, whose x and y must be scaled alike"
-                )
-                rows += [axes[owner, 1 - a] for owner in owners]
-            yield f"{key}.joint.at.{a}", one(rows, problem)
-        across = own.sum(0) - own[_along(body)] + motors[i]
-        several = isinstance(joint.actuator, list)
-        given: Any = joint.actuator if several else [joint.actuator]
-        for k, motor in enumerate(given):
-            place = f"{key}.joint.actuator" + (f".{k}" if several else "")
-            for name in _STRENGTHS:
-                if isinstance(getattr(motor, name, None), float):
-                    yield f"{place}.{name}", across
+    for i, body in enumerate(config.creature.bodies):
+        key = f"creature.bodies.{i}"
+        yield from _of_body(body, key, axes[i], one)
+        if body.joint:
+            yield from _of_joint(config, i, f"{key}.joint", axes, one)
+            strength = axes[i].sum(0) - axes[i, _along(body)] + motors[i]
+            yield from _of_motors(body.joint, f"{key}.joint.actuator", strength)
+    yield from _of_sensors(config, axes)
+
+
+def _each(key: str, rows: Any) -> _Rows:
+    return ((f"{key}.{k}", row) for k, row in enumerate(rows))
+
+
+def _of_body(body: BodyConfig, key: str, own: Float[np.ndarray, "3 f"], one: _One) -> _Rows:
+    """Yield the exponents of a body's shapes and of its mass."""
+    yield from _of_shape(body.shape, f"{key}.shape", own, body.name, one)
+    for k, part in enumerate(body.parts):
+        if any(part.rotation_deg):
+            one(own, f"{body.name!r} has turned parts, so use scale")
+        yield from _of_shape(part.shape, f"{key}.parts.{k}.shape", own, body.name, one)
+        yield from _each(f"{key}.parts.{k}.at", own)
+    if body.mass is not None:
+        yield f"{key}.mass", own.sum(0)
+    if body.centre_of_mass is not None:
+        yield from _each(f"{key}.centre_of_mass", own)
+    if body.inertia is not None:
+        # A mass that grows with the volume, times a square of lengths.
+        row = 5 * one(own, f"{body.name!r} has an inertia in numbers, so use scale")
+        yield from _each(f"{key}.inertia", [row] * 6)
+
+
+def _of_joint(
+    config: ExperimentConfig, i: int, key: str, axes: Float[np.ndarray, "b 3 f"], one: _One
+) -> _Rows:
+    """Yield the exponents of the places of a joint, on its body and on the parents."""
+    body, everything = config.creature.bodies[i], config.creature.copies()
+    assert body.joint
+    yield from _each(f"{key}.child_at", axes[i])
+    for k, axis in enumerate(body.joint.axes if body.joint.axes != "ball" else ()):
+        if isinstance(axis, TurnConfig) and axis.at is not None:
+            yield from _each(f"{key}.axes.{k}.at", axes[i])
+    names = {copy.parent for copy in everything if copy.entry == i}
+    owners = [axes[k] for k in sorted({copy.entry for copy in everything if copy.name in names})]
+    problem = (
+        f"joint.at of {body.name!r} lies on several bodies. Let them share a gene (genes: one), or "
+        "write the first body of the row as an entry of its own"
+    )
+    for a in range(3 if owners else 0):
+        row = one([own[a] for own in owners], problem)
+        if body.radial > 1 and a < 2:
+            around = f"{body.name!r} is copied around its parent, whose x and y must scale alike"
+            one(owners[0][:2], around)
+        yield f"{key}.at.{a}", row
+
+
+def _of_motors(joint: JointConfig, key: str, row: Float[np.ndarray, " f"]) -> _Rows:
+    """Yield the exponents of the strength of a joint's motors."""
+    several = isinstance(joint.actuator, list)
+    motors: Any = joint.actuator if several else [joint.actuator]
+    for k, motor in enumerate(motors):
+        for name in _STRENGTHS:
+            if isinstance(getattr(motor, name, None), float):
+                yield f"{key}.{k}.{name}" if several else f"{key}.{name}", row
+
+
+def _of_sensors(config: ExperimentConfig, axes: Float[np.ndarray, "b 3 f"]) -> _Rows:
+    """Yield the exponents of the places of eyes and other sensors."""
+    creature, everything = config.creature, config.creature.copies()
     for kind in ("light_sensors", "depth_sensors", "sensors"):
         for k, sensor in enumerate(getattr(creature, kind)):
-            carriers = {
-                copy.entry for copy in copies_named(getattr(sensor, "body", ""), everything)
-            }
-            for i in carriers if hasattr(sensor, "position") else ():
-                yield from ((f"creature.{kind}.{k}.position.{a}", axes[i, a]) for a in range(3))
+            if hasattr(sensor, "position") and hasattr(sensor, "body"):
+                carriers = {copy.entry for copy in copies_named(sensor.body, everything)}
+                for i in carriers:
+                    yield from _each(f"creature.{kind}.{k}.position", axes[i])
 
 
 def _of_shape(
-    shape: ShapeConfig | None,
-    key: str,
-    own: Float[np.ndarray, "3 f"],
-    name: str,
-    one: Callable[..., np.ndarray],
-) -> Iterator[tuple[str, Float[np.ndarray, " f"]]]:
-    """Yield the key and the exponents of every number of a shape."""
+    shape: ShapeConfig | None, key: str, own: Float[np.ndarray, "3 f"], name: str, one: _One
+) -> _Rows:
+    """Yield the exponents of the numbers of a shape."""
     if isinstance(shape, BoxConfig):
-        yield from ((f"{key}.size.{a}", own[a]) for a in range(3))
+        yield from _each(f"{key}.size", own)
     elif isinstance(shape, EllipsoidConfig):
-        yield from ((f"{key}.radii.{a}", own[a]) for a in range(3))
+        yield from _each(f"{key}.radii", own)
     elif isinstance(shape, (CapsuleConfig, CylinderConfig)):
         yield f"{key}.length", own[0]
         yield f"{key}.radius", one(own[1:], f"{name!r} has one radius. Use length, girth or scale")
@@ -391,8 +405,9 @@ def _of_shape(
         if isinstance(shape, MeshConfig):
             one([row, 0 * row], f"{name!r} is a mesh, whose size cannot evolve")
         for k in range(len(getattr(shape, "sections", ()))):
-            yield from ((f"{key}.sections.{k}.at.{a}", row) for a in range(3))
-            yield from ((f"{key}.sections.{k}.{x}", row) for x in ("width", "height"))
+            section = f"{key}.sections.{k}"
+            yield from (*_each(f"{section}.at", [row] * 3), (f"{section}.width", row))
+            yield f"{section}.height", row
 
 
 class EvolvedBodies(BodyBuilder):

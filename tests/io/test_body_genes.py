@@ -84,7 +84,7 @@ ANT = REPOSITORY / "configs" / "ant.yaml"
         (CONFIG, '{"segment{i}.length": [0.1, 0.3]}', "joint.at .* lies on several bodies"),
         (CONFIG, '{"segment3.length": [0.1, 0.3]}', "not all copies of 'segment{i}'"),
         (CONFIG, "{creature.bodies.0.shape.size.0: {range: [0, 1], scale: log}}", "be positive"),
-        (ANT, '{"torso.length": [0.1, 0.3]}', "is a sphere, which has no length"),
+        (ANT, '{"torso.length": [0.1, 0.3]}', "has the shape sphere. Only scale and"),
         (ANT, '{"torso.x": [0.1, 0.3]}', "Only scale and strength apply"),
         (ANT, '{"aux_1.y": [0.1, 0.3]}', "has one radius"),
     ],
