@@ -6,7 +6,9 @@ import pytest
 
 import evo_cpg as evo
 from evo_cpg.io.body_genes import config_of, scaling_of
-from evo_cpg.io.load import load_config
+from evo_cpg.io.errors import KeyProblem
+from evo_cpg.io.load import dump_config, load_config
+from evo_cpg.io.run import open_run
 from evo_cpg.simulation.simulation import BodyGenes
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
@@ -67,6 +69,7 @@ def test_factors_of_several_genes_are_multiplied():
 
 
 ANT = REPOSITORY / "configs" / "ant.yaml"
+STARFISH = REPOSITORY / "configs" / "starfish_land.yaml"
 
 
 @pytest.mark.parametrize(
@@ -86,12 +89,39 @@ ANT = REPOSITORY / "configs" / "ant.yaml"
         (CONFIG, "{creature.bodies.0.shape.size.0: {range: [0, 1], scale: log}}", "be positive"),
         (ANT, '{"torso.length": [0.1, 0.3]}', "has the shape sphere. Only scale and"),
         (ANT, '{"torso.x": [0.1, 0.3]}', "Only scale and strength apply"),
+        (ANT, '{"torso.girth": [0.5, 2]}', "is a sphere. Use scale"),
         (ANT, '{"aux_1.y": [0.1, 0.3]}', "has one radius"),
+        (STARFISH, '{"disc.x": [0.1, 0.3]}', "is copied around its parent"),
+        (CONFIG, '{"head.scale": [0.5, 2]}', "joint.at .* lies on several bodies"),
     ],
 )
 def test_wrong_genes_are_named(config, body, words):
     with pytest.raises(evo.ConfigError, match=rf"evolution\.body\..*{words}"):
         evo.load(config, [f"evolution.body={body}"])
+
+
+BLOCK = "{type: box, size: [0.3, 0.2, 0.1]}"
+SECTIONS = "[{at: [-1, 0, 0], width: 1, height: 1}, {at: [1, 0, 0], width: 1, height: 1}]"
+LOFT = f"{{type: loft, sections: {SECTIONS}}}"
+MESH = (
+    "{type: mesh, vertices: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "
+    "faces: [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]}"
+)
+
+
+@pytest.mark.parametrize(
+    ("shape", "others", "gene", "words"),
+    [
+        (BLOCK, [], "torso.x", "has turned parts, so use scale"),
+        (BLOCK, ["creature.bodies.0.parts=[]"], "torso.x", "inertia in numbers, so use scale"),
+        (LOFT, [], "torso.girth", "is a loft, of which only the scale can evolve"),
+        (MESH, [], "torso.scale", "is a mesh, whose size cannot evolve"),
+    ],
+)
+def test_what_a_shape_cannot_do_is_named(shape, others, gene, words):
+    given = [f"creature.bodies.0.shape={shape}", *others, f"evolution.body={{{gene}: [0.2, 0.4]}}"]
+    with pytest.raises(KeyProblem, match=words):
+        scaling_of(load_config(ANT, given), False)
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +155,28 @@ def test_the_program_builds_what_the_configuration_describes(experiment):
         config.evolution.body == {}
         and config.creature.bodies[0].shape.size[0] == sizes["head.length"]
     )
+
+
+def test_other_numbers_of_evolving_bodies_are_refused(experiment):
+    genomes, key = experiment.random_genomes(0, 2), "creature.materials.body.density"
+    with pytest.raises(ValueError, match="the genomes define the bodies"):
+        experiment.evaluate(0, genomes, {key: [900.0, 1000.0]})
+    with pytest.raises(ValueError, match="the genome defines the body"):
+        experiment.fitness_function(numbers=[key])
+
+
+@pytest.mark.slow
+def test_a_run_is_verified_and_its_body_exported(tmp_path):
+    made = evo.load(CONFIG, [*SHORT, "evolution.generations=2"])
+    run = evo.train(made, tmp_path / "run")
+    assert evo.verify(run.folder).exact
+    opened = open_run(run.folder).with_champion()
+    sizes = opened.experiment.simulation.genome.sizes_of(opened.champion.genes)
+    assert np.isfinite([opened.folder.history()[f"best_{name}"] for name in sizes]).all()
+    own = opened.own.config
+    (tmp_path / "animal.yaml").write_text(dump_config(own))
+    assert load_config(tmp_path / "animal.yaml") == own
+    assert own.creature.bodies[0].shape.size[0] == pytest.approx(sizes["head.length"], rel=1e-12)
 
 
 def test_a_body_that_does_not_fit_counts_as_diverged(experiment, monkeypatch):
