@@ -70,6 +70,9 @@ def animals() -> list[Animal]:
     found: dict[str, Animal] = {}
     for source in CONFIGS:
         config = load_config(source)
+        if config.evolution.body:
+            # Another configuration has the same creature with a fixed body.
+            continue
         motion = config.model_dump(mode="json", exclude=_WITHOUT_EFFECT)
         for key in _TRIALS_WITHOUT_EFFECT:
             if not isinstance(motion["simulation"][key], list):

@@ -67,7 +67,7 @@ def collect(run: Path) -> str:
         raise ValueError(f"{run}: not the champion of a shipped configuration as it is now")
     # Runs of a study keep no motion.
     recording = opened.recording or opened.replay([champion], 0)[0].recording
-    panel = panel_of(experiment, recording, "")
+    panel = panel_of(opened.own.experiment, recording, "")
     ANIMALS.mkdir(exist_ok=True)
     _write_scene(name, rounded(viewer_data(panel)))
     picture([panel], Film(_STILL)).save(ANIMALS / f"{name}.jpg", "JPEG", quality=_QUALITY)
@@ -256,6 +256,8 @@ TITLES = {
     "fukui2003_model2_robust": "Fukui 2003, Model 2, robust",
     "fukui2003_model3_robust": "Fukui 2003, Model 3, robust",
     "fukui2003_model1_open_es": "Fukui 2003, Model 1, with OpenAI-ES",
+    "evolving_swimmer": "Swimmer with evolving proportions",
+    "evolving_walker": "Walker with evolving proportions",
     "iwadate2010_swimmer": "Swimmer of Iwadate 2010",
     "iwadate2010_salamander_land": "Salamander on land",
     "iwadate2010_salamander_water": "Salamander in water",

@@ -126,7 +126,7 @@ def measure(opened: Run, trial: int) -> tuple[Recording, GaitNumbers]:
     """Replay a champion's trial and return its motion with the numbers."""
     from evo_cpg.analysis import gait_numbers as measuring
 
-    experiment = opened.experiment
+    experiment = opened.own.experiment
     # Velocities are needed for the power into the water only.
     full = experiment.simulation.world.water is not None
     (replay,) = opened.replay([opened.champion], trial, full)
@@ -152,7 +152,7 @@ def page(
     from evo_cpg.view.scene import panel_of, sample
 
     folder, config, champion = opened.folder, opened.config, opened.champion
-    experiment, meta = opened.experiment, folder.read_meta()
+    experiment, meta = opened.own.experiment, folder.read_meta()
     simulation = experiment.simulation
     panel, still = panel_of(experiment, recording, experiment.name), io.BytesIO()
     picture([panel], Film(_STILL)).save(still, "JPEG", quality=_QUALITY)

@@ -217,7 +217,17 @@ def _audited(opened: Run, champions: Sequence[Champion], limits: Sequence[str]) 
         def tell(what: str, done: int, total: int) -> None:
             work.doing(f"auditing, {done + 1} of {total}: {what}")
 
-        return audits(opened.experiment, champions, allowed, opened.config, source, folders, tell)
+        groups, found = [(opened, champions, ())], []
+        if opened.experiment.simulation.bodies:
+            # Each body has an experiment of its own. The numbers of its replay are no constants, as
+            # in training, because a walker's path depends on their rounding.
+            replayed = _replay(opened.experiment, champions)
+            each = zip(map(opened.of_body, champions), replayed, strict=True)
+            groups = [(own, [own.champion], [one]) for own, one in each]
+        for own, some, before in groups:
+            given = allowed, own.config, source, folders, tell, before
+            found += audits(own.experiment, some, *given)
+        return found
 
 
 def audits(
@@ -228,15 +238,17 @@ def audits(
     source: Path,
     folders: Iterable[Path] = (),
     tell: Callable[[str, int, int], None] = lambda what, done, total: None,
+    replayed: Sequence[Varied] = (),
 ) -> list[Audit]:
-    """Audit champions. Each program is compiled once for all champions."""
+    """Audit champions. Each program is compiled once for all champions.
+
+    The results of a replay as they evolved (`_replay`) can be given.
+    """
     simulation = experiment.simulation
-    own = Variation("as it evolved", (simulation,))
     others = _variations(experiment, config, source, tuple(folders))
     total = len(others) + 3
     tell("replaying the champions", 0, total)
-    live = conditions.compile_variation(experiment, own)
-    replayed = [live(champion) for champion in champions]
+    replayed = replayed or _replay(experiment, champions)
     champions = [with_all_terms(*both) for both in zip(champions, replayed, strict=True)]
     tell("step by step", 1, total)
     step_by_step = compile_steps(experiment)
@@ -268,6 +280,12 @@ def audits(
         verdict = Verdict(tuple(checks))
         made.append(Audit(champion, verdict, steps, simulation.step_length, opinions, missing))
     return made
+
+
+def _replay(experiment: ExperimentParts, champions: Sequence[Champion]) -> list[Varied]:
+    own = Variation("as it evolved", (experiment.simulation,))
+    live = conditions.compile_variation(experiment, own)
+    return [live(champion) for champion in champions]
 
 
 def with_all_terms(champion: Champion, replayed: Varied) -> Champion:

@@ -25,6 +25,7 @@ from evo_cpg.api.progress import working
 from evo_cpg.api.record import Record, as_record
 from evo_cpg.api.runs import build
 from evo_cpg.evolution.strategy import Evaluation
+from evo_cpg.io.body_genes import config_of
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.load import as_overrides, complete_config, load_config
@@ -175,6 +176,8 @@ class Experiment:
             trials,
         )
         with self._compiling("trials", f"{count} individuals", ("trials", count, *(bodies or ()))):
+            if bodies and self.parts.simulation.bodies:
+                raise ValueError("bodies: the genomes define the bodies. Leave bodies out")
             own = self._bodies.trials(bodies, count) if bodies else None
             outcome = own[0](*given, own[1]) if own else self._run_trials(*given)
         shaped = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
@@ -245,6 +248,8 @@ class Experiment:
         """
         own_task = self.task if "task" in self.replaced else None
         parameters = None
+        if numbers and self.parts.simulation.bodies:
+            raise ValueError("numbers: the genome defines the body. Leave numbers out")
         if numbers:
             parameters = parametrise(self.config, self.source, numbers, smooth=False)
         noise = self._noise(_key(key), 1)
@@ -270,7 +275,7 @@ class Experiment:
         with self._compiling("recording", "one individual", ("record",)):
             frames = self._record(genes, keys, own)
         names = [body.name for body in self.creature.bodies]
-        simulation = self.parts.simulation
+        simulation = self.with_body(genome).parts.simulation
         return as_record(simulation, frames, as_recording(simulation, frames, names, trial=trial))
 
     def environment(self, actions: str = "rates", trial: int = 0) -> Environment:
@@ -303,6 +308,18 @@ class Experiment:
             number_at(self.config, key, self.source)
         values = {key: float(value) for key, value in numbers.items()}
         config = with_numbers(self.config, values, self.source)
+        changed = Experiment(build_experiment(config, self.source), config, self.source)
+        return changed.with_task(self.task) if "task" in self.replaced else changed
+
+    def with_body(self, genome: ArrayLike) -> "Experiment":
+        """Return the experiment with the body of a genome, which does not evolve any more.
+
+        Its genomes are those of the controller, the first genes of ``genome``.
+        """
+        simulation = self.parts.simulation
+        if simulation.bodies is None:
+            return self
+        config = config_of(self.config, simulation, np.asarray(genome), self.source)
         changed = Experiment(build_experiment(config, self.source), config, self.source)
         return changed.with_task(self.task) if "task" in self.replaced else changed
 

@@ -32,11 +32,11 @@ def champion_panel(
 ) -> Panel:
     """Return a panel with the champion of a run, or with the elite of a cell of its map."""
     opened, strip = open_champion(run, number, trial, cell), None
-    experiment = opened.experiment
+    experiment = opened.own.experiment
     if signals:
         with working("replaying the champion"):
             (replay,) = opened.replay([opened.champion], trial)
-        recording, strip = replay.recording, _signals(opened, replay)
+        recording, strip = replay.recording, _signals(opened.own, replay)
     else:
         recording = motion_of(opened, trial)
     if cell is None:
@@ -71,7 +71,9 @@ def crowd_panel(opened: Run, generation: int, trial: int, film: Film) -> Panel:
     leader = int(crowd.advance(root, simulation.task.heading).argmax())
     others = crowd.of(np.delete(np.arange(crowd.count), leader))
     title = f"generation {generation}: {crowd.count} animals"
-    return panel_of(experiment, crowd.recording(leader, root), title)._replace(crowd=others)
+    # All animals are drawn with the champion's body.
+    drawn = opened.own.experiment
+    return panel_of(drawn, crowd.recording(leader, root), title)._replace(crowd=others)
 
 
 def lineage_panels(
@@ -127,8 +129,9 @@ def lineage_panels(
         title = f"generation {one.generation}: fitness {one.fitness:.3g}"
         if one.expected is not None:
             title = f"champion: fitness {one.expected:.3g} with new noise"
-        shown = _signals(opened, replay) if signals else None
-        panels.append(panel_of(opened.experiment, replay.recording, title, shown))
+        own = opened.of_body(one)
+        shown = _signals(own, replay) if signals else None
+        panels.append(panel_of(own.experiment, replay.recording, title, shown))
     return panels
 
 

@@ -179,7 +179,9 @@ def fit(
         use_cores()
         names, begin, fixed, whole = _values(source, keys, settings)
         inner = tuple(name for name in names if not name.startswith(INITIAL))
-        genes = None if run is None else np.asarray(open_run(run).with_champion().champion.genes)
+        genes = (
+            None if run is None else np.asarray(open_run(run).with_champion().own.champion.genes)
+        )
         if run is None and any(name.startswith("controller.") for name in inner):
             raise UserError(f"the recorded commands move the joints of {path}. Add --run RUN")
         if run is not None and recording.commands:

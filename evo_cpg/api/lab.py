@@ -53,7 +53,7 @@ def lab(
     with trusting(trust):
         source = find_config(animal, folders=True)
         if source.is_dir():
-            opened = open_champion(source, number, cores=devices.available_cores())
+            opened = open_champion(source, number, cores=devices.available_cores()).own
             opened.require_configured()
             own, genes = class_folders(opened.folder), opened.champion.genes
             subject = Subject(opened.config, opened.folder.config, own, genes)

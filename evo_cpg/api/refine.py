@@ -95,6 +95,13 @@ def refine(
                 "bits have no derivative, so the genes count as graded. After a gain in fitness, "
                 "the configuration in RUN has controller.graded: true"
             )
+        if experiment.simulation.genome.misfit(champion.genes):
+            raise UsageError(f"{run}: the body's genes are bits, which have no derivative")
+        if keys and experiment.simulation.bodies:
+            raise UsageError(
+                f"{keys[0]}: cannot be refined in a run whose bodies evolve. Leave the keys out, "
+                f"or refine a run of the exported body: evo-cpg export {run} animal.yaml"
+            )
         if keys and experiment.runs > 1:
             raise UsageError(
                 f"{keys[0]}: cannot be refined, because the {experiment.runs} runs of {run} share "

@@ -16,6 +16,7 @@ from evo_cpg.io.build import require_genes
 from evo_cpg.io.load import dump_config
 from evo_cpg.io.run import Run, changes, changes_of_fitness, fingerprint, open_run
 from evo_cpg.io.shipped import shipped_name
+from evo_cpg.simulation.simulation import Genome
 from evo_cpg.simulation.task import term_names
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Checkpoint, genes_digest
@@ -156,6 +157,7 @@ def require_alike(run: Run) -> Checkpoint | None:
     simulation = experiment.simulation
     measured = term_names(simulation.task) + simulation.measures.names
     columns = [*experiment.strategy.metric_names, *(f"best_{name}" for name in measured)]
+    columns += [f"best_{name}" for name in simulation.genome.sizes]
     before = done.history[-1]
     added = [name for name in columns if name not in before]
     lost = [name for name in before if name not in (*columns, *TABLE_COLUMNS)]
@@ -206,15 +208,17 @@ def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
         ConfigError: the earlier run's configuration is wrong.
     """
     earlier = open_run(path)
-    plans = []
-    for one in (experiment.simulation, earlier.experiment.simulation):
-        tree = one.world.tree
+    plans, simulations = [], (experiment.simulation, earlier.experiment.simulation)
+    # A fixed body may start with the controllers of bodies that evolved.
+    fixed = experiment.simulation.bodies is None
+    for one in simulations:
+        tree, genome = one.world.tree, Genome(one.controller) if fixed else one.genome
         plans.append(
             {
                 "controller": type(one.controller).__name__,
                 "bodies": ", ".join(tree.names),
                 "degrees of freedom": ", ".join(tree.dof_names),
-                "genes": one.genome.count,
+                "genes": genome.count,
             }
         )
     for name, value in plans[0].items():
@@ -231,10 +235,11 @@ def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
     chosen = [each or checkpoint.champion for each in own or [None] * experiment.runs]
     genes = []
     for run, champion in enumerate(chosen):
-        kept = champion.genes[:, None]
+        count = experiment.simulation.genome.count
+        kept = champion.genes[:count, None]
         if what == "population":
             width = checkpoint.genes.shape[1] // len(checkpoint.champions)
-            kept = checkpoint.genes[:, width * champion.run :][:, : min(width, size)]
+            kept = checkpoint.genes[:count, width * champion.run :][:, : min(width, size)]
         parents = jnp.asarray(np.resize(kept.T, (size, len(kept))).T)
         key = jax.random.fold_in(jax.random.key(experiment.seed + run), _AROUND)
         varied = np.asarray(jax.jit(strategy.around)(key, parents))

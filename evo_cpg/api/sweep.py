@@ -279,7 +279,8 @@ def groups(members: Sequence[Member]) -> list[list[Member]]:
         audit = member.config.audit.model_dump(mode="json")
         rules = {name: audit[name] for name in audit["disqualify"]}
         names = member.experiment.simulation.measures.names
-        key = json.dumps([config, rules, names, member.experiment.trials], sort_keys=True)
+        body = member.config.evolution.model_dump(mode="json").get("body")
+        key = json.dumps([config, rules, names, member.experiment.trials, body], sort_keys=True)
         found.setdefault(key, []).append(member)
     return list(found.values())
 

@@ -207,7 +207,7 @@ def plot(
 
     with writing(run, output):
         opened = open_champion(run, number, trial, cell)
-        recording, experiment = motion_of(opened, trial), opened.experiment
+        recording, experiment = motion_of(opened, trial), opened.own.experiment
         simulation, place = experiment.simulation, output or make_folder(run / "plots")
         name, tree = suffix(number, trial, cell), simulation.world.tree
         history = opened.folder.history()
@@ -226,7 +226,7 @@ def plot(
         figure = path_figure(recording, experiment.creature.root_index)
         print(save_figure(figure, place / f"path{name}.png"))
         checkpoint, own = opened.folder.load(), opened.champion.run
-        found = checkpoint and gait_map(experiment, checkpoint, own)
+        found = checkpoint and gait_map(opened.experiment, checkpoint, own)
         if found:
             title = experiment.name + (f", run {own}" if experiment.runs > 1 else "")
             figure = map_figure(found.axes, found.fitness, title)

@@ -140,8 +140,8 @@ def export(
         Path,
         typer.Argument(
             metavar="OUT",
-            help="A .xml file for a MuJoCo model. A run also gives a .glb, .csv or .npz file with "
-            "the motion.",
+            help="A .xml file for a MuJoCo model, or a .yaml file for the configuration. A run "
+            "gives these for its champion's body, and a .glb, .csv or .npz file with the motion.",
         ),
     ],
     number: Number = None,
@@ -156,11 +156,11 @@ def export(
     from evo_cpg.view.output import output_path
 
     require_free(output, overwrite)
-    suffix = output_path(output, (".xml", ".glb", ".csv", ".npz")).suffix.lower()
-    if suffix == ".xml":
-        if number is not None or trial or cell is not None:
-            raise UsageError(f"{output}: has no motion. Leave out --run, --trial and --cell")
-        _export_model(source, output)
+    suffix = output_path(output, (".xml", ".yaml", ".glb", ".csv", ".npz")).suffix.lower()
+    if suffix in (".xml", ".yaml"):
+        if trial:
+            raise UsageError(f"{output}: has no motion. Leave out --trial")
+        _export_model(source, output, number, cell)
     elif not os.path.isdir(source):
         raise UsageError(f"{source} is not a run folder: only a run has a motion for {output.name}")
     elif suffix == ".glb":
@@ -168,7 +168,7 @@ def export(
         from evo_cpg.view.scene import panel_of
 
         opened = open_champion(source, number, trial, cell)
-        panel = panel_of(opened.experiment, motion_of(opened, trial), opened.experiment.name)
+        panel = panel_of(opened.own.experiment, motion_of(opened, trial), opened.experiment.name)
         with working("writing the scene"):
             scene = gltf_film(panel)
             write_whole(output, lambda file: file.write(scene))
@@ -178,22 +178,32 @@ def export(
         opened = open_champion(source, number, trial, cell)
         with working("replaying the champion"):
             (replay,) = opened.replay([opened.champion], trial, full=True)
-        record = as_record(opened.experiment.simulation, replay.frames, replay.recording)
+        record = as_record(opened.own.experiment.simulation, replay.frames, replay.recording)
         record.to_csv(output) if suffix == ".csv" else record.to_npz(output)
     print(output)
 
 
-def _export_model(source: Path, output: Path) -> None:
-    """Write a MuJoCo model, and print the parts that are left out."""
-    from evo_cpg.api.runs import build, open_and_build
+def _export_model(source: Path, output: Path, number: int | None, cell: str | None) -> None:
+    """Write a configuration or a MuJoCo model, and print the parts that are left out."""
+    from evo_cpg.api.runs import build, open_and_build, open_champion
     from evo_cpg.files import write_text
-    from evo_cpg.io.load import load_config
+    from evo_cpg.io.load import dump_config, load_config
     from evo_cpg.io.models.mjcf_export import mjcf_model, mjcf_text
 
+    chosen = number is not None or cell is not None
     if os.path.isdir(source):
-        experiment = open_and_build(source).experiment
+        opened = open_and_build(source)
+        if chosen or opened.config.evolution.body:
+            opened = open_champion(source, number, cell=cell).own
+        config, experiment = opened.config, opened.experiment
+    elif chosen:
+        raise UsageError(f"{source} is not a run folder: only a run has champions")
     else:
-        experiment = build(load_config(source), source)
+        config = load_config(source)
+        experiment = build(config, source)
+    if output.suffix.lower() == ".yaml":
+        write_text(output, dump_config(config))
+        return
     simulation = experiment.simulation
     world, situation = simulation.world, simulation.situations[0]
     model = mjcf_model(

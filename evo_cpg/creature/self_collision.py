@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from evo_cpg.creature.algebra.decisions import Condition, all_hold
+from evo_cpg.creature.algebra.decisions import Condition
 from evo_cpg.creature.algebra.numerics import Numbers, is_traced, xp
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.creature.reach import PIECES, keeps_apart
@@ -170,11 +170,11 @@ def left_out(creature: Creature, tree: Tree, settings: SelfCollision) -> LeftOut
     return LeftOut(tuple(apart), tuple(every))
 
 
-def still_apart(creature: Creature, tree: Tree, left: LeftOut) -> Condition:
-    """Return whether the pairs of ``left.apart`` still never meet. Numbers may be traced."""
+def still_apart(creature: Creature, tree: Tree, left: LeftOut) -> list[Condition]:
+    """Return whether each pair of ``left.apart`` still never meets. Numbers may be traced."""
     box = _boxes(creature, tree)
     are_apart = {pieces: keeps_apart(tree, box, pieces) for *_, pieces in left.apart}
-    return all_hold(are_apart[pieces](first, second) for first, second, pieces in left.apart)
+    return [are_apart[pieces](first, second) for first, second, pieces in left.apart]
 
 
 def candidate_pairs(

@@ -221,7 +221,8 @@ def _chain(
     shapes = [creature.bodies[body].shape for body in bodies]
     if len(bodies) == 1:
         half, axes = shapes[0].stretch
-        front = axes[:, chosen(lambda: int(np.argmax(half)))] * xp.max(half)
+        longest = chosen(lambda: int(np.argmax(half)), lambda k: half[k] >= xp.max(half))
+        front = axes[:, longest] * xp.max(half)
         return SlenderChain(bodies, front[None], -front[None])
     places = [at[frozenset(pair)] for pair in itertools.pairwise(bodies)]
     front, rear = [], []

@@ -33,8 +33,9 @@ _SHELTER_GAPS = 1.5
 _PROBES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 # Pairs of bodies are checked for cover up to this multiple of the distance at which they can cover
-# each other, because other bodies of a plan are larger. The second value is for "complete".
-_NEAR, _NEAR_IN_COMPLETE = 1 / 0.8, 3.0
+# each other, because other bodies of a plan are larger: evolved bodies may have half the length and
+# twice the width. The second value is for "complete".
+_NEAR, _NEAR_IN_COMPLETE = 2.0, 3.0
 
 # Depth of a point in another body at which it is covered, as a fraction of the size of its area and
 # of the other body's least half extent.

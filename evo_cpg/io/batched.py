@@ -54,7 +54,7 @@ class BodyPlan:
         self._building = Building(config, plan, task)
         alone = are_checked_alone(config, self._keys)
         self.hindrance = "" if alone else "numbers are checked together"
-        self._run = jax.jit(jax.vmap(self._one, in_axes=-1, out_axes=-1))
+        self._run = jax.jit(jax.vmap(self.one, in_axes=-1, out_axes=-1))
 
     def build(
         self, numbers: Mapping[str, Float[np.ndarray, " n"]]
@@ -81,14 +81,19 @@ class BodyPlan:
             return [np.zeros(shape) for shape in shapes], none
         return list(map(np.array, values)), fits
 
-    def _one(self, numbers: Float[Array, " k"]) -> tuple[list[Array], Condition]:
-        """Build one body, and return its values and whether it fits the plan."""
+    def one(self, numbers: Sequence[Array], checks: bool = True) -> tuple[list[Array], Condition]:
+        """Return the values of one body with traced numbers, and whether it fits the plan.
+
+        Without ``checks``, it counts as fitting.
+        """
         conditions: list[Condition] = []
         given = dict(zip(self._keys, numbers, strict=True))
         inputs = self.batched.inputs
-        leaves = self._building.traced(self._config, given, conditions)
-        conditions += self._building.own.agrees(leaves, inputs)
-        return values_of(leaves, inputs, numbers.dtype), jnp.asarray(all_hold(conditions))
+        leaves = self._building.traced(self._config, given, conditions if checks else None)
+        if checks:
+            conditions += self._building.own.agrees(leaves, inputs)
+        values = values_of(leaves, inputs, jnp.result_type(*numbers))
+        return values, jnp.asarray(all_hold(conditions))
 
 
 def build_batch(

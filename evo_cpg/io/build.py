@@ -93,6 +93,11 @@ def build_experiment(
                 raise KeyProblem(("simulation", "trials", i, "light"), problem)
         check_own_returns(config, simulation)
         given = config.evolution
+        if given.body:
+            # This import would be circular at the top: a plan builds experiments.
+            from evo_cpg.io.body_genes import evolved
+
+            simulation = evolved(config, source, simulation)
         islands = getattr(given, "islands", None)
         population = given.population // (islands.count if islands else 1)
         with under("evolution"):

@@ -267,6 +267,6 @@ class Building:
 def values_of(leaves: list[Any], inputs: Inputs, dtype: jnp.dtype) -> list[Array]:
     """Return the inputs among the leaves of a simulation, which may be traced."""
     return [
-        jnp.asarray(leaves[place], dtype).reshape(-1)[elements]
+        jnp.asarray(leaves[place], dtype).reshape(-1)[elements.copy()]
         for place, elements in zip(inputs.places, inputs.elements, strict=True)
     ]

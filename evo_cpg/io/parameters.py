@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.decisions import all_hold
 from evo_cpg.creature.algebra.numerics import TABLES, is_number, is_traced
 from evo_cpg.creature.surface import PointLayout
+from evo_cpg.io.body_genes import without_body_genes
 from evo_cpg.io.build import CommonPlan, build_experiment
 from evo_cpg.io.errors import ConfigError, KeyProblem
 from evo_cpg.io.keys import parts_of
@@ -175,7 +176,7 @@ def parametrise(
         ConfigError: a key does not exist, is not a real number, changes nothing or more than
             numbers, or has a value at a kink.
     """
-    folders = tuple(folders)
+    folders, config = tuple(folders), without_body_genes(config)
     for i, key in enumerate(keys):
         if key in keys[:i]:
             raise ConfigError(source, parts_of(key), "is given twice")
@@ -232,6 +233,7 @@ def all_parameters(
     """
     found: list[str] = []
     infinite: set[str] = set()
+    config = without_body_genes(config)
     experiment = build_experiment(config, source, folders)
     paths = jax.tree_util.tree_flatten_with_path(experiment.simulation)[0]
     wet = {i for i, (path, _) in enumerate(paths) if _PATCHES in path}

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.evolution.strategy import Archive, Axis
+from evo_cpg.io.body_genes import config_of
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.schema.experiment import ExperimentConfig
@@ -108,6 +109,31 @@ class Run:
         return Run(
             self.folder, self.config, self.experiment, individual=champion, recording=recording
         )
+
+    @functools.cached_property
+    def own(self) -> "Run":
+        """The run of the individual's own body, which does not evolve any more.
+
+        Its configuration has the body's numbers, and its individual has the controller's genes
+        alone. Replays still come from the run itself: in their program the numbers are no
+        constants, so it rounds as in training.
+        """
+        return self if self.individual is None else self.of_body(self.individual)
+
+    def of_body(self, champion: Champion) -> "Run":
+        """Return `own` of one of the run's individuals.
+
+        Raises:
+            ConfigError: the body is not allowed.
+        """
+        simulation, source = self.experiment.simulation, self.folder.config
+        if simulation.bodies is None:
+            return self
+        config = config_of(self.config, simulation, champion.genes, source)
+        experiment = build_experiment(config, source, class_folders(self.folder))
+        genes = champion.genes[: simulation.controller.gene_count]
+        one, recording = champion._replace(genes=genes), self.recording
+        return Run(self.folder, config, experiment, individual=one, recording=recording)
 
     def replay(self, champions: Sequence[Champion], trial: int, full: bool = False) -> list[Replay]:
         """Replay individuals of the run in turn, with one program. Trials count from 0.
@@ -226,7 +252,11 @@ def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
 def changes_of_fitness(before: Any, config: ExperimentConfig) -> list[str]:
     """Return the changes that may change fitness, or an elite's place on its map."""
     parts = [part for key, part in own_parts(config).items() if key != ("evolution",)]
-    harmful = ["evolution.axes", *(_SOURCE + module for module in _code_digests(parts))]
+    harmful = [
+        "evolution.axes",
+        "evolution.body",
+        *(_SOURCE + module for module in _code_digests(parts)),
+    ]
     harmful += [f"audit.{name}" for name in ("disqualify", *config.audit.disqualify)]
     if not config.noise.silent:
         # The seed determines the noise with which an individual was evaluated.

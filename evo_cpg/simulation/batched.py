@@ -56,6 +56,24 @@ class Inputs(NamedTuple):
         return jax.tree.unflatten(structure, leaves)
 
 
+def evolved_inputs(simulation: Simulation) -> tuple[Inputs, list[int]]:
+    """Return the numbers in which evolved bodies differ, in a simulation whose bodies evolve.
+
+    A changed simulation, such as one with another task, may lack some of the leaves.
+
+    Returns:
+        The inputs, and the index of each among `BodyBuilder.inputs`.
+    """
+    assert simulation.bodies is not None
+    paths = jax.tree_util.tree_flatten_with_path(simulation)[0]
+    places = {jax.tree_util.keystr(path): place for place, (path, _) in enumerate(paths)}
+    given = simulation.bodies.inputs
+    there = [i for i, (path, _) in enumerate(given) if path in places]
+    found = sorted((places[given[i][0]], i) for i in there)
+    inputs = Inputs(tuple(x for x, _ in found), tuple(given[i][1] for _, i in found))
+    return inputs, [i for _, i in found]
+
+
 class BatchedSimulation(NamedTuple):
     """Simulations that differ in some numbers, one for each individual.
 

@@ -76,6 +76,10 @@ class Observer:
         del simulation, tally
         return steps
 
+    def of_bodies(self, result: Any) -> Any:
+        """Return the result for a batch of different bodies, each of which was followed alone."""
+        return result
+
 
 @dataclasses.dataclass(frozen=True)
 class States(Observer):

@@ -100,10 +100,15 @@ class Recorder(Observer):
             leaves, _ = jax.tree_util.tree_flatten_with_path(seen.animal.nerves)
             frames |= {NERVE + jax.tree_util.keystr(path).strip("."): x for path, x in leaves}
         frames = {name: frames[name] for name in self.names or frames}
+        # Different bodies are simulated one by one, and chosen afterwards.
+        return self.of_bodies(frames) if seen.effects.energy.ndim else frames
+
+    def of_bodies(self, result: dict[str, Array]) -> dict[str, Array]:
+        """Return the arrays of the recorded individuals."""
         if self.count is None:
-            return frames
+            return result
         chosen = slice(self.first, self.first + self.count)
-        return {name: values[..., chosen] for name, values in frames.items()}
+        return {name: values[..., chosen] for name, values in result.items()}
 
     def finish(
         self, simulation: Simulation, tally: tuple, steps: dict[str, Array]

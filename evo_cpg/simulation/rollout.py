@@ -4,6 +4,7 @@ One trial is ``steps`` control steps of ``1 / control_rate`` seconds (2000 steps
 Iwadate 2010), each as in `evo_cpg.simulation.control_step`.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -15,7 +16,7 @@ from evo_cpg.native.engine import using
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.backward import Backward
-from evo_cpg.simulation.batched import BatchedSimulation
+from evo_cpg.simulation.batched import BatchedSimulation, evolved_inputs
 from evo_cpg.simulation.control_step import begin_episode, control_step
 from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.observers import Observer, Seen
@@ -51,6 +52,8 @@ def rollout(
     Returns:
         Result of each observer. For `JUDGE`, an `evo_cpg.simulation.judge.Outcome`.
     """
+    if isinstance(simulation, Simulation) and simulation.bodies is not None:
+        simulation = _with_bodies(simulation, genes)
     if isinstance(simulation, BatchedSimulation):
         common, inputs, values = simulation
 
@@ -61,7 +64,8 @@ def rollout(
             return rollout(own, genes, keys, trial, observers, backward=backward, begin=begin)
 
         own = [jnp.asarray(value, genes.dtype) for value in values]
-        return jax.vmap(alone, in_axes=-1, out_axes=-1)(own, genes, keys, trial)
+        found = jax.vmap(alone, in_axes=-1, out_axes=-1)(own, genes, keys, trial)
+        return jax.tree.map(lambda one, result: one.of_bodies(result), observers, found)
     # An argument without effect is dropped from the program.
     keys = None if simulation.noise.silent else keys
     trial = None if len(simulation.situations) == 1 else trial
@@ -99,3 +103,15 @@ def rollout(
         if any(one.every_step for one in jax.tree.leaves(observers)):
             return run(genes, keys, trial)
         return fuse(run, genes, keys, trial, batch_ndim=genes.ndim - 1, name="a trial")
+
+
+def _with_bodies(simulation: Simulation, genes: Array) -> Simulation | BatchedSimulation:
+    """Return the simulation with the body of each individual as a function of its genes."""
+    bodies, (inputs, kept) = simulation.bodies, evolved_inputs(simulation)
+    assert bodies is not None
+    own, common = simulation.genome.of_body(genes), dataclasses.replace(simulation, bodies=None)
+    if genes.ndim == 1:
+        values = bodies.traced(own)
+        return inputs.put(common, [values[i] for i in kept])
+    values = jax.vmap(bodies.traced, in_axes=-1, out_axes=-1)(own)
+    return BatchedSimulation(common, inputs, [values[i] for i in kept])

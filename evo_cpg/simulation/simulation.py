@@ -1,20 +1,22 @@
 """Everything that a trial needs, and the meaning of the genes, which is defined here only.
 
-A genome is a vector of numbers. At present all of them belong to the controller. Anything else that
-evolves is counted, drawn and decoded here, and gets a field of `Phenotype`. Searches, run
+A genome is a vector of numbers: the controller's genes come first, then the body's. Anything else
+that evolves is counted, drawn and decoded here, and gets a field of `Phenotype`. Searches, run
 folders, commands and the API treat a genome as a vector of `Genome.count` numbers.
 """
 
+import abc
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from evo_cpg.control.controller import Controller
-from evo_cpg.creature.algebra.numerics import Number, Triple
+from evo_cpg.creature.algebra.numerics import Number, Triple, xp
 from evo_cpg.native.engine import Engine
 from evo_cpg.physics.contact.pairs import Pairs
 from evo_cpg.physics.step.world import World
@@ -24,9 +26,69 @@ from evo_cpg.simulation.sensors import Sensor, Sensors
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
 
+# Bits of a body's gene in a binary genome: 256 values between its bounds.
+_BITS = 8
+
+
+class BodyGenes(NamedTuple):
+    """Genes of the body: each is a factor between two bounds, which scales some numbers.
+
+    A real-valued gene covers its range from -1 to 1. Beyond, it is mirrored at the bounds, so that
+    no mutation is lost and the smallest and the largest factor can be reached. In a binary genome a
+    factor has 8 bits, in the Gray code: neighbouring values differ in one bit.
+
+    Attributes:
+        names: name of each factor, such as ``tail.length``.
+        low: smallest value of each factor.
+        high: largest value of each factor.
+        logarithmic: whether equal steps of a gene multiply the factor, and do not add to it.
+        units: value of the named quantity at a factor of 1: m for a length, or 1.
+        binary: whether genes are bits.
+    """
+
+    names: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    logarithmic: tuple[bool, ...]
+    units: tuple[float, ...]
+    binary: bool = False
+
+    @property
+    def number(self) -> int:
+        """Number of genes."""
+        return len(self.names) * (_BITS if self.binary else 1)
+
+    def random(
+        self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
+    ) -> Float[Array, "g *n"]:
+        """Return random genes, spread evenly over their range."""
+        genes = jax.random.uniform(key, (self.number, *batch), dtype, -1.0, 1.0)
+        return (genes > 0).astype(dtype) if self.binary else genes
+
+    def factors(self, genes: Any) -> Any:
+        """Return the factors ``(f, *n)`` of genes ``(g, *n)``, which may be traced."""
+        if self.binary:
+            code = xp.cumsum(genes.reshape(len(self.names), _BITS, *genes.shape[1:]), 1) % 2
+            weights = 2.0 ** np.arange(_BITS)[::-1] / (2**_BITS - 1)
+            part = xp.moveaxis(code, 1, -1) @ weights
+        else:
+            part = 1.0 - xp.abs((genes + 1.0) / 2.0 % 2.0 - 1.0)
+        return self.at(part)
+
+    def at(self, part: Any) -> Any:
+        """Return the factors ``(f, *n)`` at fractions of their ranges, from 0 to 1."""
+        column = (-1, *(1,) * (part.ndim - 1))
+        low, high, log = (
+            np.array(x).reshape(column) for x in (self.low, self.high, self.logarithmic)
+        )
+        ratio = np.where(log, high / np.where(log, low, 1.0), 1.0)
+        return xp.where(log, low * ratio**part, low + (high - low) * part)
+
 
 class Phenotype(NamedTuple):
-    """Decoded genes of every individual.
+    """Decoded genes of every individual, except those of the body.
+
+    The body's genes become numbers of the simulation before the trial (see `BodyBuilder`).
 
     Attributes:
         controller: genes as `Controller.act` takes them, see `Controller.decode`.
@@ -39,15 +101,17 @@ class Genome(NamedTuple):
     """Layout of the genes of an experiment's individuals.
 
     Attributes:
-        controller: controller that the genes belong to.
+        controller: controller that the first genes belong to.
+        body: genes of the body, or None if the body does not evolve.
     """
 
     controller: Controller
+    body: BodyGenes | None = None
 
     @property
     def count(self) -> int:
         """Number of genes."""
-        return self.controller.gene_count
+        return self.controller.gene_count + (self.body.number if self.body else 0)
 
     @property
     def binary(self) -> bool:
@@ -58,17 +122,65 @@ class Genome(NamedTuple):
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type = jnp.float32
     ) -> Float[Array, "g *n"]:
         """Return genes of a first generation, which a controller may draw as integers or bits."""
-        return jnp.asarray(self.controller.random_genes(key, batch, dtype), dtype)
+        genes = jnp.asarray(self.controller.random_genes(key, batch, dtype), dtype)
+        if not self.body:
+            return genes
+        own = self.body.random(jax.random.fold_in(key, 1), batch, dtype)
+        return jnp.concatenate([genes, own])
 
     def decode(self, genes: Float[Array, "g *n"]) -> Phenotype:
         """Return the decoded genes. Called once per trial."""
-        return Phenotype(self.controller.decode(genes))
+        return Phenotype(self.controller.decode(genes[: self.controller.gene_count]))
+
+    def of_body(self, genes: Any) -> Any:
+        """Return the genes of the body alone, of genes ``(g, *n)``."""
+        return genes[self.controller.gene_count :]
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Names of the evolved quantities of the body."""
+        return self.body.names if self.body else ()
+
+    def sizes_of(self, genes: Float[np.ndarray, " g"]) -> dict[str, float]:
+        """Return the evolved quantities of one individual's body: lengths in m, and factors."""
+        if not self.body:
+            return {}
+        sizes = self.body.factors(self.of_body(genes).astype(float)) * np.array(self.body.units)
+        return dict(zip(self.body.names, sizes.tolist(), strict=True))
 
     def misfit(self, genes: Float[np.ndarray, " _"]) -> str | None:
         """Return the reason why genes of one individual do not fit, or None if they fit."""
         if genes.shape == (self.count,):
             return None
         return f"the genome has {genes.size} genes, not {self.count}"
+
+
+class BodyBuilder(abc.ABC):
+    """Builder of the numbers of a simulation in which evolved bodies differ.
+
+    All bodies of an experiment have one plan. So one program serves all, and their numbers are its
+    inputs.
+
+    Attributes:
+        genes: genes of the body.
+        inputs: for each leaf of the simulation that differs, its path and the indices of its
+            numbers that differ.
+    """
+
+    genes: BodyGenes
+    inputs: tuple[tuple[str, Int[np.ndarray, " _"]], ...]
+
+    @abc.abstractmethod
+    def values(self, genes: Float[np.ndarray, "b n"]) -> list[Float[np.ndarray, "_ n"]]:
+        """Return the values of the inputs, in float64, leaf by leaf.
+
+        The values of a body do not depend on the other bodies, to the last bit. They are NaN if the
+        body does not fit the plan, so that the individual counts as diverged.
+        """
+
+    @abc.abstractmethod
+    def traced(self, genes: Float[Array, " b"]) -> list[Array]:
+        """Return the values of the inputs of one body as a function of traced genes."""
 
 
 class Rules(eqx.Module):
@@ -107,6 +219,7 @@ class Simulation(eqx.Module):
         rules: rules that disqualify an animal, or None for no rules.
         extra_sensors: sensors in the creature's `sensors`, which return `Observation.custom`.
         measures: measures of gait, in addition to the task's terms.
+        bodies: builder of the bodies, or None if the body does not evolve.
     """
 
     world: World
@@ -122,11 +235,12 @@ class Simulation(eqx.Module):
     extra_sensors: tuple[Sensor, ...] = ()
     rules: Rules | None = None
     measures: Measures = Measures()
+    bodies: BodyBuilder | None = eqx.field(static=True, default=None)
 
     @property
     def genome(self) -> Genome:
         """Layout of the genes."""
-        return Genome(self.controller)
+        return Genome(self.controller, self.bodies and self.bodies.genes)
 
     @property
     def duration(self) -> float:

@@ -8,6 +8,7 @@ Compiled code may round differently for other array lengths, or if an array is a
 replay has chunks as wide as in training, and the same arguments: then the numbers are equal, too.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -19,7 +20,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt32
 
 from evo_cpg.native.machine_constants import LANES
-from evo_cpg.simulation.batched import BatchedSimulation, Inputs
+from evo_cpg.simulation.batched import BatchedSimulation, Inputs, evolved_inputs
 from evo_cpg.simulation.judge import JUDGE, Outcome, no_terms, score
 from evo_cpg.simulation.recording import Recorder, Recording, as_recording
 from evo_cpg.simulation.rollout import Observers, rollout
@@ -82,7 +83,8 @@ def compile_trials(
         simulation: simulation of a trial.
         mesh: the devices.
         width: number of trials in a chunk, or None to choose it from the number of all trials.
-        inputs: numbers of the simulation in which individuals differ.
+        inputs: numbers of the simulation in which individuals differ, or None if only their genes
+            do. Then genes of the body, if there are any, give the values.
         observers: observers of the trials, see `rollout`. Each result has the trials on the last
             axis. An observer that keeps a number of individuals keeps as many of every block.
         ahead: arguments of the function for which it is compiled now and not at its first call.
@@ -94,6 +96,13 @@ def compile_trials(
         trials of an individual are next to each other. The last argument holds the values of the
         inputs.
     """
+    bodies, kept = None if inputs else simulation.bodies, []
+    if bodies:
+        # The values come from a program of their own, in float64 and for any number of bodies, so
+        # that all programs of the trials get the same bits.
+        inputs, kept = evolved_inputs(simulation)
+    of_body = simulation.genome.of_body
+    simulation = dataclasses.replace(simulation, bodies=None)
 
     def rollouts(values: Any, genes: Array, keys: Array | None, trial: Array | None) -> Any:
         own = BatchedSimulation(simulation, inputs, values) if inputs else simulation
@@ -106,6 +115,9 @@ def compile_trials(
         trials: int = 1,
         values: tuple[Float[np.ndarray, "_ individuals"], ...] | None = None,
     ) -> tuple[Layout, int, Callable[..., tuple]]:
+        if bodies:
+            found = bodies.values(of_body(genes))
+            values = tuple(found[i] for i in kept)
         # The host's values may have another precision than the genes.
         own = jax.tree.map(lambda x: np.asarray(x, genes.dtype), values)
 

@@ -276,6 +276,7 @@ def _metrics(
     trials = found.worth.fitness.size * experiment.trials
     steps = trials * simulation.steps * simulation.substeps
     best = int(result.best[run])
+    sizes = simulation.genome.sizes_of(np.asarray(result.best_genes[run]))
     return {
         "generation": before.generation,
         **({"run": run} if experiment.runs > 1 else {}),
@@ -287,6 +288,7 @@ def _metrics(
         "champion": champion.fitness if champion else float("nan"),
         **{name: float(values[run]) for name, values in result.metrics.items()},
         **{f"best_{name}": float(values[run, best]) for name, values in found.worth.terms.items()},
+        **{f"best_{name}": size for name, size in sizes.items()},
         "seconds": seconds,
         "steps_per_second": steps / seconds,
     }

@@ -95,7 +95,7 @@ def test_unknown_name_gets_the_nearest_name(name):
 @pytest.mark.parametrize(
     ("find", "name", "word"),
     [
-        (find_config, "swimer", "'iwadate2010_swimmer', 'swimmer_gaits', 'two_eyed_"),
+        (find_config, "swimer", "'evolving_swimmer', 'iwadate2010_swimmer', 'swimmer_"),
         (find_config, "mine", r"'mine\.yaml'"),
         (load_config, "hexapod.yaml", "no such file.* hexapod$"),
         (load_config, "configs/hexapod.yaml", "no such file.* hexapod$"),

@@ -154,7 +154,10 @@ def _recorded_or_replayed(kind: str, make: Callable[[], _T]) -> _T:
     """
     present = _present.get()
     if present.replays:
-        return next(getattr(present, kind))
+        # JAX keeps the type that an index array had in a float64 program. So each program gets
+        # arrays of its own.
+        made = next(getattr(present, kind))
+        return jax.tree.map(lambda x: x.copy() if isinstance(x, np.ndarray) else x, made)
     with _in_present(_NOTHING):
         given = make()
     if present.record is not None:

@@ -3,9 +3,10 @@
 import abc
 import functools
 import math
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_serializer, model_validator
 
 from evo_cpg.evolution.genetics import BitGenetics, RealGenetics
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
@@ -67,15 +68,55 @@ class AxisConfig(Section):
         return self
 
 
-class MapSection(Section):
-    """A search that keeps a map of behaviour.
+class BodyGeneConfig(Section):
+    """Genes of the body, for one quantity of some bodies.
 
     Attributes:
+        range: smallest and largest value: m for a length, otherwise a factor on the creature's own
+            value.
+        scale: whether equal steps of a gene multiply the quantity (``log``) or add to it
+            (``linear``); by default ``log`` for factors.
+        genes: bodies that share a gene: left and right (``pairs``), none (``each``), or all
+            (``one``).
+    """
+
+    range: tuple[Finite, Finite]
+    scale: Literal["log", "linear"] | None = None
+    genes: Literal["pairs", "each", "one"] = "pairs"
+
+
+BodyGene = Annotated[
+    Annotated[tuple[Finite, Finite], Tag("range")] | Annotated[BodyGeneConfig, Tag("section")],
+    Discriminator(lambda value: "range" if isinstance(value, (list, tuple)) else "section"),
+]
+
+
+class MapSection(Section):
+    """A search, which may keep a map of behaviour and evolve the body.
+
+    Attributes:
+        body: genes of the body, by names of bodies and a quantity, such as
+            ``"*_femur.length": [0.1, 0.3]`` (see docs/searches.md).
         axes: axes of the map, which keeps the fittest individual of every cell; no map if left
             out, except in a search that requires a map.
     """
 
+    body: dict[str, BodyGene] = Field(default_factory=dict)
     axes: Annotated[tuple[AxisConfig, ...], Field(max_length=6)] = ()
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """Write no genes of a fixed body, as in configurations of earlier versions."""
+        found = write(self)
+        return found if found.get("body") else {k: x for k, x in found.items() if k != "body"}
+
+    @property
+    def body_genes(self) -> dict[str, BodyGeneConfig]:
+        """Genes of the body, each as a section."""
+        given = self.body.items()
+        return {
+            key: x if isinstance(x, BodyGeneConfig) else BodyGeneConfig(range=x) for key, x in given
+        }
 
     @model_validator(mode="after")
     def _check_map_and_islands(self) -> "MapSection":

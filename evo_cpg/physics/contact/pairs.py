@@ -242,15 +242,18 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
         # Decide why the other pairs are left out, so that a replay checks it.
         def why() -> tuple[LeftOut, list[_Case]]:
             left = left_out(creature, tree, settings)
-            return left, [case for case in map(pose.case, left.others) if pose.passes(case)]
+            return left, [pose.case((one, two)) for one, two, *_ in (*left.apart, *left.others)]
 
         def still_out(reasons: tuple[LeftOut, list[_Case]]) -> Condition:
-            left, beside = reasons
-            passing = [pair for pair in left.others if pair not in [case.pair for case in beside]]
-            holds = [pose.passes(case) for case in beside]
-            if passing:
-                holds.append(passing_at_rest(creature, tree, settings, passing).all())
-            return all_hold([still_apart(creature, tree, left), *holds])
+            left, every = reasons
+            if not every:
+                return True
+            # In another body, a pair may be left out for another reason.
+            pairs = [(one, two) for one, two, *_ in (*left.apart, *left.others)]
+            passing = passing_at_rest(creature, tree, settings, pairs)
+            apart = [*still_apart(creature, tree, left), *(False for _ in left.others)]
+            each = zip(apart, passing, map(pose.passes, every), strict=True)
+            return all_hold(one | two | three for one, two, three in each)
 
         chosen(why, still_out)
     if not cases:

@@ -96,7 +96,11 @@ def sections(creature: Creature, chain: SlenderChain, density: Number) -> Sectio
     directions, masses, widths, sharp = [], [], [], []
     for shape, tangent, length in zip(shapes, chain.tangents, chain.lengths, strict=True):
         half, axes = shape.stretch
-        along = chosen(lambda axes=axes, t=tangent: int(np.argmax(np.abs(t @ axes))))
+        aligned = xp.abs(tangent @ axes)
+        along = chosen(
+            lambda aligned=aligned: int(np.argmax(aligned)),
+            lambda k, aligned=aligned: aligned[k] >= xp.max(aligned),
+        )
         one, other = (half[(along + k) % 3] for k in (1, 2))
         first = axes[:, (along + 1) % 3]
         first = first - tangent * (tangent @ first)

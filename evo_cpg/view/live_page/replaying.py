@@ -94,7 +94,12 @@ class Replays:
         use_cores(1)
         config = load_config(folder.config)
         self.experiment = build(config, folder.config, class_folders(folder))
+        self._run = Run(folder, config, self.experiment)
         self._devices = folder.read_meta().get("devices", 1)
+
+    def of_body(self, champion: Champion) -> ExperimentParts:
+        """Return the experiment of a champion's own body."""
+        return self._run.of_body(champion).experiment
 
     def prepare(self, program: Literal["champion", "population"]) -> bool:
         """Compile a program. Return whether it was not compiled before."""
@@ -167,7 +172,7 @@ class Replaying:
                         f"Champion of generation {champion.generation} (the first is 0), "
                         f"fitness {number(champion.worth)}"
                     )
-                    made = replays.experiment
+                    made = replays.of_body(champion)
                     scene = viewer_data(panel_of(made, recording, made.name))
                     shown = {"words": words, "scene": scene}
                     self.motion = Numbered(self.motion.number + 1, shown)
