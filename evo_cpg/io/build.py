@@ -21,7 +21,7 @@ from evo_cpg.evolution.map_elites import Mapped
 from evo_cpg.io.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.io.load import located
 from evo_cpg.io.own_checks import check_own_forces, check_own_returns, check_own_strategy
-from evo_cpg.io.schema.evolution import RealEvolutionConfig
+from evo_cpg.io.schema.evolution import PlanEvolutionConfig, RealEvolutionConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
 from evo_cpg.io.situations import build_situations
@@ -98,6 +98,10 @@ def build_experiment(
             from evo_cpg.io.body_genes import evolved
 
             simulation = evolved(config, source, simulation)
+        if isinstance(given, PlanEvolutionConfig):
+            from evo_cpg.io.plans import plans_of
+
+            simulation = dataclasses.replace(simulation, plans=plans_of(config, source))
         islands = getattr(given, "islands", None)
         population = given.population // (islands.count if islands else 1)
         with under("evolution"):

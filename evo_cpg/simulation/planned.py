@@ -8,6 +8,7 @@ part (`SINK`), so that surfaces never coincide. An absent body has no mass, no s
 contact. An absent axis has an armature of 1 and no torque. Both change nothing, exactly.
 """
 
+import abc
 import dataclasses
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_de
 from evo_cpg.creature.algebra.numerics import MixedArray
 from evo_cpg.creature.creature import NO_LIMIT, Actuator, DegreeOfFreedom
 from evo_cpg.creature.development import Plan
+from evo_cpg.creature.graph import GraphLayout
 from evo_cpg.creature.laws import laws_of
 from evo_cpg.creature.self_collision import TOUCH, gaps_of_boxes
 from evo_cpg.creature.shapes import Box, Surface
@@ -52,6 +54,7 @@ class PlanPhysics:
         skin_resolution: see `evo_cpg.io.schema.world`.
         clearance: height of the lowest point at the start on ground, m.
         axes: axes (0 x, 1 y, 2 z) that any joint may have.
+        meet: whether limbs keep other limbs from passing.
     """
 
     density: float = 1000.0
@@ -61,6 +64,7 @@ class PlanPhysics:
     skin_resolution: int = 1
     clearance: float = 0.0
     axes: tuple[int, ...] = (0, 1, 2)
+    meet: bool = True
 
 
 class PlanNumbers(NamedTuple):
@@ -134,7 +138,7 @@ def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
         form.T,
         skin.T,
         _laws(plan, parent, physics, inertia, walk),
-        _separate(plan, half, pose),
+        _separate(plan, half, pose) if physics.meet else half[:0, 0],
         jnp.where(present, corners, jnp.inf).min(),
         walk,
     )
@@ -238,6 +242,46 @@ def _separate(plan: Plan, half: Float[Array, "b 3"], pose: _Pose) -> Float[Array
     return (both & ~joined & (gaps >= TOUCH)).astype(half.dtype)
 
 
+class PlanBuilder(abc.ABC):
+    """Builder of the simulations of plans from their genes.
+
+    Attributes:
+        sizes: numbers of bodies of the programs, in increasing order.
+    """
+
+    layout: GraphLayout
+    sizes: tuple[int, ...]
+
+    @abc.abstractmethod
+    def random(self, key: Array, batch: tuple[int, ...], dtype: Any) -> Float[Array, "g *n"]:
+        """Return genes of random plans."""
+
+    @abc.abstractmethod
+    def inputs(self, size: int) -> "PlanInputs":
+        """Return the inputs, and the common simulation, of the program for some bodies."""
+
+    @abc.abstractmethod
+    def developed(self, genes: Float[np.ndarray, "g n"]) -> tuple[Any, ...]:
+        """Return arrays for `given`, the numbers of bodies ``(n,)`` first.
+
+        Those of a plan do not depend on the other plans, to the last bit.
+        """
+
+    @abc.abstractmethod
+    def given(
+        self, found: tuple[Any, ...], individuals: Int[np.ndarray, " k"], size: int
+    ) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "v k"]]:
+        """Return the controller's genes and the inputs of some individuals, for one program."""
+
+    @abc.abstractmethod
+    def own(self, genes: Float[np.ndarray, " g"]) -> Simulation:
+        """Return the simulation of a plan's own creature, with all numbers known."""
+
+    @abc.abstractmethod
+    def frames_of(self, own: Simulation, frames: dict[str, Any]) -> dict[str, Any]:
+        """Return recorded arrays of a plan in the layout of its own creature."""
+
+
 class PlanInputs:
     """Inputs of a program whose individuals are plans, in place of `Inputs`.
 
@@ -255,7 +299,7 @@ class PlanInputs:
         tree = _with_walk(star.world.tree)
         self.physics = physics
         world = dataclasses.replace(star.world, tree=tree)
-        if world.contact_model is not None:
+        if physics.meet:
             world = dataclasses.replace(world, pairs=_all_pairs(tree))
         self.common = dataclasses.replace(star, world=world)
         self._like = jax.eval_shape(lambda plan: numbers_of(plan, physics), _no_plan(bodies))

@@ -7,7 +7,7 @@ folders, commands and the API treat a genome as a vector of `Genome.count` numbe
 
 import abc
 import dataclasses
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,6 +25,9 @@ from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.sensors import Sensor, Sensors
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
+
+if TYPE_CHECKING:
+    from evo_cpg.simulation.planned import PlanBuilder
 
 # Bits of a body's gene in a binary genome: 256 values between its bounds.
 _BITS = 8
@@ -103,14 +106,19 @@ class Genome(NamedTuple):
     Attributes:
         controller: controller that the first genes belong to.
         body: genes of the body, or None if the body does not evolve.
+        plans: builder of the simulations of plans, or None if no plan evolves. A plan's genes
+            include those of its controller.
     """
 
     controller: Controller
     body: BodyGenes | None = None
+    plans: "PlanBuilder | None" = None
 
     @property
     def count(self) -> int:
         """Number of genes."""
+        if self.plans:
+            return self.plans.layout.count
         return self.controller.gene_count + (self.body.number if self.body else 0)
 
     @property
@@ -122,6 +130,8 @@ class Genome(NamedTuple):
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type = jnp.float32
     ) -> Float[Array, "g *n"]:
         """Return genes of a first generation, which a controller may draw as integers or bits."""
+        if self.plans:
+            return self.plans.random(key, batch, dtype)
         genes = jnp.asarray(self.controller.random_genes(key, batch, dtype), dtype)
         if not self.body:
             return genes
@@ -220,6 +230,7 @@ class Simulation(eqx.Module):
         extra_sensors: sensors in the creature's `sensors`, which return `Observation.custom`.
         measures: measures of gait, in addition to the task's terms.
         bodies: builder of the bodies, or None if the body does not evolve.
+        plans: builder of the simulations of plans, or None if no plan evolves.
     """
 
     world: World
@@ -236,11 +247,12 @@ class Simulation(eqx.Module):
     rules: Rules | None = None
     measures: Measures = Measures()
     bodies: BodyBuilder | None = eqx.field(static=True, default=None)
+    plans: "PlanBuilder | None" = eqx.field(static=True, default=None)
 
     @property
     def genome(self) -> Genome:
         """Layout of the genes."""
-        return Genome(self.controller, self.bodies and self.bodies.genes)
+        return Genome(self.controller, self.bodies and self.bodies.genes, self.plans)
 
     @property
     def duration(self) -> float:

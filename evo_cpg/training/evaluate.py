@@ -8,6 +8,7 @@ Compiled code may round differently for other array lengths, or if an array is a
 replay has chunks as wide as in training, and the same arguments: then the numbers are equal, too.
 """
 
+import concurrent.futures
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
@@ -96,6 +97,8 @@ def compile_trials(
         trials of an individual are next to each other. The last argument holds the values of the
         inputs.
     """
+    if simulation.plans and not inputs:
+        return _compile_trials_of_plans(simulation, mesh, observers)
     bodies, kept = None if inputs else simulation.bodies, []
     if bodies:
         # The values come from a program of their own, in float64 and for any number of bodies, so
@@ -143,6 +146,70 @@ def compile_trials(
         return run_in_blocks(compiled[spread.mesh], spread, count, pick)
 
     return run
+
+
+def _compile_trials_of_plans(
+    simulation: Simulation, mesh: Mesh, observers: Observers
+) -> Callable[..., Any]:
+    """Return the function of `compile_trials` for plans, which run in several programs.
+
+    Plans of similar size share a vector, in the smallest program for the largest of them. The
+    first call compiles all programs, so that no later call does.
+    """
+    plans, programs = simulation.plans, {}
+    assert plans is not None
+    recorded = any(one.every_step for one in jax.tree.leaves(observers))
+    common = {name: getattr(simulation, name) for name in _OF_TRIALS}
+
+    def program(size: int, given: tuple) -> None:
+        own = plans.inputs(size)
+        star = dataclasses.replace(own.common, **common)
+        programs[size] = compile_trials(star, mesh, LANES, own, observers, given)
+
+    def run(
+        genes: Float[np.ndarray, "g individuals"],
+        keys: UInt32[np.ndarray, "w n"] | None = None,
+        trial: Int[np.ndarray, " n"] | None = None,
+        trials: int = 1,
+    ) -> Any:
+        found = plans.developed(genes)
+        order = np.argsort(found[0], kind="stable")
+        fits = np.searchsorted(plans.sizes, found[0] + 1)
+
+        def of(individuals: np.ndarray, size: int) -> tuple:
+            own = (individuals[:, None] * trials + np.arange(trials)).reshape(-1)
+            rows, values = plans.given(found, individuals, size)
+            noise = jax.tree.map(lambda x: x[..., own], (keys, trial))
+            return rows.astype(genes.dtype), *noise, trials, (values,)
+
+        lanes = max(1, LANES // trials)
+        if recorded:
+            # Frames of all individuals have equal shapes.
+            lanes = len(order)
+        vectors = [order[k : k + lanes] for k in range(0, len(order), lanes)]
+        largest = np.array([fits[vector].max() for vector in vectors])
+        needed = {plans.sizes[i] for i in largest} if recorded else {*plans.sizes}
+        missing = sorted(needed - programs.keys(), reverse=True)
+        with concurrent.futures.ThreadPoolExecutor(_COMPILERS) as pool:
+            # `list` raises the errors of the threads.
+            list(pool.map(lambda size: program(size, of(np.zeros(1, int), size)), missing))
+        results, places = [], []
+        for number in np.unique(largest):
+            own = np.concatenate([v for v, n in zip(vectors, largest, strict=True) if n == number])
+            size = plans.sizes[number]
+            results.append(programs[size](*of(own, size)))
+            places.append((own[:, None] * trials + np.arange(trials)).reshape(-1))
+        back = np.argsort(np.concatenate(places))
+        return jax.tree.map(lambda *parts: np.concatenate(parts, -1)[..., back], *results)
+
+    return run
+
+
+# Programs that are compiled at a time.
+_COMPILERS = 2
+
+# Parts of a simulation of plans that do not depend on the plan.
+_OF_TRIALS = ("task", "steps", "noise", "rules", "measures", "engine")
 
 
 def compile_evaluation(
@@ -222,13 +289,13 @@ def compile_replay(
     block, lane = divmod(recorded, chunk_width(count, devices))
     recorder = Recorder(first=lane, full=full)
     evaluate = compile_evaluation(experiment, population_mesh(1), devices, recorder, ahead=True)
-    names = [body.name for body in experiment.creature.bodies]
 
     def of(champion: Champion) -> Replay:
         genes = np.asarray(champion.genes, np.float32)[:, None]
         fitness, mean, frames = evaluate(genes, champion)
         frames = {name: values[..., block : block + 1] for name, values in frames.items()}
-        motion = as_recording(experiment.simulation, frames, names, trial=recorded)
+        simulation, frames = _own(experiment.simulation, champion.genes, frames)
+        motion = as_recording(simulation, frames, _names(experiment, simulation), trial=recorded)
         terms = {name: float(values[0]) for name, values in mean.terms.items()}
         return Replay(float(fitness[0]), terms, frames, motion)
 
@@ -249,7 +316,6 @@ def compile_population_replay(
         that of the first trial, or -inf if the individual diverged or broke a rule.
     """
     simulation, lanes = experiment.simulation, np.zeros(LANES, int)
-    names = [body.name for body in experiment.creature.bodies]
     first = None if situation_numbers(experiment) is None else lanes
     genes = np.zeros((simulation.genome.count, LANES), np.float32)
     keys = jax.device_get(trial_keys(experiment, 0, lanes, lanes, lanes))
@@ -266,14 +332,29 @@ def compile_population_replay(
         outcome, frames = run(np.asarray(genes, np.float32), jax.device_get(own), first)
         scales = {name: jnp.float32(each[run_number]) for name, each in checkpoint.scales.items()}
         fitness = jax.device_get(assess(outcome, scales))
-        return [
-            Replay(
-                float(fitness[i]),
-                {name: float(values[i]) for name, values in outcome.terms.items()},
-                {name: values[..., i : i + 1] for name, values in frames.items()},
-                as_recording(simulation, frames, names, i),
-            )
-            for i in range(len(places))
-        ]
+        replays = []
+        for i in range(len(places)):
+            terms = {name: float(values[i]) for name, values in outcome.terms.items()}
+            alone = {name: values[..., i : i + 1] for name, values in frames.items()}
+            shown, alone = _own(simulation, genes[:, i], alone)
+            motion = as_recording(shown, alone, _names(experiment, shown))
+            replays.append(Replay(float(fitness[i]), terms, alone, motion))
+        return replays
 
     return of
+
+
+def _own(
+    simulation: Simulation, genes: Float[np.ndarray, " g"], frames: dict[str, Any]
+) -> tuple[Simulation, dict[str, Any]]:
+    """Return the simulation that recorded arrays show: of a plan, that of its own creature."""
+    if simulation.plans is None:
+        return simulation, frames
+    own = simulation.plans.own(genes)
+    return own, simulation.plans.frames_of(own, frames)
+
+
+def _names(experiment: ExperimentParts, shown: Simulation) -> list[str]:
+    """Return the names of the bodies in the order of the creature, which may be a plan's own."""
+    known = set(shown.world.tree.names)
+    return [body.name for body in experiment.creature.bodies if body.name in known]

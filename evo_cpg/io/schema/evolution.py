@@ -10,8 +10,10 @@ from pydantic import Discriminator, Field, Tag, model_serializer, model_validato
 
 from evo_cpg.evolution.genetics import BitGenetics, RealGenetics
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
+from evo_cpg.evolution.plan_genetics import PlanGenetics
 from evo_cpg.evolution.strategy import Axis, RandomSearch, Strategy
 from evo_cpg.io.errors import KeyProblem, nearest
+from evo_cpg.io.schema.plans import PlanConfig
 from evo_cpg.io.schema.section import (
     Count,
     CustomConfig,
@@ -267,6 +269,53 @@ class BitEvolutionConfig(MapSection):
         return self
 
 
+class PlanEvolutionConfig(MapSection):
+    """The genetic algorithm on body plans (Sims 1994, "Evolving virtual creatures").
+
+    Attributes:
+        type: ``plans``.
+        generations: number of generations.
+        population: number of individuals.
+        elites: number of best individuals that pass on unchanged.
+        parent_fraction: best fraction of the population that may become parents, with a
+            probability that falls linearly with the rank.
+        crossed: fraction of the children that mix the parts of two plans.
+        grafted: fraction of the children with a part of another plan.
+        alterations: mean number of alterations of a child.
+        plan: what body plans may be like.
+        islands: sub-populations, to each of which all keys but ``population`` apply
+            (default: none).
+    """
+
+    type: Literal["plans"] = "plans"
+    generations: Count = 100
+    population: Population = 300
+    elites: Annotated[int, Field(ge=0)] = 60
+    parent_fraction: Annotated[float, Field(gt=0, le=1)] = 0.2
+    crossed: Fraction = 0.3
+    grafted: Fraction = 0.3
+    alterations: NotNegative = 3.0
+    plan: PlanConfig = PlanConfig()
+    islands: IslandsConfig | None = None
+
+    def build(self, genome: Genome, population: int) -> PlanGenetics:
+        """Build the search (see `MapSection.build`)."""
+        del genome
+        return self.into(PlanGenetics, population=population, layout=self.plan.layout)
+
+    @model_validator(mode="after")
+    def _check(self) -> "PlanEvolutionConfig":
+        if self.elites >= self.population:
+            raise ValueError(
+                f"elites: must be fewer than the population of {self.population}, got {self.elites}"
+            )
+        if self.crossed + self.grafted > 1:
+            raise ValueError("crossed and grafted add up to more than 1")
+        if self.body:
+            raise ValueError("body: plans evolve their whole bodies. Leave body out")
+        return self
+
+
 class MapElitesConfig(MapSection):
     """MAP-Elites: the fittest individual of every kind of behaviour.
 
@@ -425,6 +474,7 @@ EvolutionConfig = Annotated[
     Annotated[RealEvolutionConfig, Tag("real")]
     | Annotated[BitEvolutionConfig, Tag("bits")]
     | Annotated[MapElitesConfig, Tag("map_elites")]
+    | Annotated[PlanEvolutionConfig, Tag("plans")]
     | Annotated[EvosaxConfig, Tag("evosax")]
     | Annotated[RandomSearchConfig, Tag("random")]
     | Annotated[CustomEvolutionConfig, Tag("custom")],

@@ -8,6 +8,7 @@ from evo_cpg.io.schema.audit import AuditConfig
 from evo_cpg.io.schema.controller import BrainCpgConfig, ControllerConfig
 from evo_cpg.io.schema.creature import CreatureConfig
 from evo_cpg.io.schema.evolution import EvolutionConfig, RealEvolutionConfig
+from evo_cpg.io.schema.plans import PLANS, PlanConfig
 from evo_cpg.io.schema.section import (
     Count,
     Direction,
@@ -158,6 +159,20 @@ class ExperimentConfig(Section):
     audit: AuditConfig = AuditConfig()  # pyright: ignore[reportInvalidTypeForm]
     engine: EngineName = "auto"
     instruction_set: InstructionSet = "host"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _add_plans(cls, data: Any) -> Any:
+        """Add the creature that stands for all plans, if plans evolve."""
+        search = data.get("evolution") if isinstance(data, dict) else None
+        if not isinstance(search, dict) or search.get("type") != "plans":
+            return data
+        given = data.get("creature")
+        if given is not None and not (isinstance(given, dict) and given.get("name") == PLANS):
+            raise ValueError("creature: plans evolve their bodies. Leave creature out")
+        section = PlanConfig.model_validate(search.get("plan") or {})
+        controller = data.get("controller") or {"type": "limb_oscillators"}
+        return {**data, "creature": section.star(), "controller": controller}
 
     @property
     def trial_count(self) -> int:

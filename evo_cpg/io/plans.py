@@ -1,0 +1,244 @@
+"""Evolving body plans: their simulations, and a plan as a creature of its own.
+
+All plans of an experiment run in a few programs, which differ in the number of bodies only. A plan
+may run in any program with more bodies than the plan has, with the same result to the last bit. One
+absent body remains, because sums over bodies are ordered by another body that follows.
+"""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from typing_extensions import override
+
+from evo_cpg.creature.algebra.rotation import matrix_to_euler
+from evo_cpg.creature.development import Plan, developed
+from evo_cpg.creature.walk import slot_count
+from evo_cpg.evolution.graphs import random_graph
+from evo_cpg.io.build import CommonPlan, build_simulation
+from evo_cpg.io.schema.creature import CreatureConfig
+from evo_cpg.io.schema.evolution import PlanEvolutionConfig
+from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.plans import PlanConfig
+from evo_cpg.physics.contact.contact_model import CORNERS
+from evo_cpg.simulation.planned import SINK, PlanBuilder, PlanInputs, PlanNumbers, numbers_of
+from evo_cpg.simulation.recording import NERVE
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.training.devices import Layout, population_mesh, run_in_blocks, sharded
+
+# Difference of the numbers of bodies of two programs. Each takes seconds to compile.
+_STEP = 5
+
+# Recorded arrays of bodies, contact points and joint axes.
+_OF_BODIES = ("position", "rotation", "velocity", "angular_velocity")
+_OF_POINTS = ("contact_force", "contact_velocity")
+_OF_AXES = (
+    "joint_angle", "joint_rate", "target_rate", "cpg_output", "torque", "activation",
+    "commanded_torque",
+)  # fmt: skip
+
+# Plans that are developed at a time. A fixed number gives each plan the same bits in any population.
+_WIDTH = 64
+
+
+class EvolvedPlans(PlanBuilder):
+    """Plans of one experiment.
+
+    Args:
+        config: configuration whose search evolves plans.
+        source: file of the configuration.
+    """
+
+    def __init__(self, config: ExperimentConfig, source: str):
+        assert isinstance(config.evolution, PlanEvolutionConfig)
+        self.config, self.source = config, source
+        self.section = config.evolution.plan
+        self.layout, self.bounds = self.section.layout, self.section.bounds
+        most = self.section.bodies + 1
+        self.sizes = tuple(range(most, 2, -_STEP))[::-1]
+        clearance = config.simulation.start_clearance
+        on_ground = config.world.ground is not None
+        self.physics = self.section.physics(config.world.water, clearance, on_ground)
+        self._mesh = population_mesh()
+        self._develop = sharded(jax.vmap(self._one, -1, -1), self._mesh, (2,))
+
+    @override
+    def random(self, key: Array, batch: tuple[int, ...], dtype: Any) -> Float[Array, "g *n"]:
+        keys = jax.random.split(key, batch)
+        draw: Callable = lambda key: self.layout.pack(random_graph(key, self.layout))
+        for _ in batch:
+            draw = jax.vmap(draw, out_axes=-1)
+        return draw(keys).astype(dtype)
+
+    @functools.cache
+    def inputs(self, size: int) -> PlanInputs:
+        """Return the inputs of the program for some bodies."""
+        star = CreatureConfig.model_validate(self.section.star(size))
+        config = self.config.model_copy(update={"creature": star})
+        _, simulation = build_simulation(config, CommonPlan("complete"))
+        return PlanInputs(simulation, self.physics)
+
+    @override
+    def developed(self, genes: Float[np.ndarray, "g n"]) -> tuple[Any, ...]:
+        spread, own = Layout(self._mesh, _WIDTH), genes.astype(float)
+        with jax.enable_x64(True):
+            return run_in_blocks(self._develop, spread, own.shape[1], lambda x: (own[:, x],))
+
+    @override
+    def given(
+        self, found: tuple[Any, ...], individuals: Int[np.ndarray, " k"], size: int
+    ) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "v k"]]:
+        _, control, numbers = found
+        axes = len(self.section.axes)
+        genes = control[:, : (size - 1) * axes, individuals].reshape(-1, len(individuals))
+        cut = _cut(numbers, size, axes)
+        rows = [x[..., individuals].reshape(-1, len(individuals)) for x in jax.tree.leaves(cut)]
+        return genes, np.concatenate(rows)
+
+    def plan(self, genes: Float[np.ndarray, " g"]) -> Plan:
+        """Return the plan of one genome, in float64."""
+        with jax.enable_x64(True):
+            graph = self.layout.unpack(jnp.asarray(genes, float))
+            plan = jax.jit(lambda x: developed(x, self.layout, self.bounds))(graph)
+            return jax.tree.map(np.asarray, plan)
+
+    @override
+    def own(self, genes: Float[np.ndarray, " g"]) -> Simulation:
+        return build_simulation(self.config_of(genes))[1]
+
+    def config_of(self, genes: Float[np.ndarray, " g"]) -> ExperimentConfig:
+        """Return the configuration of a plan's own creature, whose oscillators evolve."""
+        data = self.config.model_dump(mode="json")
+        data["creature"] = creature_of(self.plan(genes), self.section)
+        search = self.config.evolution
+        data["evolution"] = {"generations": search.generations, "population": search.population}
+        data["evolution"] |= {"elites": search.elites, "type": "real"}
+        return ExperimentConfig.model_validate(data)
+
+    @override
+    def frames_of(self, own: Simulation, frames: dict[str, Any]) -> dict[str, Any]:
+        tree, axes = own.world.tree, self.section.axes
+        slots = np.array([int(name.removeprefix("part")) for name in tree.names])
+        named = [name.rsplit(".", 1) for name in tree.dof_names]
+        dofs = np.array(
+            [
+                (int(body.removeprefix("part")) - 1) * len(axes) + axes.index("xyz".index(axis[-1]))
+                for body, axis in named
+            ],
+            int,
+        )
+        points = (slots[:, None] * CORNERS + np.arange(CORNERS)).reshape(-1)
+        kept = {**dict.fromkeys(_OF_BODIES, slots), **dict.fromkeys(_OF_POINTS, points)}
+        kept |= dict.fromkeys(_OF_AXES, dofs)
+        found = {}
+        for name, values in frames.items():
+            if name in kept or name.startswith(NERVE) and values.shape[-2:-1] > (1,):
+                values = values[..., kept.get(name, dofs), :]
+            elif name == "pair_force":
+                # The own creature has other pairs.
+                count = len(own.world.pairs.owners[0]) if own.world.pairs else 0
+                values = np.zeros((len(values), count, values.shape[-1]), values.dtype)
+            found[name] = values
+        return found
+
+    def _one(self, genes: Float[Array, " g"]) -> tuple[Array, Array, PlanNumbers]:
+        """Return the number of bodies, the controller's genes and the numbers of one plan."""
+        plan = developed(self.layout.unpack(genes), self.layout, self.bounds)
+        own = plan.control[1:, np.array(self.section.axes)]
+        control = jnp.moveaxis(0.5 + 0.5 * own, -1, 0).reshape(own.shape[-1], -1)
+        # One absent body follows the largest plan.
+        plan = _with_absent_body(plan)
+        padded = jnp.pad(control, ((0, 0), (0, len(self.section.axes))))
+        return plan.present.sum(), padded, numbers_of(plan, self.physics)
+
+
+@functools.lru_cache(maxsize=4)
+def _made(text: str, source: str) -> EvolvedPlans:
+    return EvolvedPlans(ExperimentConfig.model_validate_json(text), source)
+
+
+def plans_of(config: ExperimentConfig, source: Path | str) -> EvolvedPlans:
+    """Return the plans of a configuration whose search evolves plans."""
+    return _made(config.model_dump_json(), str(source))
+
+
+def _with_absent_body(plan: Plan) -> Plan:
+    """Return a plan with one more slot, which no body uses."""
+    more = jax.tree.map(lambda x: jnp.concatenate([x, jnp.zeros_like(x[:1])]), plan)
+    eye = more.rotation.at[-1].set(jnp.eye(3))
+    parent, slot = (x.at[-1].set(-1) for x in (more.parent, more.slot))
+    return more._replace(rotation=eye, parent=parent, slot=slot, mirror=more.mirror.at[-1].set(1))
+
+
+def _cut(numbers: PlanNumbers, size: int, axes: int) -> PlanNumbers:
+    """Return the numbers of the first bodies of some plans, individuals on the last axis."""
+    walk, dofs, slots = numbers.walk, (size - 1) * axes, slot_count(size)
+    first, second = np.triu_indices(numbers.mass.shape[0], 1)
+    return numbers._replace(
+        half=numbers.half[:, :size],
+        reach=numbers.reach[:size],
+        offset=numbers.offset[:, :size],
+        orientation=numbers.orientation[:, :, :size],
+        mass=numbers.mass[:size],
+        form=numbers.form[:, :size],
+        skin=numbers.skin[:, :size],
+        laws=numbers.laws[:, :dofs],
+        pairs=numbers.pairs[((first < size) & (second < size))[: len(numbers.pairs)]],
+        walk=type(walk)(
+            walk.follows[:size],
+            walk.opens[:slots, :size],
+            walk.reads[:slots, :size],
+            walk.above[:size, :size],
+            walk.turns[:dofs],
+        ),
+    )
+
+
+def creature_of(plan: Plan, section: PlanConfig) -> dict[str, Any]:
+    """Return a plan as the creature of a configuration.
+
+    Bodies have the names of their places in the plan: part0, part1 and so on.
+    """
+    physics, half = section.physics(None, 0.0), plan.half
+    thick = 4 * half[:, 1] * half[:, 2] * half[:, 1:].min(1)
+    strength = physics.weakest + (1 - physics.weakest) * plan.strength
+    bodies = []
+    for i in np.flatnonzero(plan.present):
+        size = [float(2 * edge) for edge in half[i]]
+        body: dict[str, Any] = {
+            "name": f"part{i}",
+            "shape": {"type": "box", "size": size},
+            "material": "body",
+        }
+        parent = plan.parent[i]
+        if parent >= 0:
+            gain = physics.motor_gain * strength[i] * min(thick[i], thick[parent])
+            limits = np.degrees(plan.limit[i])
+            turns = [k for k in range(3) if plan.axes[i, k]]
+            # Mirrored bodies turn about x and z the other way round.
+            sign = (plan.mirror[i], 1.0, plan.mirror[i])
+            body["joint"] = {
+                "parent": f"part{parent}",
+                "at": [float(SINK * x) for x in plan.place[i]],
+                "child_at": [float(-SINK * half[i, 0]), 0.0, 0.0],
+                "axes": [f"{'-' if sign[k] < 0 else ''}{'xyz'[k]}" for k in turns],
+                "limits_deg": [[-float(limits[k]), float(limits[k])] for k in turns],
+                "rotation_deg": [float(np.degrees(x)) for x in matrix_to_euler(plan.rotation[i])],
+                "actuator": {"gain": float(gain)},
+            }
+        bodies.append(body)
+    return {"name": "evolved", "materials": section.materials, "bodies": bodies}
+
+
+def genes_of(plan: Plan, dof_names: tuple[str, ...]) -> Float[np.ndarray, " c"]:
+    """Return the controller's genes for the creature of a plan, by its degrees of freedom."""
+    columns = []
+    for name in dof_names:
+        body, axis = name.rsplit(".", 1)
+        columns.append(plan.control[int(body.removeprefix("part")), "xyz".index(axis[-1])])
+    return (0.5 + 0.5 * np.array(columns).reshape(len(dof_names), -1).T).reshape(-1)
