@@ -218,7 +218,7 @@ def _audited(opened: Run, champions: Sequence[Champion], limits: Sequence[str]) 
             work.doing(f"auditing, {done + 1} of {total}: {what}")
 
         groups, found = [(opened, champions, ())], []
-        if opened.experiment.simulation.bodies:
+        if opened.experiment.simulation.has_own_bodies:
             # Each body has an experiment of its own. The numbers of its replay are no constants, as
             # in training, because a walker's path depends on their rounding.
             replayed = _replay(opened.experiment, champions)

@@ -176,7 +176,7 @@ class Experiment:
             trials,
         )
         with self._compiling("trials", f"{count} individuals", ("trials", count, *(bodies or ()))):
-            if bodies and self.parts.simulation.bodies:
+            if bodies and self.parts.simulation.has_own_bodies:
                 raise ValueError("bodies: the genomes define the bodies. Leave bodies out")
             own = self._bodies.trials(bodies, count) if bodies else None
             outcome = own[0](*given, own[1]) if own else self._run_trials(*given)
@@ -248,7 +248,7 @@ class Experiment:
         """
         own_task = self.task if "task" in self.replaced else None
         parameters = None
-        if numbers and self.parts.simulation.bodies:
+        if numbers and self.parts.simulation.has_own_bodies:
             raise ValueError("numbers: the genome defines the body. Leave numbers out")
         if numbers:
             parameters = parametrise(self.config, self.source, numbers, smooth=False)

@@ -97,7 +97,7 @@ def refine(
             )
         if experiment.simulation.genome.misfit(champion.genes):
             raise UsageError(f"{run}: the body's genes are bits, which have no derivative")
-        if keys and experiment.simulation.bodies:
+        if keys and experiment.simulation.has_own_bodies:
             raise UsageError(
                 f"{keys[0]}: cannot be refined in a run whose bodies evolve. Leave the keys out, "
                 f"or refine a run of the exported body: evo-cpg export {run} animal.yaml"

@@ -210,7 +210,7 @@ def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
     earlier = open_run(path)
     plans, simulations = [], (experiment.simulation, earlier.experiment.simulation)
     # A fixed body may start with the controllers of bodies that evolved.
-    fixed = experiment.simulation.bodies is None
+    fixed = not experiment.simulation.has_own_bodies
     for one in simulations:
         tree, genome = one.world.tree, Genome(one.controller) if fixed else one.genome
         plans.append(

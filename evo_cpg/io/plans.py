@@ -18,6 +18,7 @@ from typing_extensions import override
 
 from evo_cpg.creature.algebra.rotation import matrix_to_euler
 from evo_cpg.creature.development import Plan, developed
+from evo_cpg.creature.tree import build_tree
 from evo_cpg.creature.walk import slot_count
 from evo_cpg.evolution.graphs import random_graph
 from evo_cpg.io.build import CommonPlan, build_simulation
@@ -109,16 +110,20 @@ class EvolvedPlans(PlanBuilder):
 
     @override
     def own(self, genes: Float[np.ndarray, " g"]) -> Simulation:
-        return build_simulation(self.config_of(genes))[1]
+        return build_simulation(self.alone(genes)[0])[1]
 
-    def config_of(self, genes: Float[np.ndarray, " g"]) -> ExperimentConfig:
-        """Return the configuration of a plan's own creature, whose oscillators evolve."""
-        data = self.config.model_dump(mode="json")
-        data["creature"] = creature_of(self.plan(genes), self.section)
-        search = self.config.evolution
-        data["evolution"] = {"generations": search.generations, "population": search.population}
-        data["evolution"] |= {"elites": search.elites, "type": "real"}
-        return ExperimentConfig.model_validate(data)
+    def alone(
+        self, genes: Float[np.ndarray, " g"]
+    ) -> tuple[ExperimentConfig, Float[np.ndarray, " c"]]:
+        """Return the configuration of a plan's own creature, and the genes of its controller."""
+        plan, data = self.plan(genes), self.config.model_dump(mode="json")
+        data["creature"] = creature_of(plan, self.section)
+        given = self.config.evolution
+        kept = {"generations": given.generations, "population": given.population}
+        data["evolution"] = {"type": "real", "elites": given.elites, **kept}
+        config = ExperimentConfig.model_validate(data)
+        names = build_tree(config.creature.build()).dof_names
+        return config, genes_of(plan, names).astype(genes.dtype)
 
     @override
     def frames_of(self, own: Simulation, frames: dict[str, Any]) -> dict[str, Any]:
@@ -137,7 +142,7 @@ class EvolvedPlans(PlanBuilder):
         kept |= dict.fromkeys(_OF_AXES, dofs)
         found = {}
         for name, values in frames.items():
-            if name in kept or name.startswith(NERVE) and values.shape[-2:-1] > (1,):
+            if values.shape[-2:-1] > (1,) and (name in kept or name.startswith(NERVE)):
                 values = values[..., kept.get(name, dofs), :]
             elif name == "pair_force":
                 # The own creature has other pairs.

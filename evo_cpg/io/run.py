@@ -17,6 +17,7 @@ from evo_cpg.evolution.strategy import Archive, Axis
 from evo_cpg.io.body_genes import config_of
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
+from evo_cpg.io.plans import EvolvedPlans
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
 from evo_cpg.io.trust import own_parts
@@ -127,11 +128,14 @@ class Run:
             ConfigError: the body is not allowed.
         """
         simulation, source = self.experiment.simulation, self.folder.config
-        if simulation.bodies is None:
+        if not simulation.has_own_bodies:
             return self
-        config = config_of(self.config, simulation, champion.genes, source)
+        if isinstance(simulation.plans, EvolvedPlans):
+            config, genes = simulation.plans.alone(champion.genes)
+        else:
+            config = config_of(self.config, simulation, champion.genes, source)
+            genes = champion.genes[: simulation.controller.gene_count]
         experiment = build_experiment(config, source, class_folders(self.folder))
-        genes = champion.genes[: simulation.controller.gene_count]
         one, recording = champion._replace(genes=genes), self.recording
         return Run(self.folder, config, experiment, individual=one, recording=recording)
 

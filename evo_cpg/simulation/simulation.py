@@ -250,6 +250,11 @@ class Simulation(eqx.Module):
     plans: "PlanBuilder | None" = eqx.field(static=True, default=None)
 
     @property
+    def has_own_bodies(self) -> bool:
+        """Whether individuals have bodies of their own."""
+        return bool(self.bodies or self.plans)
+
+    @property
     def genome(self) -> Genome:
         """Layout of the genes."""
         return Genome(self.controller, self.bodies and self.bodies.genes, self.plans)

@@ -171,7 +171,9 @@ def _compile_trials_of_plans(
         keys: UInt32[np.ndarray, "w n"] | None = None,
         trial: Int[np.ndarray, " n"] | None = None,
         trials: int = 1,
+        values: None = None,
     ) -> Any:
+        assert values is None, "genes alone determine a plan"
         found = plans.developed(genes)
         order = np.argsort(found[0], kind="stable")
         fits = np.searchsorted(plans.sizes, found[0] + 1)
@@ -209,7 +211,7 @@ def _compile_trials_of_plans(
 _COMPILERS = 2
 
 # Parts of a simulation of plans that do not depend on the plan.
-_OF_TRIALS = ("task", "steps", "noise", "rules", "measures", "engine")
+_OF_TRIALS = ("task", "steps", "substeps", "noise", "rules", "measures", "engine")
 
 
 def compile_evaluation(
