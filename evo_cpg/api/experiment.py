@@ -25,14 +25,13 @@ from evo_cpg.api.progress import working
 from evo_cpg.api.record import Record, as_record
 from evo_cpg.api.runs import build
 from evo_cpg.evolution.strategy import Evaluation
-from evo_cpg.io.body_genes import config_of
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.load import as_overrides, complete_config, load_config
 from evo_cpg.io.numbers import number_at, with_numbers
 from evo_cpg.io.own_checks import described, is_real, require_separate
 from evo_cpg.io.parameters import parametrise
-from evo_cpg.io.run import class_folders
+from evo_cpg.io.run import class_folders, own_body
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
@@ -317,9 +316,9 @@ class Experiment:
         Its genomes are those of the controller, the first genes of ``genome``.
         """
         simulation = self.parts.simulation
-        if simulation.bodies is None:
+        if not simulation.has_own_bodies:
             return self
-        config = config_of(self.config, simulation, np.asarray(genome), self.source)
+        config, _ = own_body(self.config, simulation, np.asarray(genome), self.source)
         changed = Experiment(build_experiment(config, self.source), config, self.source)
         return changed.with_task(self.task) if "task" in self.replaced else changed
 

@@ -22,6 +22,7 @@ from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
 from evo_cpg.io.trust import own_parts
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.checkpoint import Champion, Checkpoint, StrategyError, state_from
 from evo_cpg.training.evaluate import Replay, compile_replay
 from evo_cpg.training.experiment import ExperimentParts, begin
@@ -34,6 +35,23 @@ _HARMLESS = (
     *("name", "seed", "runs", "creature.name", "evolution.", "audit.", "measures", "engine"),
     *("instruction_set", _SOURCE),
 )
+
+
+def own_body(
+    config: ExperimentConfig,
+    simulation: Simulation,
+    genes: Float[np.ndarray, " g"],
+    source: Path | str,
+) -> tuple[ExperimentConfig, Float[np.ndarray, " c"]]:
+    """Return the configuration of an individual's own body, and the genes of its controller.
+
+    Raises:
+        ConfigError: the body is not allowed.
+    """
+    if isinstance(simulation.plans, EvolvedPlans):
+        return simulation.plans.alone(genes)
+    own = config_of(config, simulation, genes, source)
+    return own, genes[: simulation.controller.gene_count]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,11 +148,7 @@ class Run:
         simulation, source = self.experiment.simulation, self.folder.config
         if not simulation.has_own_bodies:
             return self
-        if isinstance(simulation.plans, EvolvedPlans):
-            config, genes = simulation.plans.alone(champion.genes)
-        else:
-            config = config_of(self.config, simulation, champion.genes, source)
-            genes = champion.genes[: simulation.controller.gene_count]
+        config, genes = own_body(self.config, simulation, champion.genes, source)
         experiment = build_experiment(config, source, class_folders(self.folder))
         one, recording = champion._replace(genes=genes), self.recording
         return Run(self.folder, config, experiment, individual=one, recording=recording)

@@ -154,7 +154,7 @@ def _compile_trials_of_plans(
     """Return the function of `compile_trials` for plans, which run in several programs.
 
     Plans of similar size share a vector, in the smallest program for the largest of them. The
-    first call compiles all programs, so that no later call does.
+    first call for a population compiles all programs, so that no later call does.
     """
     plans, programs = simulation.plans, {}
     assert plans is not None
@@ -190,7 +190,8 @@ def _compile_trials_of_plans(
             lanes = len(order)
         vectors = [order[k : k + lanes] for k in range(0, len(order), lanes)]
         largest = np.array([fits[vector].max() for vector in vectors])
-        needed = {plans.sizes[i] for i in largest} if recorded else {*plans.sizes}
+        whole = len(order) > LANES and not recorded
+        needed = {*plans.sizes} if whole else {plans.sizes[i] for i in largest}
         missing = sorted(needed - programs.keys(), reverse=True)
         with concurrent.futures.ThreadPoolExecutor(_COMPILERS) as pool:
             # `list` raises the errors of the threads.
