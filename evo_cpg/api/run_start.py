@@ -208,9 +208,18 @@ def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
         ConfigError: the earlier run's configuration is wrong.
     """
     earlier = open_run(path)
-    plans, simulations = [], (experiment.simulation, earlier.experiment.simulation)
+    checkpoint = earlier.folder.load()
+    if checkpoint is None or checkpoint.champion is None:
+        raise RunFolderError(f"{path} has no champion yet. Train it first")
     # A fixed body may start with the controllers of bodies that evolved.
     fixed = not experiment.simulation.has_own_bodies
+    own = checkpoint.champions if len(checkpoint.champions) == experiment.runs else ()
+    chosen = [each or checkpoint.champion for each in own or [None] * experiment.runs]
+    if fixed and earlier.experiment.simulation.plans:
+        # Of plans only the champion's controller fits its body.
+        alone = earlier.of_body(checkpoint.champion)
+        earlier, chosen, what = alone, [alone.champion] * experiment.runs, "champion"
+    plans, simulations = [], (experiment.simulation, earlier.experiment.simulation)
     for one in simulations:
         tree, genome = one.world.tree, Genome(one.controller) if fixed else one.genome
         plans.append(
@@ -227,12 +236,7 @@ def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
                 f"{path} holds animals of another plan. Its {name}: {plans[1][name]}. "
                 f"Requested: {value}"
             )
-    checkpoint = earlier.folder.load()
-    if checkpoint is None or checkpoint.champion is None:
-        raise RunFolderError(f"{path} has no champion yet. Train it first")
     size, strategy = experiment.strategy.population, experiment.strategy
-    own = checkpoint.champions if len(checkpoint.champions) == experiment.runs else ()
-    chosen = [each or checkpoint.champion for each in own or [None] * experiment.runs]
     genes = []
     for run, champion in enumerate(chosen):
         count = experiment.simulation.genome.count

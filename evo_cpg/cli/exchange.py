@@ -193,7 +193,7 @@ def _export_model(source: Path, output: Path, number: int | None, cell: str | No
     chosen = number is not None or cell is not None
     if os.path.isdir(source):
         opened = open_and_build(source)
-        if chosen or opened.config.evolution.body:
+        if chosen or opened.experiment.simulation.has_own_bodies:
             opened = open_champion(source, number, cell=cell).own
         config, experiment = opened.config, opened.experiment
     elif chosen:
