@@ -112,9 +112,9 @@ class Rhythm(NamedTuple):
 
 
 class LimbState(MatsuokaState):
-    """State of the neurons, and whether the trial has begun, ``(*n)``."""
+    """State of the neurons, and whether the trial has started, ``(*n)``."""
 
-    begun: Array
+    started: Array
 
 
 class LimbOscillators(Controller):
@@ -168,11 +168,11 @@ class LimbOscillators(Controller):
         self, decoded: Rhythm, state: LimbState, observation: Observation
     ) -> tuple[LimbState, Command]:
         """Advance the rhythm by one control step, and command motors and muscles."""
-        own, x = self.settings, jnp.where(state.begun, state.potential, decoded.start)
+        own, x = self.settings, jnp.where(state.started, state.potential, decoded.start)
         z, count = state.adaptation, self._substeps
         for _ in range(count):
             x, z = self._advanced(decoded, x, z, self.control_step / count)
-        moved = LimbState(x, z, jnp.ones_like(state.begun))
+        moved = LimbState(x, z, jnp.ones_like(state.started))
         signal = output(moved)
         rate = own.rate_gain * signal - own.centring * observation.joint_angle
         active = None
@@ -207,10 +207,11 @@ class LimbOscillators(Controller):
         second = change(x + 0.5 * h * first[0], z + 0.5 * h * first[1])
         third = change(x + 0.5 * h * second[0], z + 0.5 * h * second[1])
         last = change(x + h * third[0], z + h * third[1])
-        return tuple(
+        x, z = (
             old + h / 6 * (a + 2 * b + 2 * c + d)
             for old, a, b, c, d in zip((x, z), first, second, third, last, strict=True)
         )
+        return x, z
 
     def _received(self, firing: Float[Array, "2 d *n"]) -> Float[Array, "2 d *n"]:
         """Return the firing of the driver of each axis, 0 for a limb on the root."""
@@ -245,4 +246,7 @@ def build_limb_oscillators(
     """
     if not tree.dof_count:
         raise ValueError("the controller needs a creature with at least one joint")
-    return LimbOscillators(tree, settings, control_step, len(GENES) * tree.dof_count)
+    count = len(GENES) * tree.dof_count
+    return LimbOscillators(
+        tree=tree, settings=settings, control_step=control_step, gene_count=count
+    )

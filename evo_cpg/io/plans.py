@@ -6,7 +6,6 @@ absent body remains, because sums over bodies are ordered by another body that f
 """
 
 import functools
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +21,11 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.creature.walk import slot_count
 from evo_cpg.evolution.graphs import random_graph
 from evo_cpg.io.build import CommonPlan, build_simulation
+from evo_cpg.io.errors import Key, KeyProblem
 from evo_cpg.io.schema.creature import CreatureConfig
 from evo_cpg.io.schema.evolution import PlanEvolutionConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
+from evo_cpg.io.schema.ground import PlaneConfig
 from evo_cpg.io.schema.plans import PlanConfig
 from evo_cpg.physics.contact.contact_model import CORNERS
 from evo_cpg.simulation.planned import SINK, PlanBuilder, PlanInputs, PlanNumbers, numbers_of
@@ -43,7 +44,8 @@ _OF_AXES = (
     "commanded_torque",
 )  # fmt: skip
 
-# Plans that are developed at a time. A fixed number gives each plan the same bits in any population.
+# Plans that are developed at a time. A fixed number gives each plan the same bits in any
+# population.
 _WIDTH = 64
 
 
@@ -58,31 +60,35 @@ class EvolvedPlans(PlanBuilder):
     def __init__(self, config: ExperimentConfig, source: str):
         assert isinstance(config.evolution, PlanEvolutionConfig)
         self.config, self.source = config, source
-        self.section = config.evolution.plan
+        self._search, self.section = config.evolution, config.evolution.plan
         self.layout, self.bounds = self.section.layout, self.section.bounds
         most = self.section.bodies + 1
         self.sizes = tuple(range(most, 2, -_STEP))[::-1]
         clearance = config.simulation.start_clearance
         on_ground = config.world.ground is not None
         self.physics = self.section.physics(config.world.water, clearance, on_ground)
+        self._inputs: dict[int, PlanInputs] = {}
         self._mesh = population_mesh()
         self._develop = sharded(jax.vmap(self._one, -1, -1), self._mesh, (2,))
 
     @override
     def random(self, key: Array, batch: tuple[int, ...], dtype: Any) -> Float[Array, "g *n"]:
-        keys = jax.random.split(key, batch)
-        draw: Callable = lambda key: self.layout.pack(random_graph(key, self.layout))
-        for _ in batch:
-            draw = jax.vmap(draw, out_axes=-1)
-        return draw(keys).astype(dtype)
+        def draw(key: Array) -> Array:
+            return self.layout.pack(random_graph(key, self.layout)).astype(dtype)
 
-    @functools.cache
+        return functools.reduce(lambda draw, _: jax.vmap(draw, out_axes=-1), batch, draw)(
+            jax.random.split(key, batch)
+        )
+
+    @override
     def inputs(self, size: int) -> PlanInputs:
-        """Return the inputs of the program for some bodies."""
+        if size in self._inputs:
+            return self._inputs[size]
         star = CreatureConfig.model_validate(self.section.star(size))
         config = self.config.model_copy(update={"creature": star})
         _, simulation = build_simulation(config, CommonPlan("complete"))
-        return PlanInputs(simulation, self.physics)
+        self._inputs[size] = PlanInputs(simulation, self.physics)
+        return self._inputs[size]
 
     @override
     def developed(self, genes: Float[np.ndarray, "g n"]) -> tuple[Any, ...]:
@@ -118,7 +124,7 @@ class EvolvedPlans(PlanBuilder):
         """Return the configuration of a plan's own creature, and the genes of its controller."""
         plan, data = self.plan(genes), self.config.model_dump(mode="json")
         data["creature"] = creature_of(plan, self.section)
-        given = self.config.evolution
+        given = self._search
         kept = {"generations": given.generations, "population": given.population}
         data["evolution"] = {"type": "real", "elites": given.elites, **kept}
         config = ExperimentConfig.model_validate(data)
@@ -168,7 +174,25 @@ def _made(text: str, source: str) -> EvolvedPlans:
 
 
 def plans_of(config: ExperimentConfig, source: Path | str) -> EvolvedPlans:
-    """Return the plans of a configuration whose search evolves plans."""
+    """Return the plans of a configuration whose search evolves plans.
+
+    Raises:
+        KeyProblem: the configuration has a part that plans cannot have.
+    """
+    world, ground = config.world, config.world.ground
+    uneven = ground and (ground.obstacles or ground.floor != PlaneConfig())
+    water = world.water
+    refused: list[tuple[Key, Any, str]] = [
+        (("controller", "type"), config.controller.type != "limb_oscillators", "limb_oscillators"),
+        (("world", "water", "law"), water and water.law is None, "normal, isotropic"),
+        (("world", "water", "surface"), water and water.surface is not None, "null"),
+        (("world", "forces"), world.forces, "none"),
+        (("world", "ground", "floor"), uneven, "level ground without obstacles"),
+        (("simulation", "start_pose"), config.simulation.start_pose != "neutral", "neutral"),
+    ]
+    for key, wrong, allowed in refused:
+        if wrong:
+            raise KeyProblem(key, f"is not for a search of type 'plans'. Allowed: {allowed}")
     return _made(config.model_dump_json(), str(source))
 
 
@@ -209,7 +233,7 @@ def creature_of(plan: Plan, section: PlanConfig) -> dict[str, Any]:
 
     Bodies have the names of their places in the plan: part0, part1 and so on.
     """
-    physics, half = section.physics(None, 0.0), plan.half
+    physics, half, rotation = section.physics(None, 0.0), plan.half, np.asarray(plan.rotation)
     thick = 4 * half[:, 1] * half[:, 2] * half[:, 1:].min(1)
     strength = physics.weakest + (1 - physics.weakest) * plan.strength
     bodies = []
@@ -233,7 +257,7 @@ def creature_of(plan: Plan, section: PlanConfig) -> dict[str, Any]:
                 "child_at": [float(-SINK * half[i, 0]), 0.0, 0.0],
                 "axes": [f"{'-' if sign[k] < 0 else ''}{'xyz'[k]}" for k in turns],
                 "limits_deg": [[-float(limits[k]), float(limits[k])] for k in turns],
-                "rotation_deg": [float(np.degrees(x)) for x in matrix_to_euler(plan.rotation[i])],
+                "rotation_deg": [float(np.degrees(x)) for x in matrix_to_euler(rotation[i])],
                 "actuator": {"gain": float(gain)},
             }
         bodies.append(body)

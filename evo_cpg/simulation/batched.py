@@ -8,7 +8,7 @@ numbers.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -79,12 +79,13 @@ class BatchedSimulation(NamedTuple):
 
     Attributes:
         common: a simulation of the same plan, for the numbers that all simulations have in common.
-        inputs: the numbers that differ.
+        inputs: the numbers that differ: `Inputs`, or of plans
+            `evo_cpg.simulation.planned.PlanInputs`.
         values: values of the inputs, leaf by leaf, with the individuals on the last axis.
     """
 
     common: Simulation
-    inputs: Inputs
+    inputs: Any
     values: Sequence[Float[np.ndarray | Array, "_ n"]]
 
     def __getitem__(self, individual: int) -> Simulation:

@@ -100,9 +100,9 @@ class PlanNumbers(NamedTuple):
 class _Pose(NamedTuple):
     """Neutral pose: origins and centres ``(b, 3)``, m, and rotations ``(b, 3, 3)`` of bodies."""
 
-    origin: Array
-    centre: Array
-    rotation: Array
+    origin: Any
+    centre: Any
+    rotation: Any
 
 
 def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
@@ -183,11 +183,7 @@ def _effective_inertia(
 
 
 def _laws(
-    plan: Plan,
-    parent: Int[Array, " b"],
-    physics: PlanPhysics,
-    inertia: Float[Array, " d"],
-    walk: Walk,
+    plan: Plan, parent: Int[Array, " b"], physics: PlanPhysics, inertia: Any, walk: Walk
 ) -> Float[Array, "l d"]:
     """Return the laws of all axes. Strength follows the cross-section of the thinner part."""
     width = plan.half[:, 1:]
@@ -229,7 +225,7 @@ def _every_pair(count: int) -> Int[np.ndarray, "2 k"]:
     return np.stack(np.triu_indices(count, 1))
 
 
-def _separate(plan: Plan, half: Float[Array, "b 3"], pose: _Pose) -> Float[Array, " k"]:
+def _separate(plan: Plan, half: Any, pose: _Pose) -> Float[Array, " k"]:
     """Return 1 for each pair of bodies that must not pass through each other, else 0.
 
     The rule is that of a drawn animal (`evo_cpg.creature.self_collision`): bodies at a joint pass,
@@ -424,12 +420,12 @@ def _alike(rows: Float[np.ndarray, "e s"]) -> tuple[np.ndarray, np.ndarray, np.n
 
 def _no_plan(bodies: int) -> Plan:
     """Return a plan without bodies, for the shapes of its arrays."""
-    none, flags, numbers = (np.zeros(bodies, kind) for kind in (float, bool, int))
-    three = np.zeros((bodies, 3))
+    none, flags, numbers = (jnp.zeros(bodies, kind) for kind in (float, bool, int))
+    three = jnp.zeros((bodies, 3))
     return Plan(
-        present=flags, parent=numbers, half=three, place=three, rotation=np.zeros((bodies, 3, 3)),
-        mirror=none, axes=np.zeros((bodies, 3), bool), limit=three, strength=none, label=numbers,
-        copy=numbers, eye=flags, control=np.zeros((bodies, 3, 1)), slot=numbers,
+        present=flags, parent=numbers, half=three, place=three, rotation=jnp.zeros((bodies, 3, 3)),
+        mirror=none, axes=jnp.zeros((bodies, 3), bool), limit=three, strength=none, label=numbers,
+        copy=numbers, eye=flags, control=jnp.zeros((bodies, 3, 1)), slot=numbers,
     )  # fmt: skip
 
 
@@ -450,7 +446,7 @@ def _with_walk(tree: Tree) -> Tree:
 def _tree(common: Tree, numbers: PlanNumbers) -> Tree:
     """Return the tree of a plan."""
     size, none = 2 * numbers.half, jnp.zeros_like(numbers.reach)
-    com = jnp.stack([numbers.reach, none, none])
+    com: Any = jnp.stack([numbers.reach, none, none])
     each = range(common.body_count)
     inertias = [
         spatial_inertia(mass, com[:, i], Box(tuple(size[:, i])).inertia(mass))

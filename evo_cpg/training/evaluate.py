@@ -21,7 +21,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt32
 
 from evo_cpg.native.machine_constants import LANES
-from evo_cpg.simulation.batched import BatchedSimulation, Inputs, evolved_inputs
+from evo_cpg.simulation.batched import BatchedSimulation, evolved_inputs
 from evo_cpg.simulation.judge import JUDGE, Outcome, no_terms, score
 from evo_cpg.simulation.recording import Recorder, Recording, as_recording
 from evo_cpg.simulation.rollout import Observers, rollout
@@ -66,7 +66,7 @@ def compile_trials(
     simulation: Simulation,
     mesh: Mesh,
     width: int | None = None,
-    inputs: Inputs | None = None,
+    inputs: Any = None,
     observers: Observers = JUDGE,
     ahead: tuple | None = None,
 ) -> Callable[..., Any]:
@@ -84,8 +84,9 @@ def compile_trials(
         simulation: simulation of a trial.
         mesh: the devices.
         width: number of trials in a chunk, or None to choose it from the number of all trials.
-        inputs: numbers of the simulation in which individuals differ, or None if only their genes
-            do. Then genes of the body, if there are any, give the values.
+        inputs: numbers of the simulation in which individuals differ (`Inputs` or `PlanInputs`),
+            or None if only their genes do. Then genes of the body, if there are any, give the
+            values.
         observers: observers of the trials, see `rollout`. Each result has the trials on the last
             axis. An observer that keeps a number of individuals keeps as many of every block.
         ahead: arguments of the function for which it is compiled now and not at its first call.

@@ -69,12 +69,10 @@ class PlanConfig(Section):
     @property
     def bounds(self) -> PlanBounds:
         """Limits of all plans."""
-        low, high = (edge / 2 for edge in self.edges)
-        angle = math.radians(self.largest_angle_deg)
-        overlap = _OVERLAP * 2 * low
-        return PlanBounds(
-            self.bodies, (low, high), self.volume, angles=(angle,) * 3, overlap=overlap
-        )
+        low, high = self.edges[0] / 2, self.edges[1] / 2
+        angle, overlap = math.radians(self.largest_angle_deg), _OVERLAP * self.edges[0]
+        angles = angle, angle, angle
+        return PlanBounds(self.bodies, (low, high), self.volume, angles=angles, overlap=overlap)
 
     @property
     def axes(self) -> tuple[int, ...]:
