@@ -70,8 +70,8 @@ def animals() -> list[Animal]:
     found: dict[str, Animal] = {}
     for source in CONFIGS:
         config = load_config(source)
-        if config.evolution.body:
-            # Another configuration has the same creature with a fixed body.
+        if config.evolution.body or config.evolution.type == "plans":
+            # Another configuration has the same creature with a fixed body, or there is none.
             continue
         motion = config.model_dump(mode="json", exclude=_WITHOUT_EFFECT)
         for key in _TRIALS_WITHOUT_EFFECT:
