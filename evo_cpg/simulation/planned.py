@@ -316,7 +316,7 @@ class PlanInputs:
         ends = np.cumsum([leaf.size for leaf in leaves])[:-1].tolist()
         parts = zip(jnp.split(flat, ends), leaves, strict=True)
         numbers = structure.unflatten([x.reshape(leaf.shape) for x, leaf in parts])
-        built, structure = jax.tree.flatten(self._built(common, numbers))
+        built, structure = jax.tree.flatten(self._parts(common, numbers))
         varying = self._varying
         flat = jnp.concatenate([jnp.ravel(built[place]) for place in varying.places])
         traced, start = flat[varying.first], 0
@@ -325,10 +325,10 @@ class PlanInputs:
             own = np.flatnonzero(varying.source[rows] >= 0)
             given = varying.source[rows][own], varying.sign[rows][own]
             built[place] = MixedArray(known, own, traced, *given)
-        return jax.tree.unflatten(structure, built)
+        return dataclasses.replace(common, **jax.tree.unflatten(structure, built))
 
-    def _built(self, common: Simulation, numbers: PlanNumbers) -> Simulation:
-        """Return the simulation with the numbers of a plan."""
+    def _parts(self, common: Simulation, numbers: PlanNumbers) -> dict[str, Any]:
+        """Return the parts of the simulation of a plan that differ from those of other plans."""
         tree = _tree(common.world.tree, numbers)
         with replaying_decisions(self._decisions):
             forces = self._forces(common, tree, numbers)
@@ -345,8 +345,7 @@ class PlanInputs:
                 for each in situations
             )
         controller = dataclasses.replace(common.controller, tree=tree)
-        parts = {"world": world, "controller": controller, "situations": situations}
-        return dataclasses.replace(common, **parts)
+        return {"world": world, "controller": controller, "situations": situations}
 
     def _find_varying(self) -> "_Varying":
         """Find which elements of a simulation differ between plans, by some random numbers.
@@ -359,8 +358,7 @@ class PlanInputs:
         found = []
         for _ in range(_SAMPLES):
             sample = [jnp.asarray(draw.uniform(0.5, 1.5, leaf.shape)) for leaf in leaves]
-            built = self._built(self.common, structure.unflatten(sample))
-            found.append(jax.tree.leaves(built))
+            found.append(jax.tree.leaves(self._parts(self.common, structure.unflatten(sample))))
         places = [
             i
             for i, each in enumerate(zip(*found, strict=True))
