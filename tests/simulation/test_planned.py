@@ -1,0 +1,85 @@
+"""Plans in one program, beside their own creatures, which have programs of their own."""
+
+import dataclasses
+import functools
+
+import jax
+import numpy as np
+import pytest
+
+from plans import LAND, WATER, motion_of, own_motion, plans_of, random_genes
+
+# Places of bodies agree to some roundings of 1e-16. Contact enlarges them.
+TOLERANCE = 1e-9
+# World, seconds, number of plans, and settings of the plans.
+CASES = {
+    "water": (WATER, 1.0, {"bodies": 6}),
+    "land": (LAND, 0.25, {"bodies": 4, "density": 500.0}),
+}
+SLOW = {
+    "water": (WATER, 1.0, {"bodies": 12, "joints": ["hinge", "universal", "ball"]}),
+    # A creature whose limbs stay in a plane has contact laws of its own.
+    "land": (LAND, 0.25, {"bodies": 8, "density": 500.0, "joints": ["universal", "ball"]}),
+}
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+@functools.cache
+def prepared(case: str, count: int, slow: bool):
+    """Return the builder of plans, genes, numbers and the compiled program of a case."""
+    world, seconds, settings = (SLOW if slow else CASES)[case]
+    plans = plans_of(world, seconds=seconds, **settings)
+    genes = random_genes(plans, count)
+    return plans, genes, plans.developed(genes), motion_of(plans, plans.sizes[-1])
+
+
+def difference(plans, genes, frames) -> tuple[float, float]:
+    """Return the largest difference of the places of bodies, and their largest change, m."""
+    own, simulation = own_motion(plans, genes)
+    found = plans.frames_of(simulation, frames)
+    assert found["position"].shape == own["position"].shape
+    assert own["position"].shape[2] == len(simulation.world.tree.names)
+    apart = np.abs(found["position"] - own["position"]).max()
+    for name in ("rotation", "joint_angle", "cpg_output"):
+        np.testing.assert_allclose(found[name], own[name], rtol=0, atol=1e-6, err_msg=name)
+    return apart, np.ptp(own["position"], axis=0).max()
+
+
+@pytest.mark.parametrize(
+    ("case", "count", "slow"),
+    [
+        ("water", 3, False),
+        ("land", 2, False),
+        pytest.param("water", 50, True, marks=pytest.mark.slow),
+        pytest.param("land", 50, True, marks=pytest.mark.slow),
+    ],
+)
+def test_plans_move_as_their_own_creatures(case, count, slow):
+    """All bodies of random plans are at the same places in all control steps."""
+    plans, genes, found, run = prepared(case, count, slow)
+    frames = run(found, np.arange(count))
+    moved = []
+    for i in range(count):
+        own = {name: values[..., i : i + 1] for name, values in frames.items()}
+        apart, change = difference(plans, genes[:, i], own)
+        assert apart < TOLERANCE, i
+        moved.append(change)
+    assert np.median(moved) > 5e-3
+
+
+def test_the_comparison_can_fail():
+    """An axis of a mirrored body that turns the other way round moves bodies by far more."""
+    plans, genes, found, run = prepared("water", 3, False)
+    count, control, numbers = found
+    turns = numbers.walk.turns
+    i = np.flatnonzero((turns < 0).any(0))[0]
+    walk = dataclasses.replace(numbers.walk, turns=np.abs(turns))
+    frames = run((count, control, numbers._replace(walk=walk)), np.array([i]))
+    own, simulation = own_motion(plans, genes[:, i])
+    other = plans.frames_of(simulation, frames)
+    assert np.abs(other["position"] - own["position"]).max() > 1e-4
