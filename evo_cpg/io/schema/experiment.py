@@ -2,7 +2,15 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from evo_cpg.io.schema.audit import AuditConfig
 from evo_cpg.io.schema.controller import BrainCpgConfig, ControllerConfig
@@ -170,7 +178,11 @@ class ExperimentConfig(Section):
         given = data.get("creature")
         if given is not None and not (isinstance(given, dict) and given.get("name") == PLANS):
             raise ValueError("creature: plans evolve their bodies. Leave creature out")
-        section = PlanConfig.model_validate(search.get("plan") or {})
+        try:
+            section = PlanConfig.model_validate(search.get("plan") or {})
+        except ValidationError:
+            # The search has the same section. Its error names the whole key.
+            section = PlanConfig()
         controller = data.get("controller") or {"type": "limb_oscillators"}
         return {**data, "creature": section.star(), "controller": controller}
 
