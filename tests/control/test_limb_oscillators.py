@@ -10,11 +10,7 @@ from scipy.integrate import solve_ivp
 
 from creatures import box_chain, quick_jit
 from evo_cpg.control.controller import Observation
-from evo_cpg.control.limb_oscillators import (
-    GENES,
-    LimbOscillatorSettings,
-    build_limb_oscillators,
-)
+from evo_cpg.control.limb_oscillators import GENES, LimbOscillatorSettings, build_limb_oscillators
 from evo_cpg.creature.creature import Muscle
 from evo_cpg.creature.tree import build_tree
 

@@ -9,8 +9,9 @@ import pytest
 
 from plans import LAND, WATER, motion_of, own_motion, plans_of, random_genes
 
-# Places of bodies agree to some roundings of 1e-16, and contact with the ground enlarges them. Forces
-# between limbs that meet differ by up to 1e-3 of the force, for a reason that is not known yet.
+# Places of bodies agree to some roundings of 1e-16, and contact with the ground enlarges them.
+# Forces between limbs that meet differ by up to 1e-3. One reason may be that plans loop over pairs
+# (`many_pairs`), and the program of the own creature does not.
 TOLERANCE, AFTER_MEETING = 1e-9, 1e-4
 # World, seconds, number of plans, and settings of the plans.
 CASES = {
