@@ -346,7 +346,7 @@ class Box(Shape):
         weights = np.tile(np.outer(weights, weights).ravel() / 4, 6)
         axis, half = np.abs(normals).argmax(-1), self.half_extents
         areas = weights * 4 * half[(axis + 1) % 3] * half[(axis + 2) % 3]
-        return Surface(places * half, normals, areas)
+        return Surface(places * half[None], normals, areas)
 
     @property
     @override

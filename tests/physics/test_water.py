@@ -16,11 +16,12 @@ from creatures import (
     random_creature,
     resting,
     single,
+    surfaces_of,
     whole,
 )
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.physics.tree.state import resting_state
-from evo_cpg.physics.water.fluid import Drag, drag
+from evo_cpg.physics.water.fluid import Drag, drag, make_patches
 from evo_cpg.physics.water.water import Current, Vortex, Water
 
 GRAVITY, WATER = 9.81, 1000.0
@@ -224,3 +225,20 @@ def test_neutral_spheres_reach_the_local_velocity():
     end = last(coast(world, resting(world.tree, (3,), heights), 20.0, H))
     np.testing.assert_allclose(end.velocity[4], 0.1 + 0.5 * heights, atol=0.01)
     np.testing.assert_allclose(end.position[2], heights, atol=1e-9)
+
+
+def test_skin_drags_without_points_of_form_drag():
+    """Covered points of form drag leave the skin friction: v = v_0 / (1 + k v_0 t) within 1e-3."""
+    size, start = (0.3, 0.2, 0.1), 2.0
+    world = in_water(single(Box(size)), form_drag=FORM_DRAG, skin_drag=0.5)
+    (skin,) = surfaces_of(single(Box(size)), 2)
+    form = jax.tree.map(lambda x: x[:0], skin)
+    patches = make_patches(world.tree, form, skin)
+    world = dataclasses.replace(world, forces=(Drag(FORM_DRAG, 0.5, patches),))
+    state = resting(world.tree, velocity=np.array([0, 0, 0, start, 0, 0.0]))
+    velocity = coast(world, state, 1.0, H).velocity
+    sides = 2 * size[0] * (size[1] + size[2])
+    k = 0.5 * WATER * 0.5 * sides / (WATER * np.prod(size))
+    expected = start / (1 + k * start * H * np.arange(1, 1 + len(velocity)))
+    np.testing.assert_allclose(velocity[:, 3], expected, rtol=1e-3)
+    assert expected[-1] < 0.5 * start

@@ -317,7 +317,11 @@ def make_patches(
     for bodies in groups_of(placed, layout):
         of_form, of_skin = placed[bodies[0]]
         if not len(of_form.areas):
-            continue
+            if not len(of_skin.areas):
+                continue
+            # A point without area, because native code needs one.
+            first = Surface(*(x[:1] for x in of_skin))
+            of_form = first._replace(areas=0.0 * first.areas)
         normal, area = velocity_rows(of_form)[0], of_form.areas
         if law == "normal" and not surfacing:
             normal, area = merge_alike(normal, area, layout)

@@ -1,0 +1,90 @@
+"""Experiments whose body plans evolve, and random plans, for several tests."""
+
+import functools
+
+import jax
+import numpy as np
+
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import check_config
+from evo_cpg.io.plans import EvolvedPlans
+from evo_cpg.native.jax_internals import quick_jit
+from evo_cpg.simulation.batched import BatchedSimulation
+from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.rollout import rollout
+
+WATER = {"water": {"density": 1000, "form_drag": 1.0, "skin_drag": 0.02, "law": "normal"}}
+LAND = {"water": None, "ground": {}}
+
+
+def plan_config(world: dict, bodies: int, seconds: float, controller: dict | None = None, **plan):
+    """Return the contents of a configuration of plans with settings of their own."""
+    return {
+        "name": "plans",
+        "world": world,
+        "simulation": {"control_rate_hz": 60, "substeps": 2, "seconds": seconds},
+        "controller": {"type": "limb_oscillators", **(controller or {})},
+        "task": {"type": "distance"},
+        "evolution": {
+            "type": "plans",
+            "population": 4,
+            "elites": 1,
+            "plan": {"bodies": bodies, **plan},
+        },
+    }
+
+
+def plan_experiment(*given, **plan):
+    """Return the experiment of `plan_config`."""
+    return build_experiment(check_config(plan_config(*given, **plan), "x.yaml"), "x.yaml")
+
+
+def plans_of(*given, **plan) -> EvolvedPlans:
+    """Return the builder of the plans of `plan_config`."""
+    found = plan_experiment(*given, **plan).simulation.plans
+    assert isinstance(found, EvolvedPlans)
+    return found
+
+
+def random_genes(plans: EvolvedPlans, count: int, seed: int = 0) -> np.ndarray:
+    """Return genes of random plans of at least two bodies, ``(g, count)``, in float64."""
+    with jax.enable_x64(True):
+        genes = np.asarray(_draw(plans, count + count // 4 + 8)(jax.random.key(seed)))
+        kept = genes[:, plans.developed(genes)[0] > 1]
+    assert kept.shape[1] >= count
+    return kept[:, :count]
+
+
+@functools.cache
+def _draw(plans: EvolvedPlans, count: int):
+    return quick_jit(lambda key: plans.random(key, (count,), float))
+
+
+def motion_of(plans: EvolvedPlans, size: int, **options):
+    """Compile recorded trials of plans in the program for some bodies, and return its function.
+
+    It takes the result of `EvolvedPlans.developed` and the individuals. The options are those of
+    `Recorder`.
+    """
+    inputs = plans.inputs(size)
+    recorder = Recorder(count=None, **options)
+
+    @quick_jit
+    def run(values, genes):
+        trials = BatchedSimulation(inputs.common, inputs, (values,))
+        return rollout(trials, genes, observers=recorder)
+
+    def of(found, individuals):
+        genes, values = plans.given(found, individuals, size)
+        return jax.tree.map(np.asarray, run(values, genes))
+
+    return of
+
+
+def own_motion(plans: EvolvedPlans, genes: np.ndarray, **options):
+    """Return the recorded trial of a plan's own creature, and the simulation of the trial."""
+    config, own = plans.alone(genes)
+    simulation = build_experiment(config, "x.yaml").simulation
+    recorder = Recorder(count=None, **options)
+    run = quick_jit(lambda genes: rollout(simulation, genes, observers=recorder))
+    return jax.tree.map(np.asarray, run(own[:, None])), simulation
