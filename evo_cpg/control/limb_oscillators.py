@@ -95,7 +95,7 @@ class LimbOscillatorSettings:
             raise ValueError(f"steering_range must be from 0 to 1, got {self.steering_range}")
 
 
-class Rhythm(NamedTuple):
+class LimbRhythm(NamedTuple):
     """Decoded genes: numbers of every oscillator, ``(2, d, *n)`` (extensors first) or ``(d, *n)``.
 
     Attributes:
@@ -148,7 +148,7 @@ class LimbOscillators(Controller):
         return LimbState(rest, rest, jnp.zeros(batch, bool))
 
     @override
-    def decode(self, genes: Float[Array, "g *n"]) -> Rhythm:
+    def decode(self, genes: Float[Array, "g *n"]) -> LimbRhythm:
         own = self.settings
         every = jnp.clip(genes, 0.0, 1.0).reshape(len(GENES), -1, *genes.shape[1:])
         amplitude, period, coupling, steering, start = every
@@ -156,7 +156,7 @@ class LimbOscillators(Controller):
         turn = own.steering_range * (2.0 * steering - 1.0)
         span = own.max_adaptation_gain - own.min_adaptation_gain
         first = INITIAL_FRACTION * own.max_tonic_input
-        return Rhythm(
+        return LimbRhythm(
             jnp.stack([tonic * (1.0 + turn), tonic * (1.0 - turn)]),
             own.min_adaptation_gain + span * period,
             own.max_coupling * (2.0 * coupling - 1.0),
@@ -165,7 +165,7 @@ class LimbOscillators(Controller):
 
     @override
     def act(
-        self, decoded: Rhythm, state: LimbState, observation: Observation
+        self, decoded: LimbRhythm, state: LimbState, observation: Observation
     ) -> tuple[LimbState, Command]:
         """Advance the rhythm by one control step, and command motors and muscles."""
         own, x = self.settings, jnp.where(state.started, state.potential, decoded.start)
@@ -190,7 +190,7 @@ class LimbOscillators(Controller):
     def _substeps(self) -> int:
         return max(1, math.ceil(self.control_step / (SUBSTEP_FRACTION * min(self._times))))
 
-    def _advanced(self, own: Rhythm, x: Array, z: Array, h: float) -> tuple[Array, Array]:
+    def _advanced(self, own: LimbRhythm, x: Array, z: Array, h: float) -> tuple[Array, Array]:
         """Take one classical Runge-Kutta step."""
         rise, adaptation = self._times
 

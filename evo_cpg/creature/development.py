@@ -32,7 +32,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.linear import matmul, matvec, matvec_t, t_matmul
-from evo_cpg.creature.graph import JOINT_AXES, MOST_RECURSION, Graph, GraphLayout
+from evo_cpg.creature.graph import JOINT_AXES, MOST_RECURSION, GraphLayout, PlanGraph
 from evo_cpg.creature.walk import walk_order
 
 # Numbers of the growth are whole, so that the compiler cannot round them in different ways. Then a
@@ -113,7 +113,7 @@ class Plan(NamedTuple):
     slot: Int[Array, " b"]
 
 
-def developed(graph: Graph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
+def developed(graph: PlanGraph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
     """Return the bodies that a graph grows into.
 
     Args:
@@ -157,7 +157,7 @@ def developed(graph: Graph, layout: GraphLayout, bounds: PlanBounds) -> Plan:
 
 
 def _geometry(
-    graph: Graph,
+    graph: PlanGraph,
     bodies: "_Bodies",
     parent: Int[Array, " b"],
     present: Bool[Array, " b"],
@@ -208,7 +208,7 @@ class _Rules(NamedTuple):
     rotation: Int[Array, "3 3 k c"]
 
 
-def _rules(graph: Graph, bounds: PlanBounds) -> _Rules:
+def _rules(graph: PlanGraph, bounds: PlanBounds) -> _Rules:
     steps, nodes = np.arange(-128, 129) / 128, len(graph.used)
     logs = steps * np.log(np.where(steps < 0, _SMALLER, _LARGER))
     logs = np.round(logs / np.log(bounds.half[1] / bounds.half[0]) * _SIZES)
@@ -255,7 +255,7 @@ def _lengths(bounds: PlanBounds) -> np.ndarray:
     return low * (high / low) ** (np.arange(_SIZES + 1) / _SIZES)
 
 
-def _places(graph: Graph) -> tuple[Int[Array, "3 k c"], Int[Array, "k c"]]:
+def _places(graph: PlanGraph) -> tuple[Int[Array, "3 k c"], Int[Array, "k c"]]:
     """Return directions to the joints, and their largest components.
 
     A place at the centre has no direction. It becomes the middle of the front face.
@@ -267,7 +267,7 @@ def _places(graph: Graph) -> tuple[Int[Array, "3 k c"], Int[Array, "k c"]]:
 
 
 def _rotations(
-    graph: Graph,
+    graph: PlanGraph,
     bounds: PlanBounds,
     table: Callable[[np.ndarray], Array],
     product: Callable[[Array, Array], Array],

@@ -43,7 +43,7 @@ JOINT_AXES = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 1], [1, 1, 1]], bool)
 _COMPONENTS = {"size": (3,), "limits": (3,), "place": (3,), "turn": (3,)}
 
 
-class Graph(NamedTuple):
+class PlanGraph(NamedTuple):
     """Genes of a body plan, for ``k`` nodes with ``c`` connections each. All are floats.
 
     Attributes:
@@ -117,18 +117,18 @@ class GraphLayout:
         """Number of genes."""
         return sum(map(prod, self.shapes.values()))
 
-    def pack(self, graph: Graph) -> Float[Array, "g *n"]:
+    def pack(self, graph: PlanGraph) -> Float[Array, "g *n"]:
         """Return the genes as a vector."""
         shapes = self.shapes.values()
         parts = [x.reshape(prod(s), *x.shape[len(s) :]) for x, s in zip(graph, shapes, strict=True)]
         return jnp.concatenate(parts)
 
-    def unpack(self, genes: Float[Any, "g *n"]) -> Graph:
+    def unpack(self, genes: Float[Any, "g *n"]) -> PlanGraph:
         """Return the graph of a vector."""
         shapes = self.shapes.values()
         ends = np.cumsum([prod(shape) for shape in shapes])[:-1]
         parts = zip(jnp.split(jnp.asarray(genes), ends), shapes, strict=True)
-        return Graph(*(part.reshape(*shape, *genes.shape[1:]) for part, shape in parts))
+        return PlanGraph(*(part.reshape(*shape, *genes.shape[1:]) for part, shape in parts))
 
     def as_bytes(self, genes: Float[Any, "g *n"]) -> UInt8[Array, "b *n"]:
         """Return the genes as bytes, three for a label and one for any other gene."""
@@ -145,10 +145,10 @@ class GraphLayout:
         label = high * 2**16 + middle * 2**8 + low
         steps = jnp.concatenate([stored[:k].astype(int), label, stored[4 * k :].astype(int)])
         graph = self.unpack(steps.astype(float))._asdict()
-        return self.pack(Graph(**{name: _from_steps(name, x) for name, x in graph.items()}))
+        return self.pack(PlanGraph(**{name: _from_steps(name, x) for name, x in graph.items()}))
 
 
-_NAMES = Graph._fields
+_NAMES = PlanGraph._fields
 _LABEL = _NAMES.index("label")
 
 
@@ -166,7 +166,7 @@ def _from_steps(name: str, steps: Array) -> Array:
     return steps / 256 if name in FRACTIONS else steps
 
 
-def arrows(graph: Graph) -> Bool[Array, "k c k"]:
+def arrows(graph: PlanGraph) -> Bool[Array, "k c k"]:
     """Return which node each connection points to, if it exists and joins used nodes."""
     nodes = jnp.arange(len(graph.used))
     target = graph.to[..., None].astype(int) == nodes[None, None]
@@ -174,7 +174,7 @@ def arrows(graph: Graph) -> Bool[Array, "k c k"]:
     return target & (graph.on > 0)[..., None] & used[:, None, None] & used[None, None]
 
 
-def distances(graph: Graph, start: Any) -> Float[Array, " k"]:
+def distances(graph: PlanGraph, start: Any) -> Float[Array, " k"]:
     """Return the number of connections from a node to each node, or ``k`` if there is no path."""
     nodes = len(graph.used)
     follows = arrows(graph).any(1)
@@ -184,15 +184,15 @@ def distances(graph: Graph, start: Any) -> Float[Array, " k"]:
     return steps
 
 
-def by_owner(graph: Graph, nodes: Bool[Array, " k"], links: Bool[Array, "k c"]) -> Graph:
+def by_owner(graph: PlanGraph, nodes: Bool[Array, " k"], links: Bool[Array, "k c"]) -> PlanGraph:
     """Return a mask for each gene: that of the gene's node, or of its connection."""
     owners = [links if name in LINKS else nodes for name in _NAMES]
     pairs = zip(owners, graph, strict=True)
     masks = (mask.reshape(*mask.shape, *(1,) * (x.ndim - mask.ndim)) for mask, x in pairs)
-    return Graph(*map(jnp.broadcast_to, masks, map(jnp.shape, graph)))
+    return PlanGraph(*map(jnp.broadcast_to, masks, map(jnp.shape, graph)))
 
 
-def tidy(graph: Graph) -> Graph:
+def tidy(graph: PlanGraph) -> PlanGraph:
     """Remove nodes that no path from the root reaches, and connections to them.
 
     All genes of what is removed become 0, so that equal plans are equal vectors. The other nodes

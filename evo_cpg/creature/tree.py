@@ -41,7 +41,7 @@ from evo_cpg.creature.laws import (
     laws_of,
     tendons_of,
 )
-from evo_cpg.creature.walk import Walk
+from evo_cpg.creature.walk import TreeWalk
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
 LEAST_VOLUME = 1e-30
@@ -135,7 +135,7 @@ class Tree(CoordinateLaws):
     rest: Float[Numbers, " d"] | None
     tendons: Tendons | None = None
     ball_limits: BallLimits | None = None
-    walk: Walk | None = None
+    walk: TreeWalk | None = None
 
     @property
     def body_count(self) -> int:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from evo_cpg.creature.algebra.numerics import Numbers
 
 
-class Walk(eqx.Module):
+class TreeWalk(eqx.Module):
     """Parents of the bodies of one individual. Most numbers are 1 or 0, for yes or no.
 
     Attributes:
@@ -56,7 +56,9 @@ def _least(slot: int) -> int:
     return 2 ** (slot + 1) - 1
 
 
-def walk_of(parents: Int[Array, " b"], slots: Int[Array, " b"], turns: Float[Array, " d"]) -> Walk:
+def walk_of(
+    parents: Int[Array, " b"], slots: Int[Array, " b"], turns: Float[Array, " d"]
+) -> TreeWalk:
     """Return the walk over the bodies of one individual.
 
     Args:
@@ -70,7 +72,7 @@ def walk_of(parents: Int[Array, " b"], slots: Int[Array, " b"], turns: Float[Arr
     in_slot = jnp.where((parents >= 0) & ~follows, slots[parents], -1)
     above = _descendants(parents).T
     opens, reads = (x[None] == every for x in (slots, in_slot))
-    return jax.tree.map(lambda x: x.astype(float), Walk(follows, opens, reads, above, turns))
+    return jax.tree.map(lambda x: x.astype(float), TreeWalk(follows, opens, reads, above, turns))
 
 
 def walk_order(parent: Int[Array, " b"]) -> tuple[Int[Array, " b"], Int[Array, " b"]]:

@@ -1,4 +1,4 @@
-"""Recursions over bodies whose parents may differ between individuals (`Walk`).
+"""Recursions over bodies whose parents may differ between individuals (`TreeWalk`).
 
 `outwards` and `inwards` return the bodies of a recursion from the root to the tips, and back. For a
 known tree they are a `PerBody`. For a walk, values of open bodies, or sums over their children, are
@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from evo_cpg.creature.per_body import PerBody, Value
 from evo_cpg.creature.tree import Group, Tree
-from evo_cpg.creature.walk import Walk, may_open, may_read, slot_count
+from evo_cpg.creature.walk import TreeWalk, may_open, may_read, slot_count
 
 
 def outwards(tree: Tree, root: Value, batch_ndim: int) -> PerBody[Value]:
@@ -36,7 +36,11 @@ class _Walked(PerBody[Value]):
     """Bodies with a value, or none yet, in each slot."""
 
     def __init__(
-        self, values: Sequence[Value], batch_ndim: int, walk: Walk, slots: Sequence[Value | None]
+        self,
+        values: Sequence[Value],
+        batch_ndim: int,
+        walk: TreeWalk,
+        slots: Sequence[Value | None],
     ):
         super().__init__(values, batch_ndim)
         self._walk, self._slots, self._count = walk, list(slots), len(walk.follows)

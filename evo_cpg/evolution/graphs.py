@@ -13,8 +13,8 @@ from evo_cpg.creature.graph import (
     LABELS,
     MOST_RECURSION,
     SIGNED,
-    Graph,
     GraphLayout,
+    PlanGraph,
     by_owner,
     distances,
     tidy,
@@ -36,7 +36,7 @@ _MORE, _FLAGS = 0.4, {"reflect": 0.6, "terminal": 0.1, "eye": 0.2}
 _THIN, _TURN = 0.4, 0.5
 
 
-def random_graph(key: Array, layout: GraphLayout) -> Graph:
+def random_graph(key: Array, layout: GraphLayout) -> PlanGraph:
     """Return a random plan of 1 to ``layout.nodes`` nodes.
 
     A random tree of connections reaches all nodes, and further connections are random. Only the
@@ -77,7 +77,7 @@ def _random_choice(key: Array, allowed: Bool[Array, "*rest k"]) -> Int[Array, "*
     return jnp.where(allowed, scores, -1).argmax(-1)
 
 
-def _drawn(key: Array, layout: GraphLayout) -> Graph:
+def _drawn(key: Array, layout: GraphLayout) -> PlanGraph:
     """Return random genes of all nodes and connections.
 
     The parts are slender and little turned. Pairs are on the left and right side, and other parts
@@ -102,7 +102,7 @@ def _drawn(key: Array, layout: GraphLayout) -> Graph:
     kinds = jnp.array(layout.kinds, float)
     genes["kind"] = kinds[jnp.floor(len(kinds) * uniform["kind"]).astype(int)]
     genes["label"] = 1 + jnp.floor((LABELS - 1) * uniform["label"])
-    return Graph(**genes)
+    return PlanGraph(**genes)
 
 
 def _uniform(key: Array, layout: GraphLayout) -> dict[str, Array]:
@@ -110,7 +110,7 @@ def _uniform(key: Array, layout: GraphLayout) -> dict[str, Array]:
     return layout.unpack(jax.random.uniform(key, (layout.count,)))._asdict()
 
 
-def mutated(key: Array, graph: Graph, layout: GraphLayout, rate: Array | float) -> Graph:
+def mutated(key: Array, graph: PlanGraph, layout: GraphLayout, rate: Array | float) -> PlanGraph:
     """Return a plan with random alterations, as Sims mutates directed graphs.
 
     An alteration changes a gene of a node or connection, moves the pointer of a connection, adds a
@@ -164,12 +164,12 @@ def _redirected(
 
 def _altered(
     key: Array,
-    graph: Graph,
-    in_use: Graph,
+    graph: PlanGraph,
+    in_use: PlanGraph,
     targets: Float[Array, "k c"],
     layout: GraphLayout,
     rate: Array | float,
-) -> Graph:
+) -> PlanGraph:
     """Return a graph in which some genes in use have other values."""
     hit_key, choice_key, normal_key = jax.random.split(key, 3)
     chance, choice = _uniform(hit_key, layout), _uniform(choice_key, layout)
@@ -184,7 +184,7 @@ def _altered(
             value = _another(genes[name], choice[name], layout.choices[name])
         hit = masks[name] & (chance[name] < probability)
         genes[name] = jnp.where(hit, value, genes[name])
-    return Graph(**genes)
+    return PlanGraph(**genes)
 
 
 def _another(value: Array, choice: Array, allowed: tuple[int, ...]) -> Array:
@@ -208,7 +208,7 @@ def _moved(name: str, value: Array, normal: Array) -> Array:
     return jnp.clip(high - jnp.abs(high - other), low, high)
 
 
-def crossed(key: Array, one: Graph, other: Graph) -> Graph:
+def crossed(key: Array, one: PlanGraph, other: PlanGraph) -> PlanGraph:
     """Return a plan whose nodes are from one parent, then from the other, as Sims crosses graphs.
 
     Half of the children switch back at a second crossover point. A pointer leads to the node at the
@@ -229,7 +229,7 @@ def crossed(key: Array, one: Graph, other: Graph) -> Graph:
     return tidy(child._replace(to=to))
 
 
-def grafted(key: Array, one: Graph, other: Graph) -> Graph:
+def grafted(key: Array, one: PlanGraph, other: PlanGraph) -> PlanGraph:
     """Return one parent with a part of the other, as Sims grafts graphs.
 
     A random connection of ``one`` leads to a random node of ``other``. This node and all that it

@@ -57,6 +57,8 @@ def file_schema() -> Schema:
         kind["properties"] = named["properties"] | kind["properties"]
         kind["required"] = [key for key in kind["required"] if key not in instead_of]
         kind["anyOf"] = [{"required": ["file"]}, {"required": instead_of}]
+    # Plans evolve their creatures.
+    schema["required"] = [key for key in schema["required"] if key != "creature"]
     whole = kinds["CreatureConfig"]
     kinds["CreatureFile"] = {
         **whole,

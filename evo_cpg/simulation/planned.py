@@ -26,7 +26,7 @@ from evo_cpg.creature.laws import laws_of
 from evo_cpg.creature.self_collision import TOUCH, gaps_of_boxes
 from evo_cpg.creature.shapes import Box, Surface
 from evo_cpg.creature.tree import LEAST_VOLUME, Group, Tree, spatial_inertia
-from evo_cpg.creature.walk import Walk, slot_count, walk_of
+from evo_cpg.creature.walk import TreeWalk, slot_count, walk_of
 from evo_cpg.physics.contact.contact_model import STIFFNESS, ContactModel
 from evo_cpg.physics.contact.pairs import KINDS, PAIR_STIFFNESS, Alike, Pairs
 from evo_cpg.physics.water.fluid import Drag, make_patches
@@ -94,7 +94,7 @@ class PlanNumbers(NamedTuple):
     laws: Float[Array, "l d"]
     pairs: Float[Array, " k"]
     lowest: Float[Array, ""]
-    walk: Walk
+    walk: TreeWalk
 
 
 class _Pose(NamedTuple):
@@ -166,7 +166,7 @@ def _effective_inertia(
     pose: _Pose,
     half: Float[Array, "b 3"],
     mass: Float[Array, " b"],
-    walk: Walk,
+    walk: TreeWalk,
     axes: Int[np.ndarray, " k"],
 ) -> Float[Array, " d"]:
     """Return the effective inertia of each axis, as `evo_cpg.creature.tree` defines it."""
@@ -183,7 +183,7 @@ def _effective_inertia(
 
 
 def _laws(
-    plan: Plan, parent: Int[Array, " b"], physics: PlanPhysics, inertia: Any, walk: Walk
+    plan: Plan, parent: Int[Array, " b"], physics: PlanPhysics, inertia: Any, walk: TreeWalk
 ) -> Float[Array, "l d"]:
     """Return the laws of all axes. Strength follows the cross-section of the thinner part."""
     width = plan.half[:, 1:]
@@ -437,7 +437,7 @@ def _with_walk(tree: Tree) -> Tree:
     ]
     count = tree.body_count
     slots, nobody = np.zeros((slot_count(count), count)), np.zeros(count)
-    walk = Walk(nobody, slots, slots, np.eye(count), np.zeros(tree.dof_count))
+    walk = TreeWalk(nobody, slots, slots, np.eye(count), np.zeros(tree.dof_count))
     return dataclasses.replace(tree, groups=tuple(groups), walk=walk)
 
 

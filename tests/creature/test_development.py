@@ -11,7 +11,7 @@ import pytest
 
 from creatures import jit_as_for_users, quick_jit
 from evo_cpg.creature.development import Plan, PlanBounds, developed
-from evo_cpg.creature.graph import Graph, GraphLayout
+from evo_cpg.creature.graph import GraphLayout, PlanGraph
 from evo_cpg.creature.walk import walk_order
 from evo_cpg.evolution.graphs import mutated, random_graph
 
@@ -40,7 +40,7 @@ def one_of(plans, index: int):
     return jax.tree.map(lambda x: x[index], plans)
 
 
-def random_graphs(seed: int) -> Graph:
+def random_graphs(seed: int) -> PlanGraph:
     """Return random plans, of which half are mutated."""
     keys = jax.random.split(jax.random.key(seed), COUNT)
     return _draw(jax.config.jax_enable_x64)(keys)
@@ -55,7 +55,7 @@ def _draw(_precise: bool):
     return quick_jit(jax.vmap(draw))
 
 
-def graph_of(nodes: list[dict], links: list[tuple[int, dict]]) -> Graph:
+def graph_of(nodes: list[dict], links: list[tuple[int, dict]]) -> PlanGraph:
     """Return a graph of given nodes and connections (their node, their genes)."""
     genes = {name: np.zeros(shape) for name, shape in LAYOUT.shapes.items()}
     for i, node in enumerate(nodes):
@@ -67,10 +67,10 @@ def graph_of(nodes: list[dict], links: list[tuple[int, dict]]) -> Graph:
         place = int(genes["on"][i].sum())
         for name, value in ({"on": 1, "place": (0.5, 0, 0)} | link).items():
             genes[name][i, place] = value
-    return Graph(**{name: jnp.asarray(value, float) for name, value in genes.items()})
+    return PlanGraph(**{name: jnp.asarray(value, float) for name, value in genes.items()})
 
 
-def grown(graph: Graph) -> Plan:
+def grown(graph: PlanGraph) -> Plan:
     plan = as_numpy(develop(BOUNDS)(jax.tree.map(lambda x: x[None], graph)))
     return one_of(plan, 0)
 
@@ -127,7 +127,7 @@ def test_scale_shrinks_all_that_follows():
     np.testing.assert_allclose(half, np.maximum(expected, low)[:, None] * np.ones(3), rtol=3e-3)
 
 
-def reference(graph: Graph, bodies: int) -> list[tuple[int, int, int]]:
+def reference(graph: PlanGraph, bodies: int) -> list[tuple[int, int, int]]:
     """Return parent, node and mirror of all bodies, if none is refused for an overlap."""
     grown, paths, queue = [(-1, 0, 1)], [(0,)], [[0]]
     for group in queue:
@@ -279,7 +279,7 @@ def test_parts_are_refused_only_for_overlaps():
     graph["size"][:, 0] = 0.75
     graph["size"][:, 1:] = rng.uniform(0, 1, (COUNT, 5, 3))
     graph["place"], graph["turn"] = (rng.uniform(-1, 1, (*shape, 3)) for _ in range(2))
-    graph = jax.tree.map(lambda x: jnp.asarray(x, float), Graph(**graph))
+    graph = jax.tree.map(lambda x: jnp.asarray(x, float), PlanGraph(**graph))
     free = as_numpy(develop(FREE)(graph))
     count = np.asarray(develop(BOUNDS)(graph).present.sum(1))
     assert (free.present.sum(1) == 3).all()
@@ -372,7 +372,7 @@ def test_every_vector_in_range_gives_finite_bodies():
     low, high = (LAYOUT.unpack(np.full(shape, x))._asdict() for x in (0.0, 1.0))
     low |= {name: low[name] - 1 for name in ("control", "place", "turn", "scale")}
     high |= {"to": high["to"] * 5, "kind": high["kind"] * 3, "recursion": high["recursion"] * 4}
-    low, high = (np.asarray(LAYOUT.pack(Graph(**each))) for each in (low, high))
+    low, high = (np.asarray(LAYOUT.pack(PlanGraph(**each))) for each in (low, high))
     genes = rng.uniform(low, high)
     genes = np.where(
         rng.uniform(0, 1, shape) < 0.5, genes, rng.choice([0.0, 1.0], shape) * (high - low) + low

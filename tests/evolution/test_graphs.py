@@ -7,7 +7,7 @@ import pytest
 
 from creatures import quick_jit
 from evo_cpg.creature.development import PlanBounds, developed
-from evo_cpg.creature.graph import FRACTIONS, LINKS, SIGNED, Graph, GraphLayout, tidy
+from evo_cpg.creature.graph import FRACTIONS, LINKS, SIGNED, GraphLayout, PlanGraph, tidy
 from evo_cpg.evolution.graphs import crossed, grafted, mutated, random_graph
 
 LAYOUT = GraphLayout()
@@ -26,12 +26,12 @@ def keys(seed: int) -> jax.Array:
     return jax.random.split(jax.random.key(seed), COUNT)
 
 
-def bodies(plans: Graph) -> np.ndarray:
+def bodies(plans: PlanGraph) -> np.ndarray:
     return np.asarray(develop(plans).present.sum(1))
 
 
 @pytest.fixture(scope="module")
-def plans() -> dict[str, Graph]:
+def plans() -> dict[str, PlanGraph]:
     """Return plans of each source. Those of the same index are children of the same parents."""
     random, other = draw(keys(0)), draw(keys(1))
     cross, graft = (quick_jit(jax.vmap(each)) for each in (crossed, grafted))
@@ -45,7 +45,7 @@ def plans() -> dict[str, Graph]:
     return {name: jax.tree.map(np.asarray, plan) for name, plan in found.items()}
 
 
-def reached(plan: Graph, start: np.ndarray) -> np.ndarray:
+def reached(plan: PlanGraph, start: np.ndarray) -> np.ndarray:
     """Return which nodes (plan, node) a path from a node reaches."""
     arrows = np.zeros((len(plan.used), LAYOUT.nodes, LAYOUT.nodes), bool)
     i, node, link = np.nonzero(plan.on)
@@ -138,7 +138,7 @@ def test_crossed_plans_switch_parents_at_most_twice(plans):
     from_one, from_other = (used & (child.label == parent.label) for parent in (one, other))
     np.testing.assert_array_equal(from_one ^ from_other, used)
     assert from_one[:, 0].all()
-    for name in set(Graph._fields) - set(LINKS):
+    for name in set(PlanGraph._fields) - set(LINKS):
         for parent, mask in ((one, from_one), (other, from_other)):
             value = getattr(parent, name)[mask]
             np.testing.assert_array_equal(getattr(child, name)[mask], value)
@@ -163,7 +163,7 @@ def test_grafts_bring_all_that_a_node_reaches(plans):
     for i in np.flatnonzero(~full):
         places = np.flatnonzero(grafts[i])
         origin = [np.flatnonzero(other.label[i] == child.label[i, place])[0] for place in places]
-        for name in set(Graph._fields) - set(LINKS):
+        for name in set(PlanGraph._fields) - set(LINKS):
             value = getattr(other, name)[i, origin]
             np.testing.assert_array_equal(getattr(child, name)[i, places], value)
         # One connection of the first parent leads to the graft.

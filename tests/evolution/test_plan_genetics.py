@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.creature.graph import Graph, GraphLayout
+from evo_cpg.creature.graph import GraphLayout, PlanGraph
 from evo_cpg.evolution.plan_genetics import PlanGenetics
 from evo_cpg.evolution.strategy import Evaluation
 
@@ -27,7 +27,7 @@ def chains() -> np.ndarray:
     genes["label"][:] = 1 + np.arange(nodes * SIZE).reshape(SIZE, nodes).T
     genes["on"][:-1, 0] = 1.0
     genes["to"][:-1, 0] = np.arange(1, nodes)[:, None]
-    return np.asarray(LAYOUT.pack(Graph(**genes)))
+    return np.asarray(LAYOUT.pack(PlanGraph(**genes)))
 
 
 @functools.cache

@@ -231,7 +231,8 @@ def test_native_code_and_jax_give_the_same_trial(x64, name, overrides):
 def test_every_shipped_creature_is_compared():
     configs = [yaml.safe_load(path.read_text()) for path in CONFIGS.glob("*.yaml")]
     creatures = {f"creatures/{path.name}" for path in (CONFIGS / "creatures").glob("*.yaml")}
-    used = [config["creature"] for config in configs]
+    # Plans evolve their creatures.
+    used = [config["creature"] for config in configs if "creature" in config]
     assert creatures == {each["file"] if isinstance(each, dict) else each for each in used}
 
 

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like
 from evo_cpg.creature.per_body import PerBody, in_dof_order, of_joints, take
 from evo_cpg.creature.tree import Tree
-from evo_cpg.creature.walk import Walk
+from evo_cpg.creature.walk import TreeWalk
 from evo_cpg.creature.walked import inwards, outwards
 from evo_cpg.physics.tree import joints, root
 from evo_cpg.physics.tree.kinematics import Kinematics
@@ -139,7 +139,7 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
 
 
 def _with_joints_of_walk(
-    tree: Tree, walk: Walk, kin: Kinematics, I_c: Inertia, H: Float[Array, "v v *n"]
+    tree: Tree, walk: TreeWalk, kin: Kinematics, I_c: Inertia, H: Float[Array, "v v *n"]
 ) -> Float[Array, "v v *n"]:
     """Return the mass matrix with its joint elements, for any parents.
 

@@ -257,7 +257,7 @@ class Ball(Turns):
 
 
 class SomeTurns(Turns):
-    """Turns about axes of the body's frame, of which an individual may have some only (`Walk`).
+    """Turns about axes of the body's frame, of which an individual may have some only (`TreeWalk`).
 
     An absent axis moves nothing. It has an armature of 1 and no torque, so the elimination passes
     it unchanged.
