@@ -67,6 +67,8 @@ class EvolvedPlans(PlanBuilder):
         clearance = config.simulation.start_clearance
         on_ground = config.world.ground is not None
         self.physics = self.section.physics(config.world.water, clearance, on_ground)
+        # On land sums over contacts of limbs are ordered differently in larger programs.
+        self.shares_vectors = not on_ground
         self._inputs: dict[int, PlanInputs] = {}
         self._mesh = population_mesh()
         self._develop = sharded(jax.vmap(self._one, -1, -1), self._mesh, (2,))
@@ -127,6 +129,9 @@ class EvolvedPlans(PlanBuilder):
         given = self._search
         kept = {"generations": given.generations, "population": given.population}
         data["evolution"] = {"type": "real", "elites": given.elites, **kept}
+        if plan.present.sum() < 2:
+            # Without joints there are no oscillators.
+            data["controller"] = {"type": "evo_cpg.control.commanded:Commanded"}
         config = ExperimentConfig.model_validate(data)
         names = build_tree(config.creature.build()).dof_names
         return config, genes_of(plan, names).astype(genes.dtype)
@@ -165,7 +170,10 @@ class EvolvedPlans(PlanBuilder):
         # One absent body follows the largest plan.
         plan = _with_absent_body(plan)
         padded = jnp.pad(control, ((0, 0), (0, len(self.section.axes))))
-        return plan.present.sum(), padded, numbers_of(plan, self.physics)
+        count, numbers = plan.present.sum(), numbers_of(plan, self.physics)
+        # A plan of one body cannot move, and counts as diverged.
+        mass = jnp.where(count > 1, numbers.mass, jnp.nan)
+        return count, padded, numbers._replace(mass=mass)
 
 
 @functools.lru_cache(maxsize=4)
@@ -270,4 +278,5 @@ def genes_of(plan: Plan, dof_names: tuple[str, ...]) -> Float[np.ndarray, " c"]:
     for name in dof_names:
         body, axis = name.rsplit(".", 1)
         columns.append(plan.control[int(body.removeprefix("part")), "xyz".index(axis[-1])])
-    return (0.5 + 0.5 * np.array(columns).reshape(len(dof_names), -1).T).reshape(-1)
+    shape = len(dof_names), plan.control.shape[-1]
+    return (0.5 + 0.5 * np.array(columns).reshape(shape).T).reshape(-1)

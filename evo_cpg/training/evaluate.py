@@ -189,7 +189,11 @@ def _compile_trials_of_plans(
         if recorded:
             # Frames of all individuals have equal shapes.
             lanes = len(order)
-        vectors = [order[k : k + lanes] for k in range(0, len(order), lanes)]
+        if not (plans.shares_vectors or recorded):
+            starts = np.flatnonzero(np.diff(fits[order])) + 1
+            vectors = np.split(order, starts)
+        else:
+            vectors = [order[k : k + lanes] for k in range(0, len(order), lanes)]
         largest = np.array([fits[vector].max() for vector in vectors])
         whole = len(order) > LANES and not recorded
         needed = {*plans.sizes} if whole else {plans.sizes[i] for i in largest}

@@ -40,8 +40,10 @@ def test_schema_accepts_shipped_configurations(name):
     assert mistakes(data) == []
     # Also with the creature included, and with all defaults.
     folder = shipped(name).path.parent
-    given = data.get("creature") if isinstance(data.get("creature"), str) else data.get("creature")["file"]
-    data.get("creature") = yaml.safe_load((folder / given).read_text())
+    given = data.get("creature")
+    if given is not None:
+        file = given if isinstance(given, str) else given["file"]
+        data["creature"] = yaml.safe_load((folder / file).read_text())
     assert mistakes(data) == []
     assert mistakes(yaml.safe_load(dump_config(load_config(shipped(name).path)))) == []
 
