@@ -68,7 +68,7 @@ class EvolvedPlans(PlanBuilder):
         on_ground = config.world.ground is not None
         self.physics = self.section.physics(config.world.water, clearance, on_ground)
         # On land sums over contacts of limbs are ordered differently in larger programs.
-        self.shares_vectors = not on_ground
+        self.joins_vectors = not on_ground
         self._inputs: dict[int, PlanInputs] = {}
         self._mesh = population_mesh()
         self._develop = sharded(jax.vmap(self._one, -1, -1), self._mesh, (2,))

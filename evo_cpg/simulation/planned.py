@@ -243,12 +243,12 @@ class PlanBuilder(abc.ABC):
 
     Attributes:
         sizes: numbers of bodies of the programs, in increasing order.
-        shares_vectors: whether a plan has the same result, to the last bit, in larger programs.
+        joins_vectors: whether a plan has the same result, to the last bit, in larger programs.
     """
 
     layout: GraphLayout
     sizes: tuple[int, ...]
-    shares_vectors: bool
+    joins_vectors: bool
 
     @abc.abstractmethod
     def random(self, key: Array, batch: tuple[int, ...], dtype: Any) -> Float[Array, "g *n"]:

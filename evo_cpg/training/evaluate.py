@@ -189,7 +189,7 @@ def _compile_trials_of_plans(
         if recorded:
             # Frames of all individuals have equal shapes.
             lanes = len(order)
-        if not (plans.shares_vectors or recorded):
+        if not (plans.joins_vectors or recorded):
             starts = np.flatnonzero(np.diff(fits[order])) + 1
             vectors = np.split(order, starts)
         else:
