@@ -64,7 +64,7 @@ def differences(plans, genes, frames) -> tuple[float, float, float]:
     ("case", "count", "slow"),
     [
         ("water", 3, False),
-        ("land", 2, False),
+        pytest.param("land", 2, False, marks=pytest.mark.slow),
         pytest.param("water", 50, True, marks=pytest.mark.slow),
         pytest.param("land", 50, True, marks=pytest.mark.slow),
     ],
