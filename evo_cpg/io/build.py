@@ -101,7 +101,7 @@ def build_experiment(
         if isinstance(given, PlanEvolutionConfig):
             from evo_cpg.io.plans import plans_of
 
-            simulation = dataclasses.replace(simulation, plans=plans_of(config, source))
+            simulation = dataclasses.replace(simulation, plans=plans_of(config))
         islands = getattr(given, "islands", None)
         population = given.population // (islands.count if islands else 1)
         with under("evolution"):

@@ -1,12 +1,12 @@
 """Evolving body plans: their simulations, and a plan as a creature of its own.
 
-All plans of an experiment run in a few programs, which differ in the number of bodies only. A plan
-may run in any program with more bodies than the plan has, with the same result to the last bit. One
-absent body remains, because sums over bodies are ordered by another body that follows.
+All plans of an experiment run in a few programs, which differ in the number of bodies only. In
+water a plan may run in any program with more bodies than the plan has, with the same result to the
+last bit. One absent body remains, because sums over bodies are ordered by another body that
+follows.
 """
 
 import functools
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -54,12 +54,11 @@ class EvolvedPlans(PlanBuilder):
 
     Args:
         config: configuration whose search evolves plans.
-        source: file of the configuration.
     """
 
-    def __init__(self, config: ExperimentConfig, source: str):
+    def __init__(self, config: ExperimentConfig):
         assert isinstance(config.evolution, PlanEvolutionConfig)
-        self.config, self.source = config, source
+        self.config = config
         self._search, self.section = config.evolution, config.evolution.plan
         self.layout, self.bounds = self.section.layout, self.section.bounds
         most = self.section.bodies + 1
@@ -177,11 +176,11 @@ class EvolvedPlans(PlanBuilder):
 
 
 @functools.lru_cache(maxsize=4)
-def _made(text: str, source: str) -> EvolvedPlans:
-    return EvolvedPlans(ExperimentConfig.model_validate_json(text), source)
+def _made(text: str) -> EvolvedPlans:
+    return EvolvedPlans(ExperimentConfig.model_validate_json(text))
 
 
-def plans_of(config: ExperimentConfig, source: Path | str) -> EvolvedPlans:
+def plans_of(config: ExperimentConfig) -> EvolvedPlans:
     """Return the plans of a configuration whose search evolves plans.
 
     Raises:
@@ -201,7 +200,7 @@ def plans_of(config: ExperimentConfig, source: Path | str) -> EvolvedPlans:
     for key, wrong, allowed in refused:
         if wrong:
             raise KeyProblem(key, f"is not for a search of type 'plans'. Allowed: {allowed}")
-    return _made(config.model_dump_json(), str(source))
+    return _made(config.model_dump_json())
 
 
 def _with_absent_body(plan: Plan) -> Plan:

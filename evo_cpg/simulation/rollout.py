@@ -49,9 +49,14 @@ def rollout(
             observers of every step. A gradient is fastest with `Scored` as the observer.
         begin: function that changes the initial state of the trial.
 
+    Raises:
+        ValueError: plans evolve in the simulation.
+
     Returns:
         Result of each observer. For `JUDGE`, an `evo_cpg.simulation.judge.Outcome`.
     """
+    if isinstance(simulation, Simulation) and simulation.plans is not None:
+        raise ValueError("plans run in programs of several sizes. Use the body of one genome alone")
     if isinstance(simulation, Simulation) and simulation.bodies is not None:
         simulation = _with_bodies(simulation, genes)
     if isinstance(simulation, BatchedSimulation):

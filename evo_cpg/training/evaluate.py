@@ -99,7 +99,7 @@ def compile_trials(
         inputs.
     """
     if simulation.plans and not inputs:
-        return _compile_trials_of_plans(simulation, mesh, observers)
+        return _compile_trials_of_plans(simulation, mesh, width, observers)
     bodies, kept = None if inputs else simulation.bodies, []
     if bodies:
         # The values come from a program of their own, in float64 and for any number of bodies, so
@@ -150,12 +150,13 @@ def compile_trials(
 
 
 def _compile_trials_of_plans(
-    simulation: Simulation, mesh: Mesh, observers: Observers
+    simulation: Simulation, mesh: Mesh, width: int | None, observers: Observers
 ) -> Callable[..., Any]:
     """Return the function of `compile_trials` for plans, which run in several programs.
 
     Plans of similar size share a vector, in the smallest program for the largest of them. The
-    first call for a population compiles all programs, so that no later call does.
+    first call for a population compiles all programs, so that no later call does. Recorded plans
+    run together, in their order and in chunks of the width, because observers choose lanes.
     """
     plans, programs = simulation.plans, {}
     assert plans is not None
@@ -165,7 +166,8 @@ def _compile_trials_of_plans(
     def program(size: int, given: tuple) -> None:
         own = plans.inputs(size)
         star = dataclasses.replace(own.common, **common)
-        programs[size] = compile_trials(star, mesh, LANES, own, observers, given)
+        chunk = width if recorded else LANES
+        programs[size] = compile_trials(star, mesh, chunk, own, observers, given)
 
     def run(
         genes: Float[np.ndarray, "g individuals"],
@@ -176,7 +178,7 @@ def _compile_trials_of_plans(
     ) -> Any:
         assert values is None, "genes alone determine a plan"
         found = plans.developed(genes)
-        order = np.argsort(found[0], kind="stable")
+        count = len(found[0])
         fits = np.searchsorted(plans.sizes, found[0] + 1)
 
         def of(individuals: np.ndarray, size: int) -> tuple:
@@ -185,17 +187,16 @@ def _compile_trials_of_plans(
             noise = jax.tree.map(lambda x: x[..., own], (keys, trial))
             return rows.astype(genes.dtype), *noise, trials, (values,)
 
-        lanes = max(1, LANES // trials)
+        order = np.arange(count) if recorded else np.argsort(found[0], kind="stable")
         if recorded:
-            # Frames of all individuals have equal shapes.
-            lanes = len(order)
-        if not (plans.joins_vectors or recorded):
-            starts = np.flatnonzero(np.diff(fits[order])) + 1
-            vectors = np.split(order, starts)
+            vectors = [order]
+        elif plans.joins_vectors:
+            lanes = max(1, LANES // trials)
+            vectors = [order[k : k + lanes] for k in range(0, count, lanes)]
         else:
-            vectors = [order[k : k + lanes] for k in range(0, len(order), lanes)]
+            vectors = np.split(order, np.flatnonzero(np.diff(fits[order])) + 1)
         largest = np.array([fits[vector].max() for vector in vectors])
-        whole = len(order) > LANES and not recorded
+        whole = count > LANES and not recorded
         needed = {*plans.sizes} if whole else {plans.sizes[i] for i in largest}
         missing = sorted(needed - programs.keys(), reverse=True)
         with concurrent.futures.ThreadPoolExecutor(_COMPILERS) as pool:
@@ -207,6 +208,8 @@ def _compile_trials_of_plans(
             size = plans.sizes[number]
             results.append(programs[size](*of(own, size)))
             places.append((own[:, None] * trials + np.arange(trials)).reshape(-1))
+        if recorded:
+            return results[0]
         back = np.argsort(np.concatenate(places))
         return jax.tree.map(lambda *parts: np.concatenate(parts, -1)[..., back], *results)
 
