@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from evo_cpg.native.machine_constants import LANES
+from evo_cpg.simulation.noise import Noise
+from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.evaluate import compile_trials
+from evo_cpg.training.evaluate import compile_replay, compile_trials
 from plans import LAND, WATER, plan_experiment, random_genes
 
 # World, bodies, and seconds.
 CASES = {"water": (WATER, 7, 0.25), "land": (LAND, 7, 0.25)}
 SLOW = pytest.mark.slow
-# The programs of different numbers of bodies do not give equal bits on land yet.
+# Programs of different numbers of bodies do not give equal bits on land, where a plan stays in one.
 DIFFERS = pytest.mark.xfail(strict=True, reason="bits on land depend on the program's bodies")
 each_world = pytest.mark.parametrize("case", ["water", pytest.param("land", marks=SLOW)])
 each_program = pytest.mark.parametrize(
@@ -47,9 +49,9 @@ def bits(outcome) -> list[bytes]:
     return [b"".join(x[..., i].tobytes() for x in leaves) for i in range(leaves[0].shape[-1])]
 
 
-@each_program
+@each_world
 def test_a_plan_has_the_same_bits_in_any_population(case):
-    """Alone, in another order, and among others, plans run in programs of different sizes."""
+    """In water, plans run in programs of different sizes alone, in another order, and together."""
     _, genes = prepared(case)
     run, count = runner(case, 1), genes.shape[1]
     together = bits(run(genes))
@@ -84,3 +86,19 @@ def test_programs_of_other_sizes_give_the_same_bits(case):
         run = compile_trials(star, population_mesh(1), LANES, inputs)
         results.append(bits(run(rows.astype(np.float32), None, None, 1, (values,))))
     assert results[0] == results[1] == results[2]
+
+
+@pytest.mark.slow
+def test_any_of_several_trials_is_recorded():
+    """Also a trial behind the first vector of the champion's trials."""
+    experiment = plan_experiment(*CASES["water"])
+    noise = Noise(push=0.1)
+    simulation = dataclasses.replace(experiment.simulation, noise=noise)
+    experiment = experiment._replace(simulation=simulation, trials=LANES + 2)
+    genes = prepared("water")[1][:, -1]
+    champion = Champion(genes, 0.0, 0, {}, {}, 0, 0)
+    ends = [
+        compile_replay(experiment, 1, number)(champion).recording.position[-1]
+        for number in (0, LANES + 1)
+    ]
+    assert np.abs(ends[0] - ends[1]).max() > 1e-3
