@@ -3,8 +3,10 @@
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from evo_cpg.creature.graph import GraphLayout, PlanGraph
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import check_config
 from evo_cpg.io.plans import EvolvedPlans
@@ -88,3 +90,18 @@ def own_motion(plans: EvolvedPlans, genes: np.ndarray, **options):
     recorder = Recorder(count=None, **options)
     run = quick_jit(lambda genes: rollout(simulation, genes, observers=recorder))
     return jax.tree.map(np.asarray, run(own[:, None])), simulation
+
+
+def plan_graph(layout: GraphLayout, nodes: list[dict], links: list[tuple[int, dict]]) -> PlanGraph:
+    """Return a graph of given nodes and connections (their node, their genes)."""
+    genes = {name: np.zeros(shape) for name, shape in layout.shapes.items()}
+    for i, node in enumerate(nodes):
+        for name, value in (
+            {"used": 1, "label": i + 1, "recursion": 1, "size": 0.5} | node
+        ).items():
+            genes[name][i] = value
+    for i, link in links:
+        place = int(genes["on"][i].sum())
+        for name, value in ({"on": 1, "place": (0.5, 0, 0)} | link).items():
+            genes[name][i, place] = value
+    return PlanGraph(**{name: jnp.asarray(value, float) for name, value in genes.items()})

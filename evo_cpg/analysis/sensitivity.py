@@ -115,7 +115,7 @@ class _Progress(Measure):
         if light is not None:
             away = place - light
             place = jnp.stack([-jnp.sqrt((away * away).sum(0)), 0 * place[1], 0 * place[2]])
-        return tally.moved(transition.step, place, place)
+        return tally.moved(transition.step == 0, place, place)
 
     def finish(self, tally: Displacement, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""

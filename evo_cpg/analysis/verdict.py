@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from evo_cpg.errors import UserError
-from evo_cpg.io.schema.audit import Limits
+from evo_cpg.simulation.limits import Limits
 
 # Start of the keys of second opinions, and the smallest fraction of the displacement with which one
 # of them confirms a champion.

@@ -39,10 +39,10 @@ from evo_cpg.files import make_folder
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.models.refusals import ExchangeError
 from evo_cpg.io.run import Run, class_folders
-from evo_cpg.io.schema.audit import Limits
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.trust import trusting
 from evo_cpg.native.engine import Engine, described
+from evo_cpg.simulation.limits import Limits
 from evo_cpg.simulation.observers import EachPhysicsStep, PhysicsSteps
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation

@@ -13,8 +13,8 @@ from evo_cpg.analysis.second_opinion import Opinion
 from evo_cpg.analysis.verdict import KEPT, Check, shown
 from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.creature.self_collision import candidate_pairs
-from evo_cpg.io.schema.audit import Limits
 from evo_cpg.physics.contact.pairs import make_pairs
+from evo_cpg.simulation.limits import Limits
 from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.conditions import Variation, Varied
@@ -207,7 +207,7 @@ def books(
         check("power", "peak power of all motors", worst("peak_power") / mass, "W/kg"),
         Check("peak_torque", "peak torque of a motor", worst("peak_torque"), unit="N m"),
         Check("mean_power", "mean power of all motors", worst("mean_power") / mass, unit="W/kg"),
-        Check("peak_rate", "highest joint rate", worst("peak_rate"), unit="rad/s"),
+        check("joint_rate", "highest joint rate", worst("peak_rate"), "rad/s"),
     ]
     world = simulation.world
     # The fixed world takes up the momentum of an animal that hangs from it by a joint.

@@ -48,8 +48,8 @@ _SIZES, _SHRINKING = 1024, 0.001
 _LARGER, _SMALLER = 1.5, 2.0
 # Added to rounded cosines, so that the cross product of nearly parallel edges separates no boxes.
 _PARALLEL = 4
-# Least fraction of the largest joint angle, because a joint without any range is no joint.
-_LEAST_TURN = 1 / 16
+LEAST_TURN = 1 / 16
+"""Least fraction of the largest joint angle, because a joint without any range is no joint."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +134,7 @@ def developed(graph: PlanGraph, layout: GraphLayout, bounds: PlanBounds) -> Plan
     axes = jnp.asarray(JOINT_AXES)[kind] & (index > 0)[:, None]
     label = graph.label[node].astype(int)
     earlier = (label[:, None] == label[None]) & (index[None] < index[:, None])
-    turning = _LEAST_TURN + (1 - _LEAST_TURN) * graph.limits
+    turning = LEAST_TURN + (1 - LEAST_TURN) * graph.limits
     plan = Plan(
         present,
         parent,

@@ -77,6 +77,17 @@ def _random_choice(key: Array, allowed: Bool[Array, "*rest k"]) -> Int[Array, "*
     return jnp.where(allowed, scores, -1).argmax(-1)
 
 
+def descended(key: Array, ancestor: PlanGraph, layout: GraphLayout, rate: float) -> PlanGraph:
+    """Return a plan of an ancestor's body with random oscillators and few alterations.
+
+    The mean number of alterations is random, from 0 to ``rate``.
+    """
+    gene_key, rate_key, alter_key = jax.random.split(key, 3)
+    control = jnp.where(ancestor.used[:, None, None] > 0, _drawn(gene_key, layout).control, 0.0)
+    own_rate = rate * jax.random.uniform(rate_key)
+    return mutated(alter_key, ancestor._replace(control=control), layout, own_rate)
+
+
 def _drawn(key: Array, layout: GraphLayout) -> PlanGraph:
     """Return random genes of all nodes and connections.
 

@@ -8,14 +8,14 @@ a lower rate.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
 from evo_cpg.creature.graph import GraphLayout
 from evo_cpg.evolution.genetics import Genetics, keep_elites
 from evo_cpg.evolution.graphs import crossed, grafted, mutated
 from evo_cpg.evolution.operators import draw_parents, linear_rank_probabilities
-from evo_cpg.evolution.strategy import Evaluation
+from evo_cpg.evolution.strategy import Births, Evaluation
 
 # Alterations of a crossed or grafted plan, as a fraction of those of a copy.
 _FEWER = 0.25
@@ -47,14 +47,38 @@ class PlanGenetics(Genetics):
         self, key: Array, state: tuple, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Float[Array, "g n"]:
         del state
-        parent_key, child_key = jax.random.split(key)
+        first, second, keys = self._drawn(key, evaluation)
+        every = jax.vmap(self._child, (0, 0, -1, -1), -1)
+        children = every(*keys, genes[:, first], genes[:, second])
+        return keep_elites(genes, evaluation.fitness, children, self.elites)
+
+    @override
+    def births(self, key: Array, genes: Float[Array, "g n"], evaluation: Evaluation) -> Births:
+        first, second, (kind_keys, _) = self._drawn(key, evaluation)
+        crosses, grafts = jax.vmap(self._kind)(kind_keys)
+        kind = jnp.where(crosses, 2, jnp.where(grafts, 3, 1))
+        born = jnp.stack([first, jnp.where(crosses | grafts, second, -1), kind])
+        number = jnp.arange(self.population)
+        old = jnp.stack([number, jnp.full_like(number, -1), jnp.zeros_like(number)])
+        origin = keep_elites(old, evaluation.fitness, born, self.elites)
+        return Births(origin[0], origin[1], origin[2], self.layout.as_bytes(genes))
+
+    def _drawn(
+        self, key: Array, evaluation: Evaluation
+    ) -> tuple[Int[Array, " n"], Int[Array, " n"], tuple[Array, Array]]:
+        """Return both parents of every child, and random keys for its kind and its genes."""
+        parent_key, kind_key, child_key = jax.random.split(key, 3)
         probabilities = linear_rank_probabilities(self.population, self.parent_fraction)
         chosen = draw_parents(parent_key, evaluation.fitness, probabilities, 2 * self.population)
         first, second = jnp.split(chosen, 2)
-        keys = jax.random.split(child_key, self.population)
-        every = jax.vmap(self._child, (0, -1, -1), -1)
-        children = every(keys, genes[:, first], genes[:, second])
-        return keep_elites(genes, evaluation.fitness, children, self.elites)
+        kinds, children = (jax.random.split(x, self.population) for x in (kind_key, child_key))
+        return first, second, (kinds, children)
+
+    def _kind(self, key: Array) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
+        """Return whether a child is crossed, and whether it has a graft."""
+        kind = jax.random.uniform(key)
+        crosses = kind < self.crossed
+        return crosses, ~crosses & (kind < self.crossed + self.grafted)
 
     @override
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
@@ -63,16 +87,17 @@ class PlanGenetics(Genetics):
         return changed(keys, genes).at[:, 0].set(genes[:, 0])
 
     def _child(
-        self, key: Array, one: Float[Array, " g"], other: Float[Array, " g"]
+        self, kind_key: Array, key: Array, one: Float[Array, " g"], other: Float[Array, " g"]
     ) -> Float[Array, " g"]:
         """Return a child of two plans, of which most children use the first only."""
-        kind_key, join_key, alter_key = jax.random.split(key, 3)
+        join_key, alter_key = jax.random.split(key)
         both, layout = (self.layout.unpack(one), self.layout.unpack(other)), self.layout
-        kind = jax.random.uniform(kind_key)
-        crosses, grafts = kind < self.crossed, kind < self.crossed + self.grafted
+        crosses, grafts = self._kind(kind_key)
         cross, graft = (layout.pack(join(join_key, *both)) for join in (crossed, grafted))
         joined = jnp.where(crosses, cross, jnp.where(grafts, graft, one))
-        return self._altered(alter_key, joined, self.alterations * jnp.where(grafts, _FEWER, 1.0))
+        return self._altered(
+            alter_key, joined, self.alterations * jnp.where(crosses | grafts, _FEWER, 1.0)
+        )
 
     def _altered(self, key: Array, genes: Float[Array, " g"], rate: Array | float) -> Array:
         graph = mutated(key, self.layout.unpack(genes), self.layout, rate)

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int, PyTree, UInt8
 
 
 class Axis(NamedTuple):
@@ -63,6 +63,26 @@ class Archive(NamedTuple):
     generation: Int[Array, " cells"]
     index: Int[Array, " cells"]
     told: Int[Array, ""]
+
+
+class Births(NamedTuple):
+    """Origin of every individual of the next generation, and the present genomes as bytes.
+
+    Attributes:
+        first: index of the parent, of which an individual without a second parent is a copy.
+        second: index of the second parent, or -1.
+        kind: kind of the birth, an index of `BIRTH_KINDS`.
+        genome: genomes of the present generation, ``b`` bytes each.
+    """
+
+    first: Int[Array, " n"]
+    second: Int[Array, " n"]
+    kind: Int[Array, " n"]
+    genome: UInt8[Array, "b n"]
+
+
+BIRTH_KINDS = ("kept", "copied", "crossed", "grafted")
+"""Kinds of births. All but the first may also alter genes."""
 
 
 class Evaluation(eqx.Module):
@@ -181,6 +201,16 @@ class Strategy(eqx.Module):
         """
         del key
         return genes
+
+    def births(
+        self, key: Array, genes: Float[Array, "g n"], evaluation: Evaluation
+    ) -> Births | None:
+        """Return the origin of the individuals that `tell` makes with these arguments.
+
+        None if the search keeps no family tree (`evo_cpg.training.family`), unless overridden.
+        """
+        del key, genes, evaluation
+        return None
 
     def map_of(self, state: PyTree[Array]) -> Archive | None:
         """Return the map of behaviour in a state from `ask`, or None without `map_axes`."""

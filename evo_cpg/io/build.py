@@ -33,6 +33,7 @@ from evo_cpg.physics.contact.pairs import make_pairs
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.water.buoyancy import make_cells
 from evo_cpg.physics.water.force_law import ForceLaw
+from evo_cpg.simulation.limits import rules_of
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.sensors import Sensor, place_sensors
@@ -85,7 +86,7 @@ def build_experiment(
             if str(resolved(folder)) not in sys.path:
                 sys.path.append(str(resolved(folder)))
         require_code(config, folders)
-        creature, simulation = build_simulation(config, plan)
+        creature, simulation = _build_any(config, plan)
         trials = config.simulation.trials
         for i, entry in enumerate(trials if isinstance(trials, list) else ()):
             if entry.light is not None and simulation.task.light is None:
@@ -98,10 +99,6 @@ def build_experiment(
             from evo_cpg.io.body_genes import evolved
 
             simulation = evolved(config, source, simulation)
-        if isinstance(given, PlanEvolutionConfig):
-            from evo_cpg.io.plans import plans_of
-
-            simulation = dataclasses.replace(simulation, plans=plans_of(config))
         islands = getattr(given, "islands", None)
         population = given.population // (islands.count if islands else 1)
         with under("evolution"):
@@ -281,6 +278,18 @@ def _limb_bodies(creature: Creature, world: World) -> tuple[tuple[int, ...], ...
     return tuple(limb for limb in found if touching & set(limb))
 
 
+def _build_any(config: ExperimentConfig, plan: CommonPlan) -> tuple[Creature, Simulation]:
+    """Build the creature and the simulation. If plans evolve, one creature stands for all."""
+    if not isinstance(config.evolution, PlanEvolutionConfig):
+        return build_simulation(config, plan)
+    # This import would be circular at the top: plans build simulations.
+    from evo_cpg.io.plans import plans_of, with_star
+
+    plans = plans_of(config)
+    creature, simulation = build_simulation(with_star(config), plan)
+    return creature, dataclasses.replace(simulation, plans=plans)
+
+
 def _build_rules(
     config: ExperimentConfig, creature: Creature, world: World, plan: CommonPlan
 ) -> Rules | None:
@@ -292,24 +301,20 @@ def _build_rules(
     names = config.audit.disqualify
     if not names:
         return None
-    limits = config.audit.limits().of_length(length_of(creature))
+    limits = config.audit.limits()
     if "power" in names and limits.power is None:
         raise KeyProblem(("audit", "power"), "is missing, but audit.disqualify contains 'power'")
     if "penetration" in names and world.contact_model is None:
         raise KeyProblem(("audit", "disqualify"), "'penetration' needs ground (world.ground)")
-    most = {name: getattr(limits, name) for name in names}
-    if "speed" in most:
-        most["speed"] = most["speed"] * length_of(creature)
-    if "power" in most:
-        most["power"] = most["power"] * creature.mass
-    if "overlap" not in most:
-        return Rules(**most)
-    watched = world.watched
-    if plan.pairs is not None:
-        given = config.creature.build_self_collision(on_ground=world.contact_model is not None)
-        include = given.include if given else ()
-        watched = SelfCollision(include=include, only=plan.pairs.watched)
-    return Rules(**most, pairs=make_pairs(creature, world.tree, watched))
+    pairs = None
+    if "overlap" in names:
+        watched = world.watched
+        if plan.pairs is not None:
+            given = config.creature.build_self_collision(on_ground=world.contact_model is not None)
+            include = given.include if given else ()
+            watched = SelfCollision(include=include, only=plan.pairs.watched)
+        pairs = make_pairs(creature, world.tree, watched)
+    return rules_of(names, limits, length_of(creature), creature.mass, pairs)
 
 
 def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:

@@ -10,11 +10,11 @@ import inspect
 import re
 from typing import Any
 
-from evo_cpg.io.schema.audit import Limits
 from evo_cpg.io.schema.evolution import MapSection
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.ground import ReliefFileConfig
 from evo_cpg.io.schema.shape import MeshFileConfig
+from evo_cpg.simulation.limits import Limits
 
 Schema = dict[str, Any]
 

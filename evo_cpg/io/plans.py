@@ -19,15 +19,17 @@ from evo_cpg.creature.algebra.rotation import matrix_to_euler
 from evo_cpg.creature.development import Plan, developed
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.creature.walk import slot_count
-from evo_cpg.evolution.graphs import random_graph
+from evo_cpg.evolution.graphs import descended, random_graph
+from evo_cpg.io.ancestor import graph_of_creature
 from evo_cpg.io.build import CommonPlan, build_simulation
 from evo_cpg.io.errors import Key, KeyProblem
 from evo_cpg.io.schema.creature import CreatureConfig
 from evo_cpg.io.schema.evolution import PlanEvolutionConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.ground import PlaneConfig
-from evo_cpg.io.schema.plans import PlanConfig
+from evo_cpg.io.schema.plans import PLANS, PlanConfig
 from evo_cpg.physics.contact.contact_model import CORNERS
+from evo_cpg.simulation.limits import rules_of
 from evo_cpg.simulation.planned import SINK, PlanBuilder, PlanInputs, PlanNumbers, numbers_of
 from evo_cpg.simulation.recording import NERVE
 from evo_cpg.simulation.simulation import Simulation
@@ -68,14 +70,23 @@ class EvolvedPlans(PlanBuilder):
         self.physics = self.section.physics(config.world.water, clearance, on_ground)
         # On land sums over contacts of limbs are ordered differently in larger programs.
         self.joins_vectors = not on_ground
+        self._ancestor = None
+        if config.creature.name != PLANS:
+            drawn = config.creature.build()
+            self._ancestor = graph_of_creature(drawn, self.layout, self.bounds)
         self._inputs: dict[int, PlanInputs] = {}
         self._mesh = population_mesh()
         self._develop = sharded(jax.vmap(self._one, -1, -1), self._mesh, (2,))
 
     @override
     def random(self, key: Array, batch: tuple[int, ...], dtype: Any) -> Float[Array, "g *n"]:
+        ancestor, rate = self._ancestor, self._search.alterations
+
         def draw(key: Array) -> Array:
-            return self.layout.pack(random_graph(key, self.layout)).astype(dtype)
+            graph = random_graph(key, self.layout)
+            if ancestor:
+                graph = descended(key, ancestor, self.layout, rate)
+            return self.layout.pack(graph).astype(dtype)
 
         return functools.reduce(lambda draw, _: jax.vmap(draw, out_axes=-1), batch, draw)(
             jax.random.split(key, batch)
@@ -85,10 +96,11 @@ class EvolvedPlans(PlanBuilder):
     def inputs(self, size: int) -> PlanInputs:
         if size in self._inputs:
             return self._inputs[size]
-        star = CreatureConfig.model_validate(self.section.star(size))
-        config = self.config.model_copy(update={"creature": star})
+        config = with_star(self.config, size)
         _, simulation = build_simulation(config, CommonPlan("complete"))
-        self._inputs[size] = PlanInputs(simulation, self.physics)
+        audit = self.config.audit
+        rules = functools.partial(rules_of, audit.disqualify, audit.limits())
+        self._inputs[size] = PlanInputs(simulation, self.physics, rules)
         return self._inputs[size]
 
     @override
@@ -173,6 +185,13 @@ class EvolvedPlans(PlanBuilder):
         # A plan of one body cannot move, and counts as diverged.
         mass = jnp.where(count > 1, numbers.mass, jnp.nan)
         return count, padded, numbers._replace(mass=mass)
+
+
+def with_star(config: ExperimentConfig, bodies: int | None = None) -> ExperimentConfig:
+    """Return a configuration of plans with the creature that stands for all (`PlanConfig.star`)."""
+    assert isinstance(config.evolution, PlanEvolutionConfig)
+    star = CreatureConfig.model_validate(config.evolution.plan.star(bodies))
+    return config.model_copy(update={"creature": star})
 
 
 @functools.lru_cache(maxsize=4)

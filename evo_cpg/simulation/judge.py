@@ -43,6 +43,9 @@ def keeps(
     if rules.speed is not None:
         linear = state.linear_velocity
         valid &= (linear * linear).sum(0) <= rules.speed**2
+    if rules.joint_rate is not None:
+        rates = state.qd[~world.tree.slides]
+        valid &= (jnp.abs(rates) <= rules.joint_rate).all(0)
     if rules.power is not None:
         valid &= energy <= rules.power * duration
     kin = kinematics(world.tree, state)

@@ -83,16 +83,16 @@ class Measure(eqx.Module):
 
 
 class Displacement(NamedTuple):
-    """Initial place of the root in the trial, and its latest place, m."""
+    """Place of the root where its displacement starts, and its latest place, m."""
 
     start: Float[Array, "c *n"]
     end: Float[Array, "c *n"]
 
     def moved(
-        self, step: Array, before: Float[Array, "c *n"], after: Float[Array, "c *n"]
+        self, starts: Array, before: Float[Array, "c *n"], after: Float[Array, "c *n"]
     ) -> "Displacement":
-        """Return the displacement after a control step. Step 0 sets the start."""
-        return Displacement(jnp.where(step == 0, before, self.start), after)
+        """Return the displacement after a control step, which may be where it starts."""
+        return Displacement(jnp.where(starts, before, self.start), after)
 
 
 def no_displacement(batch: tuple[int, ...], dtype: jnp.dtype, components: int = 3) -> Displacement:
@@ -154,7 +154,7 @@ class RootDisplacement(Measure):
                 away = place - snapshot.light_position
                 distance = jnp.sqrt(jnp.sum(away * away, 0))
                 places.append(jnp.stack([distance, jnp.zeros_like(distance)]))
-        return tally.moved(transition.step, *places)
+        return tally.moved(transition.step == 0, *places)
 
     def finish(self, tally: Displacement, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
@@ -241,7 +241,7 @@ class GaitMeasure(Measure):
         for name, old in tally.items():
             match name:
                 case "displacement":
-                    now = old.moved(transition.step, before.state.position, state.position)
+                    now = old.moved(transition.step == 0, before.state.position, state.position)
                 case "slip":
                     # Mean load, and velocities at the end of the step.
                     force = transition.forces.contact_force

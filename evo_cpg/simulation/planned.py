@@ -10,6 +10,7 @@ contact. An absent axis has an armature of 1 and no torque. Both change nothing,
 
 import abc
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -31,7 +32,7 @@ from evo_cpg.physics.contact.contact_model import STIFFNESS, ContactModel
 from evo_cpg.physics.contact.pairs import KINDS, PAIR_STIFFNESS, Alike, Pairs
 from evo_cpg.physics.water.fluid import Drag, make_patches
 from evo_cpg.physics.water.force_law import ForceLaw
-from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.simulation import Rules, Simulation
 
 _LAWS = ("armature", "lower", "upper", "servo_gain", "limit_stiffness", "limit_damping")
 # Random plans that show which numbers of a simulation vary, and digits to which they are equal.
@@ -81,6 +82,7 @@ class PlanNumbers(NamedTuple):
         laws: numbers of the joints' laws, in the order of `_LAWS`.
         pairs: 1 for each two bodies that must not pass through each other, else 0.
         lowest: height of the lowest point in the neutral pose over the root's centre, m.
+        length: largest extent in the neutral pose, m.
         walk: parents of the bodies.
     """
 
@@ -94,6 +96,7 @@ class PlanNumbers(NamedTuple):
     laws: Float[Array, "l d"]
     pairs: Float[Array, " k"]
     lowest: Float[Array, ""]
+    length: Float[Array, ""]
     walk: TreeWalk
 
 
@@ -126,7 +129,11 @@ def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
     turns = jnp.where(plan.axes & present[:, None], sign, 0.0)[1:, own].reshape(-1)
     walk = walk_of(plan.parent, plan.slot, turns)
     inertia = _effective_inertia(pose, half, mass, walk, own)
-    corners = pose.centre[:, 2] - (jnp.abs(pose.rotation[:, 2]) * half).sum(1)
+    extent = (jnp.abs(pose.rotation) * half[:, None]).sum(-1)
+    low, high = (
+        jnp.where(present[:, None], side * (pose.centre + side * extent), -jnp.inf).max(0)
+        for side in (-1, 1)
+    )
     resolutions = physics.form_resolution, physics.skin_resolution
     form, skin = (_uncovered(half, pose, present, resolution) for resolution in resolutions)
     return PlanNumbers(
@@ -139,7 +146,8 @@ def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
         skin.T,
         _laws(plan, parent, physics, inertia, walk),
         _separate(plan, half, pose) if physics.meet else half[:0, 0],
-        jnp.where(present, corners, jnp.inf).min(),
+        -low[2],
+        (low + high).max(),
         walk,
     )
 
@@ -287,15 +295,21 @@ class PlanInputs:
         star: simulation of a root with ``b - 1`` parts on it, all boxes with the axes of the
             physics.
         physics: settings of the plans.
+        rules: rules that disqualify a plan, as a function of its length (m), mass (kg) and pairs.
 
     Attributes:
         common: the star, with parents that may differ between individuals.
     """
 
-    def __init__(self, star: Simulation, physics: PlanPhysics):
+    def __init__(
+        self,
+        star: Simulation,
+        physics: PlanPhysics,
+        rules: Callable[[Any, Any, Pairs | None], Rules],
+    ):
         bodies = star.world.tree.body_count
         tree = _with_walk(star.world.tree)
-        self.physics = physics
+        self.physics, self._rules = physics, rules
         world = dataclasses.replace(star.world, tree=tree)
         if physics.meet:
             world = dataclasses.replace(world, pairs=_all_pairs(tree))
@@ -327,7 +341,11 @@ class PlanInputs:
             own = np.flatnonzero(varying.source[rows] >= 0)
             given = varying.source[rows][own], varying.sign[rows][own]
             built[place] = MixedArray(known, own, traced, *given)
-        return dataclasses.replace(common, **jax.tree.unflatten(structure, built))
+        parts = jax.tree.unflatten(structure, built)
+        rules, world = common.rules, parts["world"]
+        if rules is not None:
+            rules = self._rules(numbers.length, numbers.mass.sum(), world.pairs)
+        return dataclasses.replace(common, rules=rules, **parts)
 
     def _parts(self, common: Simulation, numbers: PlanNumbers) -> dict[str, Any]:
         """Return the parts of the simulation of a plan that differ from those of other plans."""

@@ -198,6 +198,7 @@ class Rules(eqx.Module):
 
     Attributes:
         speed: largest speed of the root, m/s.
+        joint_rate: largest rate of a turning axis, rad/s.
         power: largest power of all motors together, mean over a control step, W.
         penetration: largest depth of a contact point in the ground, m.
         overlap: largest overlap of two bodies, m.
@@ -205,6 +206,7 @@ class Rules(eqx.Module):
     """
 
     speed: Number | None = None
+    joint_rate: Number | None = None
     power: Number | None = None
     penetration: Number | None = None
     overlap: Number | None = None

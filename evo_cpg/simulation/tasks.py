@@ -189,10 +189,13 @@ class Distance(Task):
     Attributes:
         light: none.
         heading: ``any`` direction, or ``forward``.
+        settle_seconds: time in which the displacement does not count yet, s. Otherwise a tall body
+            scores by falling over.
     """
 
     light: None = eqx.field(default=None, init=False)
     heading: Heading = eqx.field(static=True, default="any")
+    settle_seconds: Number = 0.0
 
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Displacement:
         """See `Task.begin`."""
@@ -202,8 +205,9 @@ class Distance(Task):
     def update(self, tally: Displacement, transition: Transition, steps: int) -> Displacement:
         """See `Task.update`."""
         del steps
-        place = transition.before.state.position
-        return tally.moved(transition.step, place, place)
+        before, place = transition.before, transition.before.state.position
+        starts = transition.step * before.control_step <= self.settle_seconds
+        return tally.moved(starts, place, place)
 
     def terms(self, tally: Displacement, steps: int) -> dict[str, Float[Array, " *n"]]:
         """Return ``distance`` and its ``forward`` part (m)."""
@@ -259,7 +263,7 @@ class Walk(Task):
         """See `Task.update`."""
         del steps
         place = transition.before.state.position
-        displacement = tally.displacement.moved(transition.step, place, place)
+        displacement = tally.displacement.moved(transition.step == 0, place, place)
         _, x, y, _ = transition.before.state.orientation
         rise = displacement.end[2] - displacement.start[2]
         slip, cost = tally.slip, tally.cost

@@ -112,7 +112,7 @@ def audit(workshop: Workshop) -> list[Table]:
         "peak torque, N m": "peak_torque",
         "mean power, W/kg": "mean_power",
         "peak power, W/kg": "power",
-        "highest joint rate, rad/s": "peak_rate",
+        "highest joint rate, rad/s": "joint_rate",
     }
     rows = [
         {"seed": str(row["seed"])}

@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped, UInt32
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.evolution.strategy import Evaluation, Strategy
+from evo_cpg.evolution.strategy import Births, Evaluation, Strategy
 from evo_cpg.simulation.judge import Outcome, no_terms, score
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
@@ -105,6 +105,7 @@ class Generation(NamedTuple):
         next_genes: population of the next generation, run by run.
         state: strategy's state. The first axis of every array is the run.
         metrics: strategy's metrics, by name.
+        births: origin of the next generation, or None (see `Strategy.births`).
     """
 
     best: Int[Array, " runs"]
@@ -112,6 +113,7 @@ class Generation(NamedTuple):
     next_genes: Float[Array, "g all"]
     state: PyTree[Array]
     metrics: dict[str, Float[Array, " runs"]]
+    births: Births | None
 
 
 def begin(
@@ -257,7 +259,8 @@ def next_generation(
         next_genes, state = strategy.ask(ask_key, updated)
         best = jnp.argmax(worth.fitness)
         next_genes = jnp.asarray(next_genes, genes.dtype)
-        return Generation(best, genes[:, best], next_genes, state, strategy.metrics(state))
+        metrics, births = strategy.metrics(state), strategy.births(key, genes, worth)
+        return Generation(best, genes[:, best], next_genes, state, metrics, births)
 
     runs, gene_count = experiment.runs, len(genes)
     result = jax.vmap(of_run, in_axes=(0, 1, 0, 0))(

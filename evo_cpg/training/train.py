@@ -40,6 +40,7 @@ from evo_cpg.training.experiment import (
     placeholder_scales,
     situation_numbers,
 )
+from evo_cpg.training.family import cut_family, extend_family
 from evo_cpg.training.lineage import extended
 from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
 from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
@@ -109,6 +110,7 @@ class Running:
                 folder.write_metrics(checkpoint.history)
         self.checkpoint = checkpoint
         self._lineage = _lineage_until(folder, checkpoint)
+        self._has_family = cut_family(folder.path, checkpoint.generation)
         self._choice: Choice | None = None
         # Genomes of the last `trials`, and the generation number that selects their random numbers.
         self._given = checkpoint.genes, checkpoint.generation
@@ -177,8 +179,11 @@ class Running:
         self.checkpoint = Checkpoint(
             done, population, tuple(records), history, scales, state_arrays(self.state)
         )
+        if result.births is not None and self._has_family:
+            extend_family(self.folder.path, np.asarray(found.worth.fitness), result.births)
         # Save the lineage first: after a kill between the two writes it is ahead of the
-        # checkpoint, and `_lineage_until` drops the newer champions.
+        # checkpoint, and `_lineage_until` drops the newer champions. The same holds for the
+        # family tree.
         if new:
             self._lineage = extended(self._lineage, new)
             self.folder.save_lineage(self._lineage)

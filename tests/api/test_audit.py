@@ -29,12 +29,12 @@ from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Ellipsoid
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.models.mujoco_state import load_state
-from evo_cpg.io.schema.audit import Limits
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
 from evo_cpg.physics.contact.pairs import make_pairs
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.water.water import Current, Water
+from evo_cpg.simulation.limits import Limits
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.observers import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout

@@ -17,7 +17,7 @@ from evo_cpg.cli.ask import show_verdict
 from evo_cpg.errors import UsageError
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
-from evo_cpg.io.schema.audit import Limits
+from evo_cpg.simulation.limits import Limits
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.conditions import Variation, compile_variation
 from evo_cpg.training.run_folder import RunFolder

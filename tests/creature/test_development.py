@@ -14,6 +14,7 @@ from evo_cpg.creature.development import Plan, PlanBounds, developed
 from evo_cpg.creature.graph import GraphLayout, PlanGraph
 from evo_cpg.creature.walk import walk_order
 from evo_cpg.evolution.graphs import mutated, random_graph
+from plans import plan_graph
 
 LAYOUT = GraphLayout(control=2)
 BOUNDS = PlanBounds(volume=10.0)
@@ -55,19 +56,7 @@ def _draw(_precise: bool):
     return quick_jit(jax.vmap(draw))
 
 
-def graph_of(nodes: list[dict], links: list[tuple[int, dict]]) -> PlanGraph:
-    """Return a graph of given nodes and connections (their node, their genes)."""
-    genes = {name: np.zeros(shape) for name, shape in LAYOUT.shapes.items()}
-    for i, node in enumerate(nodes):
-        for name, value in (
-            {"used": 1, "label": i + 1, "recursion": 1, "size": 0.5} | node
-        ).items():
-            genes[name][i] = value
-    for i, link in links:
-        place = int(genes["on"][i].sum())
-        for name, value in ({"on": 1, "place": (0.5, 0, 0)} | link).items():
-            genes[name][i, place] = value
-    return PlanGraph(**{name: jnp.asarray(value, float) for name, value in genes.items()})
+graph_of = functools.partial(plan_graph, LAYOUT)
 
 
 def grown(graph: PlanGraph) -> Plan:

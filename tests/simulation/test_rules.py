@@ -16,6 +16,7 @@ from evo_cpg.io.load import load_config
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.state import resting_state
 from evo_cpg.simulation.judge import keeps
+from evo_cpg.simulation.limits import Limits, rules_of
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Rules
@@ -45,6 +46,14 @@ def test_speed_limits_the_root_in_any_direction(simulation):
     )
     assert kept(simulation.world, state, speed=5.0) == [True, True, False]
     assert kept(simulation.world, state) == [True, True, True]
+
+
+def test_the_fastest_turning_axis_counts(simulation):
+    rest = resting_state(simulation.world.tree, (3,), jnp.float32)
+    rates = np.zeros(rest.qd.shape)
+    rates[0] = [9.9, -10.1, np.nan]
+    state = dataclasses.replace(rest, qd=jnp.asarray(rates))
+    assert kept(simulation.world, state, joint_rate=10.0) == [True, False, False]
 
 
 def test_power_is_the_mean_over_a_control_step(simulation):
@@ -98,6 +107,22 @@ def test_limits_scale_with_the_size_and_mass_of_the_animal():
     assert rules.speed == pytest.approx(np.sqrt(40 * 9.81 * length_of(swimmer.creature)))
     assert length_of(swimmer.creature) == pytest.approx(0.42)
     assert rules.power == pytest.approx(50 * swimmer.creature.mass)
+    limb = rules_of(("joint_rate",), Limits(), 0.42, 1.0, None)
+    assert limb.joint_rate == pytest.approx(10 * np.sqrt(9.81 / 0.42)) and limb.speed is None
+
+
+@pytest.mark.parametrize(
+    ("name", "rules"),
+    [
+        ("virtual_creatures_water", ["speed", "joint_rate"]),
+        ("virtual_creatures_land", ["speed", "joint_rate", "penetration", "overlap"]),
+        ("evolving_walker", ["speed", "joint_rate"]),
+    ],
+)
+def test_evolving_bodies_have_rules_by_default(name, rules):
+    path = CONFIG.with_name(f"{name}.yaml")
+    assert load_config(path).audit.disqualify == rules
+    assert load_config(path, ["audit.disqualify=[]"]).audit.disqualify == []
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from evo_cpg.io.schema.audit import AuditConfig
 from evo_cpg.io.schema.controller import BrainCpgConfig, ControllerConfig
 from evo_cpg.io.schema.creature import CreatureConfig
 from evo_cpg.io.schema.evolution import EvolutionConfig, RealEvolutionConfig
-from evo_cpg.io.schema.plans import PLANS, PlanConfig
+from evo_cpg.io.schema.plans import PlanConfig
 from evo_cpg.io.schema.section import (
     Count,
     Direction,
@@ -172,19 +172,33 @@ class ExperimentConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _add_plans(cls, data: Any) -> Any:
-        """Add the creature that stands for all plans, if plans evolve."""
+        """Add the creature that stands for all plans, unless the file has their ancestor."""
         search = data.get("evolution") if isinstance(data, dict) else None
         if not isinstance(search, dict) or search.get("type") != "plans":
             return data
-        given = data.get("creature")
-        if given is not None and not (isinstance(given, dict) and given.get("name") == PLANS):
-            raise ValueError("creature: plans evolve their bodies. Leave creature out")
         section = PlanConfig()
         # The section itself reports its errors.
         with contextlib.suppress(ValidationError):
             section = PlanConfig.model_validate(search.get("plan") or {})
         controller = data.get("controller") or {"type": "limb_oscillators"}
-        return {**data, "creature": section.star(), "controller": controller}
+        creature = data.get("creature") or section.star()
+        return {**data, "creature": creature, "controller": controller}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _add_rules(cls, data: Any) -> Any:
+        """Disqualify by the limits that matter to evolving bodies, unless the file decides."""
+        if not isinstance(data, dict):
+            return data
+        search, audit = (data.get(key) for key in ("evolution", "audit"))
+        plans = isinstance(search, dict) and search.get("type") == "plans"
+        evolve = plans or (isinstance(search, dict) and search.get("body"))
+        if not evolve or "disqualify" in (audit or {}):
+            return data
+        rules, world = ["speed", "joint_rate"], data.get("world") or {}
+        if plans and isinstance(world, dict) and world.get("ground") is not None:
+            rules += ["penetration", "overlap"]
+        return {**data, "audit": {**(audit or {}), "disqualify": rules}}
 
     @property
     def trial_count(self) -> int:
@@ -204,6 +218,12 @@ class ExperimentConfig(Section):
             raise ValueError(
                 f"runs: the seed of the last of {self.runs} runs must be less than {2**31}, got "
                 f"{self.seed + self.runs - 1}"
+            )
+        settling = getattr(self.task, "settle_seconds", 0.0)
+        if settling >= self.simulation.seconds:
+            raise ValueError(
+                f"task.settle_seconds: {settling:g} s leave nothing of a trial of "
+                f"{self.simulation.seconds:g} s"
             )
         # Graded genes are numbers, so both genetic algorithms can evolve them.
         graded = getattr(self.controller, "graded", False)

@@ -144,10 +144,13 @@ class DistanceConfig(DescribedSection):
     Attributes:
         type: ``distance``.
         heading: ``any`` direction, or ``forward``.
+        settle_seconds: time from the start in which the displacement does not count yet, s, less
+            than the trial. Otherwise a tall body scores by falling over.
     """
 
     type: Literal["distance"] = "distance"
     heading: Heading = "any"
+    settle_seconds: NotNegative = 0.0
 
     needs_ground: ClassVar[bool] = False
     described = Distance
