@@ -1,1 +1,1 @@
-"""Benchmarks of evo_cpg and its peers, measurements for the docs, and long tests."""
+"""Benchmarks of evo_cpg and its peers, measurements for the docs, inspection of native code."""

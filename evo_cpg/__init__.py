@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from evo_cpg.api.cluster import cluster
     from evo_cpg.api.environment import Environment, EnvironmentState, Session
     from evo_cpg.api.experiment import Experiment, Trials, load
-    from evo_cpg.api.fit import fit
     from evo_cpg.api.lab import lab
     from evo_cpg.api.probe import Probed, probe
     from evo_cpg.api.progress import show_progress
@@ -56,7 +55,6 @@ _NAMES = {
     "api.sensitivity": ("sensitivity", "Sensitivities"),
     "api.story": ("story",),
     "api.rhythm": ("rhythm", "find_rhythm"),
-    "api.fit": ("fit",),
     "api.lab": ("lab",),
     "analysis.laboratory.ask": ("Answer",),
     "api.progress": ("show_progress",),

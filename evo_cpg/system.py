@@ -6,7 +6,6 @@ working folder. The program continues without the folders that it does not need.
 
 import atexit
 import contextlib
-import json
 import os
 import re
 import shlex
@@ -17,10 +16,6 @@ import textwrap
 from importlib import metadata
 from pathlib import Path
 from typing import IO
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
-
-_NAME = "evo-cpg"
 
 
 def home_folder() -> Path | None:
@@ -111,35 +106,6 @@ def version_of(package: str) -> str:
 
 
 def command_for(extra: str) -> str:
-    """Return the command that installs an extra, in a checkout as an editable installation.
-
-    Args:
-        extra: name of the extra in ``pyproject.toml``, such as ``mujoco``.
-    """
-    pip = f"{_quoted(_shown(sys.executable or 'python'))} -m pip install"
-    # The source folder, if the installation is editable.
-    checkout = None
-    wrong = KeyError, OSError, TypeError, ValueError, metadata.PackageNotFoundError
-    with contextlib.suppress(*wrong):
-        origin = json.loads(metadata.distribution(_NAME).read_text("direct_url.json") or "")
-        if origin["dir_info"]["editable"]:
-            checkout = url2pathname(urlsplit(origin["url"]).path)
-    if checkout is None:
-        return f"{pip} {_quoted(f'{_NAME}[{extra}]')}"
-    constraints = os.path.join(checkout, "constraints.txt")
-    if os.path.isfile(constraints):
-        pip += f" -c {_quoted(_shown(constraints))}"
-    return f"{pip} -e {_quoted(f'{_shown(checkout)}[{extra}]')}"
-
-
-def _quoted(word: str) -> str:
-    """Return a word quoted for the shell of this system."""
-    return f'"{word}"' if os.name == "nt" else shlex.quote(word)
-
-
-def _shown(path: str) -> str:
-    """Return a path, relative if it lies in the working folder."""
-    here = working_folder()
-    if here is None or not Path(path).is_relative_to(here):
-        return path
-    return str(Path(path).relative_to(here))
+    """Return the command that installs an extra of ``pyproject.toml``, such as ``mujoco``."""
+    # An editable installation stays editable, because pip adds the extra to what is installed.
+    return f"{shlex.quote(sys.executable or 'python')} -m pip install 'evo-cpg[{extra}]'"

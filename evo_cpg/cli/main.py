@@ -28,7 +28,6 @@ _FILES = {
     "draw": ("render", "plot", "preview", "model"),
     "ask": ("analyse", "audit", "verify", "probe", "sensitivity", "lab"),
     "cpg": ("cpg",),
-    "fit": ("fit",),
     "exchange": ("validate", "configs", "export", "import"),
     "repeat": ("reproduce", "bench"),
 }

@@ -32,11 +32,6 @@ _BODIES = (0.001, 30.0)
 # bodies for a meaningful median.
 _UNLIKE, _SEVERAL = 50.0, 3
 
-# Largest ratio of the mass of a limb to the body that carries it, and of the mass of a creature to
-# its lightest body. In float32 the motion was right at ratios of 8000 and 1e12, but became infinite
-# at 37,000 and 1e15.
-_CARRIES, _LIGHTER = 5000.0, 1e12
-
 # Largest distance of a position outside its body, as a fraction of the body's largest half extent.
 # Joints have gaps between bodies, and eyes stand on stalks.
 _OUT = 0.3
@@ -215,37 +210,6 @@ def body_size(case: Case) -> Found:
             continue
         size = entry.shape.size_key if entry.shape else None
         yield (*key, "shape", *([size] if size else [])), problem
-
-
-def masses(case: Case) -> Found:
-    """Warn of bodies that carry a far heavier limb, or are too light for the creature."""
-    mass = {body.name: 0.0 for body in case.creature.bodies}
-    for body in case.creature.bodies:
-        mass[body.whole or body.name] += float(body.mass)
-    parents = {body.name: body.joint.parent for body in case.creature.bodies if body.joint}
-    carried = dict(mass)
-    for name in mass:
-        above = parents.get(name)
-        while above is not None:
-            carried[above] += mass[name]
-            above = parents.get(above)
-    total = sum(mass.values())
-    for key, _, body in case.bodies():
-        own, above = mass[body.name], parents.get(body.name)
-        if above is not None and mass[above] > 0 and carried[body.name] > _CARRIES * mass[above]:
-            yield (
-                (*key, "joint", "parent"),
-                f"a body of {mass[above]:.2g} kg carries a limb of {carried[body.name]:.2g} kg. "
-                f"float32 resolves up to {_CARRIES:g} times the body's mass. Make the heavier "
-                "body the parent",
-            )
-        # A body without a mass of its own is welded to another one, or fixed.
-        if total > _LIGHTER * own > 0:
-            yield (
-                (*key, "material"),
-                f"a body of {own:.2g} kg on a creature of {total:.2g} kg. float32 resolves down to "
-                f"{1 / _LIGHTER:g} of the creature's mass",
-            )
 
 
 def densities(case: Case) -> Found:
@@ -491,7 +455,6 @@ def trials_alike(case: Case) -> Found:
 RULES: tuple[Callable[[Case], Found], ...] = (
     single_fields,
     body_size,
-    masses,
     densities,
     weight_in_water,
     joint_limits,

@@ -1,6 +1,5 @@
 """Reading and writing of configurations as YAML, without loss."""
 
-import itertools
 import re
 from typing import Any
 
@@ -11,7 +10,7 @@ _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
 _TIMESTAMP = "tag:yaml.org,2002:timestamp"
-_MERGE, _VALUE, _TEXT = (f"tag:yaml.org,2002:{kind}" for kind in ("merge", "value", "str"))
+_TEXT = "tag:yaml.org,2002:str"
 _DIGITS = list("-+.0123456789")
 _LINE_ENDS = "\x85\u2028\u2029"
 # Forms of numbers here. PyYAML (YAML 1.1) would read 1e-3, 1.0e5 and -.5 as text, 0200 as 128 and
@@ -35,47 +34,9 @@ _MOST_VALUES = 500_000
 class _Loader(_SafeLoader):
     """Loader of safe YAML without some of its traps.
 
-    The traps are keys given twice, values that PyYAML fails to construct, and numbers that it reads
-    as text or as other numbers. Others are dates, which no configuration contains, and merges
-    (``<<``) of merged mappings or of lists, which PyYAML 6.0.4 and 6.0.3 read differently.
+    The traps are keys given twice, numbers that PyYAML reads as text or as other numbers, and
+    dates, which no configuration contains.
     """
-
-    def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Merge mappings of ``<<``: own keys override merged keys, earlier mappings later ones.
-
-        See https://yaml.org/type/merge.html.
-        """
-        own, merged = [], []
-        for key, value in node.value:
-            if key.tag != _MERGE:
-                if key.tag == _VALUE:
-                    key.tag = _TEXT
-                own.append((key, value))
-                continue
-            for one in value.value if isinstance(value, yaml.SequenceNode) else [value]:
-                if not isinstance(one, yaml.MappingNode):
-                    raise yaml.constructor.ConstructorError(
-                        None, None, "<< takes a mapping or a list of mappings", one.start_mark
-                    )
-                self.flatten_mapping(one)
-                merged.insert(0, one.value)
-        pairs = {}
-        for key, value in itertools.chain(*merged, own):
-            name = (key.tag, key.value) if isinstance(key, yaml.ScalarNode) else id(key)
-            pairs[name] = key, value
-        node.value = list(pairs.values())
-
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """Refuse values tagged as a number or boolean that are not, such as ``!!int x``."""
-        try:
-            return super().construct_object(node, deep)
-        except (ArithmeticError, AttributeError, LookupError, ValueError):
-            kind = node.tag.rpartition(":")[2]
-            value = repr(node.value)
-            value = value if len(value) <= 60 else value[:57] + "..."
-            raise yaml.constructor.ConstructorError(
-                None, None, f"{value} cannot be read as {kind}", node.start_mark
-            ) from None
 
     def construct_document(self, node: yaml.Node) -> Any:
         """Refuse a key given twice, because only its last value would count.
@@ -131,7 +92,11 @@ def parse_yaml(text: str) -> Any:
         yaml.YAMLError: the text is not YAML, or exceeds the size limits.
     """
     _require_shallow(text)
-    return yaml.load(text, _Loader)
+    try:
+        return yaml.load(text, _Loader)
+    except (ArithmeticError, AttributeError, LookupError, ValueError) as error:
+        # A value is too long, or has the tag of another type, such as ``!!int x``.
+        raise yaml.MarkedYAMLError(problem=f"a value cannot be read ({error})") from None
 
 
 def compose_yaml(text: str) -> yaml.Node | None:

@@ -8,7 +8,7 @@ operation as it is made (`frontend.simplify`), because the place of a slice must
 | ``EVO_CPG_SHOW_PASSES`` | the graph is printed to standard error (`inspect.show`) |
 | ``EVO_CPG_VERIFY_PASSES`` | the graph is checked (`inspect.verify`), as in the tests |
 
-`evo_cpg.native.inspect` shows one part of a trial, measures it, and finds the pass with a fault.
+`python -m benchmarks.inspect_code` measures the parts of a trial, and finds the pass with a fault.
 """
 
 import gc

@@ -19,7 +19,6 @@ from evo_cpg.view.figure import (
     GREEN,
     GREY,
     INK,
-    LIGHT_GREY,
     ORANGE,
     RED,
     TIME,
@@ -216,30 +215,6 @@ def _draw_rows(
             if i == len(panels) // 2:
                 axes.set_ylabel(label, color=color)
     return lines[:2]
-
-
-@framed
-def fit_figure(
-    time: np.ndarray, columns: Sequence[str], data: np.ndarray, fitted: np.ndarray
-) -> Figure:
-    """Draw every column over time: the recording as dots, the fitted simulation as a line.
-
-    Args:
-        time: instants, s.
-        columns: names of the columns: ``x``, ``y`` and ``z`` in m, others in rad.
-        data: recorded values ``(t, c)``.
-        fitted: simulated values ``(t, c)``.
-    """
-    figure = new_figure(7.4, 0.9 + 1.5 * len(columns))
-    rows = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, name, own, model in zip(rows, columns, data.T, fitted.T, strict=True):
-        axes.plot(time, own, "o", ms=3, color=LIGHT_GREY, label="recorded")
-        axes.plot(time, model, color=RED, lw=1.6, label="fitted")
-        axes.set_ylabel(f"{legible(name)} ({'m' if name in 'xyz' else 'rad'})")
-        axes.grid()
-    rows[-1].set_xlabel("time (s)")
-    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    return figure
 
 
 @framed

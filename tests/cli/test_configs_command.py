@@ -63,11 +63,9 @@ def test_only_a_run_of_a_shipped_configuration_records_its_name(cli, tmp_path, g
     assert meta.get("shipped_config") == (NAME if given == NAME else None)
 
 
-@pytest.mark.parametrize(
-    "command", ["train", "preview", "validate", "cpg", "sweep", "export", "fit"]
-)
+@pytest.mark.parametrize("command", ["train", "preview", "validate", "cpg", "sweep", "export"])
 def test_every_command_suggests_the_nearest_name(cli, tmp_path, command):
-    more = {"sweep": ["--grid", "seed=1,2"], "export": ["x.xml"], "fit": ["x.csv", "a.b"]}
+    more = {"sweep": ["--grid", "seed=1,2"], "export": ["x.xml"]}
     err = cli.refuses(command, "hexapodd", *more.get(command, []), folder=tmp_path)
     assert err.startswith("evo-cpg: hexapodd: no such file here") and err.count("\n") == 1
     assert "did you mean 'hexapod' or 'hexapod_tripod'?" in err

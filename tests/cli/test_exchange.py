@@ -11,7 +11,6 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from evo_cpg.api import runs
-from evo_cpg.api.fit import read_motion
 from evo_cpg.io.load import load_config
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.run_folder import RunFolder
@@ -162,24 +161,6 @@ def test_an_exported_motion_and_scene_are_those_of_the_film(finished_run, export
         np.testing.assert_allclose(arrays["head.y"], motion.position[:, 0, 1], atol=1e-6)
     scene = trimesh.load_scene(exported / "motion.glb")
     assert {"head", "segment1"} <= set(scene.geometry)
-
-
-@pytest.mark.slow
-def test_an_exported_table_is_a_measured_motion(exported):
-    """`fit` reads the attitude of an exported rotation as yaw, then pitch, then roll."""
-    with np.load(exported / "motion.npz") as file:
-        arrays = dict(file)
-    measured = read_motion(exported / "motion.csv")
-    assert measured.columns == ("x", "y", "z", "roll", "pitch", "yaw", "segment1.z")
-    assert list(measured.commands) == ["segment1.z"]
-    seen = dict(zip(measured.columns, measured.data.T, strict=True))
-    np.testing.assert_allclose(seen["segment1.z"], arrays["segment1.z.angle"], atol=1e-7)
-    np.testing.assert_allclose(
-        measured.commands["segment1.z"], arrays["segment1.z.target_rate"], atol=1e-6
-    )
-    turn = Rotation.from_euler("ZYX", np.stack([seen[n] for n in ("yaw", "pitch", "roll")], 1))
-    given = np.stack([[arrays[f"head.rotation_{a}{b}"] for b in "xyz"] for a in "xyz"])
-    np.testing.assert_allclose(turn.as_matrix(), np.moveaxis(given, -1, 0), atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -197,7 +197,6 @@ def test_a_missing_run_folder_is_called_missing(refused, tmp_path, monkeypatch, 
         ("lab", "runs/first"),
         ("export", "runs/first", "x.glb"),
         ("train", "eel", "--from", "runs/first"),
-        ("fit", "eel", "x.csv", "a.b", "--run", "runs/first"),
     ],
 )
 def test_a_missing_run_in_another_place_is_called_missing(refused, arguments):

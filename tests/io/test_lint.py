@@ -46,13 +46,6 @@ MISTAKES = [
     (CONFIG, f"{THICK}; world.water.viscosity=1", "", "0.001"),
     (CONFIG, "creature.bodies.0.shape.size=[200, 100, 100]", "", "30"),
     (CONFIG, "creature.bodies.0.shape={type: sphere, radius: 10}", "radius", "median"),
-    (CONFIG, "creature.bodies.0.shape.size=[0.002, 0.001, 0.001]", "joint.parent", "float32"),
-    (
-        CONFIG,
-        "creature.bodies.1.shape.size=[1e-5, 1e-5, 1e-5]; creature.bodies.1.repeat=1",
-        "material",
-        "float32",
-    ),
     (LEGS, "creature.bodies.0.shape.size=[0.4, 0.4, 0.0002]", "simulation.substeps", "sink"),
     (
         CONFIG,

@@ -209,9 +209,9 @@ def test_depth_gauges_add_inputs_to_the_brain():
         ("a: \x01", "line 1, column 4"),
         ("a: {side}_fin", "{side}_fin"),
         ("a: !!python/object:os.system {}", "line 1, column 4"),
-        ("a:\n- {b: !!timestamp nope}", "line 2, column 7: not valid YAML: 'nope'"),
+        ("a:\n- {b: !!timestamp nope}", "not valid YAML"),
         ("a: !!int foo", "'foo'"),
-        ("a: " + "7" * 5000, f"{'7' * 56}..."),
+        ("a: " + "7" * 5000, "5000 digits"),
         ("creature:\n  color: #ffffff\n", "line 2: color"),
     ],
 )

@@ -16,7 +16,6 @@ SMALLEST = 2.0**-126
 # over one in seventeen of all arguments, fused and not, plus a small margin.
 EXACT = {
     "exp": (np.exp, 1.9),
-    "exp2": (np.exp2, 1.9),
     "expm1": (np.expm1, 1.8),
     "log": (np.log, 0.9),
     "log1p": (np.log1p, 1.7),
@@ -25,14 +24,7 @@ EXACT = {
     "asin": (np.arcsin, 2.1),
     "acos": (np.arccos, 1.4),
     "atan": (np.arctan, 1.8),
-    "erf": (special.erf, 2.1),
     "erf_inv": (special.erfinv, 4.0),
-    "cbrt": (np.cbrt, 1.6),
-    "sinh": (np.sinh, 2.5),
-    "cosh": (np.cosh, 2.0),
-    "asinh": (np.arcsinh, 2.2),
-    "acosh": (np.arccosh, 2.6),
-    "atanh": (np.arctanh, 2.3),
 }
 OF_TWO = ("atan2", "pow")
 
@@ -99,19 +91,9 @@ def test_sine_and_cosine_are_accurate(largest, level):
 @LEVELS
 def test_small_angles_keep_all_their_digits(level):
     x = np.logspace(-30, -2, 200, dtype=np.float32)
-    for name in ("sin", "cos", "tan"):
+    for name in ("sin", "cos"):
         exact = getattr(np, name)(x.astype(float))
         np.testing.assert_allclose(compiled(name, level)(x), exact, rtol=1.3e-7)
-
-
-@LEVELS
-def test_tangent_is_accurate(level):
-    """The angles next to poles and zeros are included."""
-    multiples = (np.arange(-636, 637) * np.pi / 2).astype(np.float32)
-    near = [np.nextafter(multiples, np.float32(side)) for side in (-np.inf, np.inf)]
-    x = np.random.default_rng(0).uniform(-1e3, 1e3, 100_000).astype(np.float32)
-    x = np.concatenate([x, multiples, *near])
-    assert units_off(np.asarray(compiled("tan", level)(x)), np.tan(x.astype(float))) < 3.3
 
 
 @LEVELS
@@ -142,7 +124,7 @@ def test_powers_are_accurate(spread, octaves, allowed, level):
 def test_limits_equal_those_of_jax(name):
     """Check zeros with their signs, infinities and NaN."""
     ends = ENDS
-    if name in ("sin", "cos", "tan"):
+    if name in ("sin", "cos"):
         # Large angles have no accurate digits, nor the sign of a zero.
         ends = np.abs(ends[~(np.abs(ends) > 1e3) | np.isinf(ends)])
     arguments = np.meshgrid(ends, ends) if name in OF_TWO else [ends]
@@ -181,5 +163,4 @@ def test_only_bits_are_converted_to_integers(name):
         if equation.primitive is lax.convert_element_type_p
         and equation.outvars[0].aval.dtype == np.int32
     ]
-    # The cube root converts a third of the bits of abs(x), for any x.
-    assert len(to_integers) == (name == "cbrt")
+    assert not to_integers

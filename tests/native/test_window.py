@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from against_jax import plain, sample
 
+from benchmarks import inspect_code as window
+from benchmarks.code_interpreter import interpret
+from benchmarks.code_parts import calls_of, parts_of
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.shipped import find_config
@@ -20,10 +23,7 @@ from evo_cpg.native.frontend.builder import Builder
 from evo_cpg.native.frontend.primitives import fused_p
 from evo_cpg.native.frontend.simplify import RULES, RewriteRule
 from evo_cpg.native.fuse import fuse, solve_symmetric
-from evo_cpg.native.inspect import __main__ as window
 from evo_cpg.native.inspect import show, verify
-from evo_cpg.native.inspect.interpret import interpret
-from evo_cpg.native.inspect.parts import calls_of, parts_of
 from evo_cpg.native.ir import Node
 
 COUNT = 16

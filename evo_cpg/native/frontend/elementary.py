@@ -10,20 +10,21 @@ last are so short that the products are exact (Cody and Waite).
 
 | function | reduced argument | result |
 |---|---|---|
-| exp, exp2 | r = x - k ln 2 in [-ln 2 / 2, ln 2 / 2] | 2^k P(r) |
+| exp | r = x - k ln 2 in [-ln 2 / 2, ln 2 / 2] | 2^k P(r) |
 | expm1 | r as for exp | 2^k (r + r^2 P(r)) + (2^k - 1) |
 | log, log1p | x = 2^k (1 + f), abs(f) <= 1/3 | k ln 2 + (f - f^2 / 2 + f^3 P(f)) |
 | sin, cos | r = x - k pi in [-pi/2, pi/2] | (-1)^k (r + r^3 P(r^2)), (-1)^k (1 + r^2 Q(r^2)) |
-| tan | r = x - k pi/2 in [-pi/4, pi/4] | t = r + r^3 P(r^2); -1 / t if k is odd |
 | asin, acos | s = abs(x) or sqrt((1 - abs(x)) / 2) <= 1/2 | s + s^3 P(s^2) |
 | atan, atan2 | z = the lesser side over the greater | z + z^3 P(z^2) |
-| erf | a = min(abs(x), 4) | 1 - exp(-(a + a P(a))) |
 | erf_inv | w = -log(1 - x^2) | x P(w) / Q(w) |
-| cbrt | h = 1 - x y^3, y near x^(-1/3) by its bits | y (1 - h)^(-1/3), and a Newton step |
 
-The other functions follow from these. The coefficients minimise the maximum relative error of the
-result (Remez exchange on a grid of Chebyshev points, values by mpmath). Each coefficient was
-rounded to float32, the constant term first, and the remaining coefficients were fitted again.
+The other functions follow from these. Functions that are not here, such as ``erf`` and ``sinh``,
+are computed in float64 by the C library (`evo_cpg.native.frontend.lower`), because only a user's
+own class may need them.
+
+The coefficients minimise the maximum relative error of the result (Remez exchange on a grid of
+Chebyshev points, values by mpmath). Each coefficient was rounded to float32, the constant term
+first, and the remaining coefficients were fitted again.
 
 `tests/native/test_elementary.py` lists the maximum errors, most of them below two units in the last
 place. Products may or may not be fused with sums. Subnormal numbers may or may not count as zero.
@@ -57,7 +58,6 @@ _LOG2_E_PARTS = (1.4423828125, 3.1222838838e-4)
 _LN_2 = math.log(2.0)
 _LN_2_PARTS = (0.693145751953125, 1.428606765330187e-6)
 _PI_PARTS = (3.140625, 9.67502593994140625e-04, 1.509957990978376432e-07)
-_HALF_PI_PARTS = (1.5703125, 4.837512969970703e-4, 7.549533620476723e-8, 2.5633440682570896e-12)
 # Error of pi / 2 in float32, which is too large.
 _HALF_PI_EXCESS = 4.371139e-8
 
@@ -76,46 +76,29 @@ _LOG1P = (
 # (sin r - r) / r^3 and (cos r - 1) / r^2 on [0, pi / 2], in r^2, fitted to the absolute error.
 _SIN = (-1.66666571e-01, 8.33301729e-03, -1.98066152e-04, 2.60005477e-06)
 _COS = (-4.99999995e-01, 4.16666407e-02, -1.38884035e-03, 2.47618862e-05, -2.60771053e-07)
-# (tan r - r) / r^3 on [0, pi / 4], (asin s - s) / s^3 on [0, 1/2], (atan z - z) / z^3 on [0, 1], in
-# the square of the argument.
-_TAN = (0.33333156, 0.13338846, 0.053406864, 0.024447259, 0.0030908117, 0.009403415)
+# (asin s - s) / s^3 on [0, 1/2] and (atan z - z) / z^3 on [0, 1], in the square of the argument.
 _ASIN = (0.16666752, 0.074953094, 0.04546915, 0.02418478, 0.0421583)
 _ATAN = (
     -0.33333153, 0.19993767, -0.14211002, 0.106657684,
     -0.07551656, 0.043204635, -0.016363103, 0.0029193931,
 )
-# -ln(1 - erf a) / a - 1 on [0, 4].
-_ERF = (
-    0.12837917, 0.63661957, 0.1027763, -0.019147826, -0.00016948466,
-    0.0016756394, -0.0006373315, 0.000118848555, -9.386046e-6,
-)
 # erf_inv(x) / x up to w = 15.95, for the largest x below 1. The coefficients were not fitted again.
 _ERF_INV = (0.88622695, 0.3064674, 0.059570104, 0.0077630226, 0.00064372784, 2.434903e-5)
 _ERF_INV_BELOW = (1.0, 0.084012434, 0.03218962, 0.0018750958, 0.0001796728, 1.2935906e-6)
-# ((1 - h)^(-1/3) - 1) / h on [-0.1027, 0.1027], the range of h for the first y from these bits.
-_CBRT = (0.3333275, 0.22348884, 0.17471948)
-_CBRT_BITS = 1419900800.0
 # fmt: on
 
 
-def exp(x: Array, greatest: int = 127, more: float = 0.0) -> Array:
-    """Return ``e^x 2^more`` by ``e^x = 2^k p``, ``k <= greatest``, k = -127 for ``e^x = 0``."""
+def exp(x: Array) -> Array:
+    """Return ``e^x`` as ``2^k p``, with k = -127 for ``e^x = 0``."""
     x = _clip(x, -88.0)
-    k = _clip(_nearest(x * _LOG2_E), greatest=greatest)
+    k = _clip(_nearest(x * _LOG2_E), greatest=127)
     r = _less_multiple(x, k, _LN_2_PARTS)
-    return _polynomial(_EXP, r) * _power_of_two(k, more)
-
-
-def exp2(x: Array) -> Array:
-    """Return ``2^x``."""
-    x = _clip(x, -127.0)
-    k = _clip(_nearest(x), greatest=127.0)
-    return _polynomial(_EXP2, x - k) * _power_of_two(k)
+    return _polynomial(_EXP, r) * _power_of_two(k)
 
 
 def expm1(x: Array) -> Array:
     """Return ``e^x - 1``."""
-    half = _expm1_over(2, _clip(x, -18.0, 89.0))
+    half = _half_expm1(_clip(x, -18.0, 89.0))
     return _where(abs(x) < _TINY, x, half + half)
 
 
@@ -141,7 +124,7 @@ def log1p(x: Array) -> Array:
 def tanh(x: Array) -> Array:
     """Return ``tanh x`` as ``t / (1 + t)`` with ``t = (e^(2 x) - 1) / 2``."""
     a = _clip(abs(x), greatest=10.0)
-    t = _expm1_over(2, a + a, (_LN_2,))
+    t = _half_expm1(a + a, (_LN_2,))
     return _with_sign(t / (1.0 + t), x)
 
 
@@ -158,17 +141,6 @@ def _sin_or_cos(x: Array, cosine: bool) -> Array:
     if cosine:
         return sign * (_polynomial(_COS, square) * square + 1.0)
     return sign * (_polynomial(_SIN, square) * square * r + r)
-
-
-def tan(x: Array) -> Array:
-    """Return ``tan x``, which loses digits for ``abs(x)`` beyond 1e4."""
-    k = _nearest(x * (2 / math.pi))
-    r = _less_multiple(x, k, _HALF_PI_PARTS)
-    square = r * r
-    t = r + r * square * _polynomial(_TAN, square)
-    half = 0.5 * k
-    odd = half != lax.floor(half)
-    return _where(odd, -1.0, t) / _where(odd, t, 1.0)
 
 
 def _asin_or_acos(x: Array, cosine: bool) -> Array:
@@ -246,14 +218,6 @@ def pow_(x: Array, y: Array) -> Array:
     return _where((x == 1.0) | (y == 0.0), 1.0, power)
 
 
-def erf(x: Array) -> Array:
-    """Return ``2 / sqrt(pi)`` times the integral of ``e^(-t^2)`` from 0 to x."""
-    a = _clip(abs(x), greatest=4.0)
-    r, scale = _expm1_parts(-(a + a * _polynomial(_ERF, a)), 1, (_LN_2,))
-    size = (1.0 - scale) - scale * r
-    return _with_sign(_where(a < _TINY, (2 / math.sqrt(math.pi)) * a, size), x)
-
-
 def erf_inv(x: Array) -> Array:
     """Return the number whose error function is x."""
     a = abs(x)
@@ -263,62 +227,11 @@ def erf_inv(x: Array) -> Array:
     return _where(a < 1.0, inside, _with_sign(end, x))
 
 
-def cbrt(x: Array) -> Array:
-    """Return the real cube root."""
-    a = abs(x)
-    bits = lax.convert_element_type(_bits(a), np.float32)
-    y = _float(lax.convert_element_type(_CBRT_BITS - bits * (1 / 3), np.int32))
-    h = 1.0 - a * y * y * y
-    y = y + y * h * _polynomial(_CBRT, h)
-    root = a * y * y
-    root = root + root * (1.0 - root * y) * (2 / 3)
-    return _with_sign(_where(a < math.inf, root, a), x)
-
-
-def sinh(x: Array) -> Array:
-    """Return ``sinh x`` as ``(t + t / (t + 1)) / 2``, with ``t = e^x - 1``.
-
-    The code computes t / 4, because t may overflow.
-    """
-    a = abs(x)
-    quarter = _expm1_over(4, _clip(a, greatest=89.5))
-    half = quarter + quarter / (4.0 * quarter + 1.0)
-    return _with_sign(_where(a < _TINY, a, half + half), x)
-
-
-def cosh(x: Array) -> Array:
-    """Return ``cosh x`` as ``h + 1 / (4 h)`` with ``h = e^abs(x) / 2``."""
-    half = exp(abs(x), 128, -1.0)
-    return half + 0.25 / half
-
-
-def asinh(x: Array) -> Array:
-    """Return ``ln(x + sqrt(x^2 + 1))``. The sum minus 1 is computed without cancellation."""
-    a = abs(x)
-    square = a * a
-    more = a + square / (1.0 + lax.sqrt(1.0 + square))
-    return _with_sign(_log1p_or_log_of_double(more, a), x)
-
-
-def acosh(x: Array) -> Array:
-    """Return ``ln(x + sqrt(x^2 - 1))``. The sum minus 1 is computed without cancellation."""
-    t = x - 1.0
-    more = t + lax.sqrt(t * (t + 2.0))
-    return _where(x < 1.0, math.nan, _log1p_or_log_of_double(more, x))
-
-
-def atanh(x: Array) -> Array:
-    """Return ``ln((1 + x) / (1 - x)) / 2``."""
-    a = abs(x)
-    return _with_sign(0.5 * log1p((a + a) / (1.0 - a)), x)
-
-
 FLOAT32: dict[str, Callable[..., Array]] = {
     **{
         function.__name__.rstrip("_"): function
         for function in (
-            exp, exp2, expm1, log, log1p, tanh, tan, atan, atan2, pow_, erf, erf_inv,
-            cbrt, sinh, cosh, asinh, acosh, atanh,
+            exp, expm1, log, log1p, tanh, atan, atan2, pow_, erf_inv,
         )
     },
     "logistic": lambda x: 1.0 / (1.0 + exp(-x)),
@@ -330,20 +243,13 @@ FLOAT32: dict[str, Callable[..., Array]] = {
 """Elementary functions by the names of JAX's primitives."""
 
 
-def _expm1_parts(
-    x: Array, divisor: int, ln_2: Sequence[float] = _LN_2_PARTS
-) -> tuple[Array, Array]:
-    """Return r and ``2^k / divisor``, with ``e^x - 1 = 2^k r + (2^k - 1)``."""
+def _half_expm1(x: Array, ln_2: Sequence[float] = _LN_2_PARTS) -> Array:
+    """Return ``(e^x - 1) / 2``, with ``e^x - 1 = 2^k r + (2^k - 1)``."""
     k = _nearest(x * _LOG2_E)
     r = _less_multiple(x, k, ln_2)
     r = r + r * r * _polynomial(_EXPM1, r)
-    return r, _power_of_two(k, -math.log2(divisor))
-
-
-def _expm1_over(divisor: int, x: Array, ln_2: Sequence[float] = _LN_2_PARTS) -> Array:
-    """Return ``(e^x - 1) / divisor``. The divisor is a power of two."""
-    r, scale = _expm1_parts(x, divisor, ln_2)
-    return scale * r + (scale - 1 / divisor)
+    half = _power_of_two(k, -1.0)
+    return half * r + (half - 0.5)
 
 
 def _power_of_two(k: Array, more: float = 0.0) -> Array:
@@ -367,12 +273,6 @@ def _log_of_parts(k: Array, f: Array) -> Array:
     square = f * f
     rest = f * square * _polynomial(_LOG1P, f) + k * _LN_2_PARTS[1]
     return (f + (rest - 0.5 * square)) + k * _LN_2_PARTS[0]
-
-
-def _log1p_or_log_of_double(more: Array, x: Array) -> Array:
-    """Return ``log(1 + more)``, or ``log(2 x)`` for large x."""
-    great = x > 2.0**25
-    return log1p(_where(great, x, more)) + _where(great, _LN_2, 0.0)
 
 
 def _atan_of_ratio(z: Array, inverted: Array) -> Array:

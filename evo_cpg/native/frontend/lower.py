@@ -253,7 +253,7 @@ def _in_float32(name: str, count: int) -> ClosedJaxpr:
 
 
 def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
-    """Write out an elementary function for float32. Call the C library for float64."""
+    """Write out a frequent function for float32. Call the C library, in float64, for others."""
     dtype = next((node.dtype for node in operands[0].flat), np.dtype(np.float32))
     if dtype == np.float32 and name in FLOAT32:
         # The functions are written for scalars, but elementwise operations take arrays as well.
@@ -265,6 +265,9 @@ def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
         part = builder.end_part(all_nodes(operands), result.flat, reorder=False)
         return elementwise(functools.partial(hide, part=part), result)
 
+    if dtype == np.float32 and name in LIBRARY:
+        wide = [builder.apply_each("convert", x, dtype=np.dtype(np.float64)) for x in operands]
+        return builder.apply_each("convert", _function(builder, name, wide), dtype=dtype)
     if dtype == np.float64 and name == "logistic":
         return _defined(lambda x: 1.0 / (1.0 + jnp.exp(-x)), builder, operands, {})[0]
     if dtype != np.float64 or name not in LIBRARY:

@@ -1,4 +1,4 @@
-"""Find out why a native program is slow or wrong: ``python -m evo_cpg.native.inspect CONFIG``.
+"""Find out why a native program is slow or wrong: ``python -m benchmarks.inspect_code CONFIG``.
 
 | option | output |
 |---|---|
@@ -6,8 +6,6 @@
 | ``--write FOLDER`` | graph of every part after each pass, its LLVM IR and its assembly |
 | ``--check`` | the part and the pass after which results differ from plain JAX |
 | ``--part NAME`` | write or check only one part |
-
-No module imports this one. So it may import the packages that read a configuration and run a trial.
 """
 
 import argparse
@@ -26,6 +24,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.code_interpreter import interpret
+from benchmarks.code_parts import Arrays, Call, TrialPart, calls_of, parts_of
 from evo_cpg.errors import UsageError, UserError, nearest
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
@@ -36,8 +36,6 @@ from evo_cpg.native.backend.compiler_process import Request
 from evo_cpg.native.backend.machine import address_of_ticks, load, object_code
 from evo_cpg.native.frontend.primitives import Program, fused_p
 from evo_cpg.native.inspect import show
-from evo_cpg.native.inspect.interpret import interpret
-from evo_cpg.native.inspect.parts import Arrays, Call, TrialPart, calls_of, parts_of
 from evo_cpg.native.ir import Unsupported
 from evo_cpg.native.native import call_handler
 from evo_cpg.simulation.noise import Noise
@@ -287,7 +285,7 @@ def report(verdicts: Iterator[Verdict]) -> Iterator[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command, and return its exit code: 1 if a part is wrong, 2 for a wrong argument."""
-    parser = argparse.ArgumentParser("python -m evo_cpg.native.inspect")
+    parser = argparse.ArgumentParser("python -m benchmarks.inspect_code")
     parser.add_argument("config", metavar="CONFIG")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--part", metavar="NAME", help="write or check only this part")
