@@ -78,7 +78,7 @@ def build_situations(
             _require_resolved(creature, begin.start_position, h, here)
             if settings.start_pose == "settled":
                 try:
-                    begin = settled(settling, world, begin)
+                    begin = settled(settling, world, h, begin)
                 except NoRestError as error:
                     problem = f"'settled': no rest from the start at ({x:g}, {y:g}), {error}"
                     raise KeyProblem(("simulation", "start_pose"), problem) from None

@@ -30,9 +30,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from evo_cpg.creature.algebra.decisions import Undecidable, searched
+from evo_cpg.creature.algebra.decisions import Undecidable, chosen, searched
 from evo_cpg.creature.algebra.numerics import is_traced
-from evo_cpg.creature.algebra.rotation import integrate_quaternion, quaternion_to_matrix
+from evo_cpg.creature.algebra.rotation import (
+    axis_rotation,
+    integrate_quaternion,
+    quaternion_to_matrix,
+)
 from evo_cpg.creature.tree import Tree
 from evo_cpg.native.jax_internals import quick_jit
 from evo_cpg.physics.contact.contact import BAUMGARTE_FRACTION
@@ -41,6 +45,7 @@ from evo_cpg.physics.step.statics import FrictionState, Touch, radius_of_gyratio
 from evo_cpg.physics.step.step import first_warmstart, step
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree import root
+from evo_cpg.physics.tree.hanging import Base
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.water import Current
 from evo_cpg.simulation.plans import Programs, WorldPlan
@@ -113,11 +118,32 @@ class Rest(NamedTuple):
         normal_force: force of the ground on every contact point, N.
         stiffness: eigenvalues of the stiffness in units of weight over radius of gyration, the
             smallest first. Angles are scaled by the radius of gyration.
+        friction: state of friction in the pose.
+        give: compliance in these units: inverse of the stiffness, 0 in directions without
+            stiffness.
     """
 
     state: State
     normal_force: Float[np.ndarray, " p"]
     stiffness: Float[np.ndarray, " k"]
+    friction: FrictionState
+    give: Float[np.ndarray, "k k"]
+
+
+class _Settled(NamedTuple):
+    """Result of a search for rest.
+
+    Attributes:
+        state: the pose.
+        friction: state of friction in the pose.
+        give: compliance of all coordinates of the pose, in m, rad, N and N m.
+        start: initial x and y (m) and heading (rad).
+    """
+
+    state: State
+    friction: FrictionState
+    give: Float[np.ndarray, "k k"]
+    start: tuple[float, float, float]
 
 
 class _Here(NamedTuple):
@@ -194,7 +220,7 @@ class Settling:
         self._evaluate = functools.partial(search.evaluate, given)
         self._go = functools.partial(search.go, given)
 
-    def settle(self, situation: Situation) -> State:
+    def settle(self, situation: Situation) -> "_Settled":
         """Return the pose in which the creature rests.
 
         Place and heading stay as in the situation. On uneven ground they may change.
@@ -206,7 +232,15 @@ class Settling:
             start = resting_state(
                 self.world.tree, (), jnp.float64, situation.start_position, situation.orientation
             )
-            return jax.tree.map(np.asarray, self.rest(start).state)
+            found = self.rest(start)
+            scale = np.zeros((root.ROOT_DOFS + self.world.tree.dof_count, len(self.free)))
+            scale[self.free, np.arange(len(self.free))] = self.scale
+            give = scale @ found.give @ scale.T / (self.weight * self.size)
+            friction = jax.tree.map(np.asarray, found.friction)
+            state = jax.tree.map(np.asarray, found.state)
+            return _Settled(
+                state, friction, give, (*situation.start_position[:2], situation.start_heading)
+            )
 
     def rest(self, start: State) -> Rest:
         """Return the resting pose after a slow release. Call it with float64 enabled.
@@ -240,7 +274,11 @@ class Settling:
                 # Without ground or on level ground, all places and headings are equivalent.
                 alike = ground is None or ground.level is not None
                 if self.world.tree.hanging is None and alike:
-                    return found._replace(state=_put_back(start, found.state))
+                    state, friction = _put_back(start, found.state, found.friction)
+                    # Its coordinates have the world's axes, so the compliance turns, too.
+                    here = self._at(np.zeros(len(self.free)), state, friction)
+                    give = _compliance(here.stiffness)
+                    found = found._replace(state=state, friction=friction, give=give)
                 return found
         raise NoRestError(f"it slides, rolls or drifts away (no rest within {seconds:.3g} s)")
 
@@ -265,7 +303,8 @@ class Settling:
                         f"the motor of {tree.dof_names[i]} would have to hold {torque[i]:.3g} N m, "
                         f"but its torque_limit is {tree.torque_limit[i]:.3g} N m"
                     )
-                return Rest(state, np.asarray(here.touch.normal_force), values)
+                give = _compliance(here.stiffness)
+                return Rest(state, np.asarray(here.touch.normal_force), values, friction, give)
             direction = modes[:, 0] * np.sign(modes[np.abs(modes[:, 0]).argmax(), 0])
             y = _KICK * direction
             touch = self._at(y, state, friction).touch
@@ -429,14 +468,18 @@ class _Search:
 _searches = Programs(_Search)
 
 
-def settled(settling: Callable[[], Settling], world: World, situation: Situation) -> Situation:
+def settled(
+    settling: Callable[[], Settling], world: World, h: float, situation: Situation
+) -> Situation:
     """Return the situation with the pose in which the creature rests.
 
-    The search cannot be traced, so numbers that change the pose have no derivative.
+    The search itself is not traced. Traced numbers get one Newton step from its result, with the
+    state of friction found there (the implicit function theorem).
 
     Args:
         settling: solver that finds the pose, from known numbers.
         world: the creature and its environment.
+        h: step of the simulation, s.
         situation: initial pose of the creature.
 
     Raises:
@@ -449,9 +492,33 @@ def settled(settling: Callable[[], Settling], world: World, situation: Situation
             raise Undecidable("the start is searched: start_pose is 'settled'")
         return True
 
-    state = searched(lambda: settling().settle(situation), known)
+    found = searched(lambda: settling().settle(situation), known)
+    ground = world.ground
+    alike_everywhere = chosen(lambda: ground is None or ground.level is not None)
+    state = found.state
+    if is_traced(world, situation):
+        x, y, heading = found.start
+        displacement = jnp.stack([situation.start_position[0] - x, situation.start_position[1] - y])
+        base, friction = jax.tree.map(
+            lambda leaf: jnp.asarray(leaf, displacement.dtype), (state, found.friction)
+        )
+        turn = jnp.asarray(situation.start_heading - heading, displacement.dtype)
+        if base.base is None:
+            base, friction = _carried(base, friction, displacement, turn)
+        else:
+            moved = jax.tree.map(
+                lambda leaf: jnp.asarray(leaf, displacement.dtype),
+                Base(jnp.array(situation.start_position), jnp.array(situation.orientation)),
+            )
+            base = dataclasses.replace(base, base=moved).placed(world.tree)
+        still = jnp.zeros(len(found.give), displacement.dtype)
+        force, _ = static_forces(world, h, base, friction, still)
+        state = base.displaced(world.tree, jnp.asarray(found.give, displacement.dtype) @ force)
+        if alike_everywhere and world.tree.hanging is None:
+            state, _ = _put_back(base, state, friction)
     position, orientation, angles = (
-        tuple(values.tolist()) for values in (state.position, state.orientation, state.q)
+        tuple(values if is_traced(values) else values.tolist())
+        for values in (state.position, state.orientation, state.q)
     )
     if world.tree.hanging is not None:
         return situation._replace(start_angles=angles)
@@ -465,13 +532,37 @@ def _is_compliant(tree: Tree) -> np.ndarray:
     return (tree.stiffness > 0) | (tree.servo_stiffness > 0) | (tree.servo_gain == 0)
 
 
-def _put_back(start: State, state: State) -> State:
-    """Move the pose back to the initial place and heading, on level ground."""
+def _compliance(stiffness: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """Return the inverse of a stiffness, 0 in directions without stiffness."""
+    values, modes = np.linalg.eigh(stiffness)
+    stiff = np.abs(values) > _SOFTEST
+    return (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
+
+
+def _put_back(start: State, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
+    """Move the pose back to the initial place and heading."""
     ahead = [quaternion_to_matrix(each.orientation)[:, 0] for each in (start, state)]
     before, after = (jnp.arctan2(y, x) for x, y, _ in ahead)
-    about_z = jnp.stack([0 * before, 0 * before, before - after])
-    return dataclasses.replace(
-        state,
-        position=jnp.concatenate([start.position[:2], state.position[2:]]),
-        orientation=integrate_quaternion(state.orientation, about_z, 1.0),
+    turn = before - after
+    return _carried(state, friction, start.position[:2] - state.position[:2], turn)
+
+
+def _carried(
+    state: State, friction: FrictionState, displacement: Array, turn: Array
+) -> tuple[State, FrictionState]:
+    """Move a pose and its state of friction on level ground.
+
+    Args:
+        state: the pose.
+        friction: state of friction.
+        displacement: displacement in the plane ``(2,)``, m.
+        turn: turn about the vertical through the root's centre, rad.
+    """
+    about_z = jnp.stack([jnp.zeros_like(turn), jnp.zeros_like(turn), turn])
+    rotation = axis_rotation(np.array([0.0, 0.0, 1.0]), jnp.sin(turn), jnp.cos(turn))
+    position = state.position + jnp.concatenate([displacement, jnp.zeros_like(displacement[:1])])
+    place = position[:, None] + rotation @ (friction.place - state.position[:, None])
+    carried = dataclasses.replace(
+        state, position=position, orientation=integrate_quaternion(state.orientation, about_z, 1.0)
     )
+    return carried, friction._replace(place=place, slip=rotation @ friction.slip)

@@ -8,7 +8,7 @@ import yaml
 
 from creatures import quick_jit
 from evo_cpg.creature.algebra.numerics import MixedArray
-from evo_cpg.io.errors import ConfigError, KeyProblem
+from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.load import check_config, load_config
 from evo_cpg.io.parameters import all_parameters, parametrise
 from tiny_run import CONFIG, REPOSITORY, TINY
@@ -229,11 +229,10 @@ def test_start_height_on_hills_is_differentiable():
 
 
 @pytest.mark.slow
-def test_numbers_that_move_a_settled_start_are_refused():
-    config = shapes({"start_pose": "settled"}, water={"surface": 0.3})
-    with pytest.raises(ConfigError, match=r"density: changes `situations.* cannot trace"):
-        parametrise(config, "", ["creature.materials.wood.density"])
-    assert parametrise(config, "", ["controller.cpg.time_scale"])
+@pytest.mark.usefixtures("x64")
+def test_rest_on_the_water_is_differentiable():
+    keys = ["creature.materials.wood.density", "creature.bodies.1.joint.stiffness", "world.gravity"]
+    check_elements(shapes({"start_pose": "settled"}, water={"surface": 0.3}), keys, accuracy=1e-9)
 
 
 # Endings of the names of configurations whose body another configuration has in a like world.

@@ -182,7 +182,7 @@ def test_pendulum_swings_with_its_period():
 def test_pendulum_settles_where_its_spring_carries_it():
     """The torques balance: ``k q = m g l cos(q)``."""
     world = pendulum(stiffness=5.0)
-    found = Settling(world, 1 / 240).settle(Situation(START, HEADING))
+    found = Settling(world, 1 / 240).settle(Situation(START, HEADING)).state
     q = brentq(lambda q: 5.0 * q - MASS * GRAVITY * LENGTH * np.cos(q), 0, 2)
     assert abs(found.q[0]) == pytest.approx(q, rel=1e-9)
     across = np.array([-np.sin(HEADING), np.cos(HEADING), 0.0])
@@ -194,7 +194,7 @@ def test_pendulum_settles_where_its_spring_carries_it():
 def test_a_motor_holds_a_root_that_settles():
     """A velocity servo holds its joint, so nothing is free to move."""
     world = pendulum(actuator=Actuator(5.0))
-    assert Settling(world, 1 / 240).settle(Situation(START, HEADING)).q == [0.0]
+    assert Settling(world, 1 / 240).settle(Situation(START, HEADING)).state.q == [0.0]
 
 
 def planar(hangs: bool) -> Creature:

@@ -48,7 +48,7 @@ def turn(situation: Situation) -> np.ndarray:
 
 
 def settled(world: World, *start, **more) -> Situation:
-    return settle.settled(lambda: Settling(world, H), world, Situation(*start, **more))
+    return settle.settled(lambda: Settling(world, H), world, H, Situation(*start, **more))
 
 
 def draught(area, reach: float, fraction: float) -> float:
