@@ -40,10 +40,16 @@ def version() -> str:
     made_by = folder and commit_of(folder)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = described(Engine())
-    engine = "; ".join(["plain JAX", *(str(warning.message) for warning in caught)])
-    if found["engine"] == "native":
-        engine = f"native code, {found['instructions']}, LLVM {found['llvm']}"
+        try:
+            found = described(Engine())
+        except (AssertionError, RuntimeError):
+            # JAX 0.10 raises these errors if it finds no device of the requested platform.
+            platforms = os.environ.get("JAX_PLATFORMS", "")
+            engine = f"none: JAX finds no device for JAX_PLATFORMS={platforms}"
+        else:
+            engine = "; ".join(["plain JAX", *(str(warning.message) for warning in caught)])
+            if found["engine"] == "native":
+                engine = f"native code, {found['instructions']}, LLVM {found['llvm']}"
     return "\n".join(
         [
             f"{words} ({made_by})" if made_by else words,

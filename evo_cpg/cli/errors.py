@@ -1,6 +1,7 @@
 """Exit codes, messages for errors, and checks of a command's options."""
 
 import os
+import sys
 from enum import IntEnum
 from pathlib import Path
 
@@ -48,8 +49,25 @@ def message_for(error: Exception) -> str | None:
     """Return the message for the error that ended a command, or None for a fault of the program."""
     if isinstance(error, UserError):
         return str(error)
-    if not isinstance(error, OSError):
-        return None
-    reason = error.strerror or str(error) or type(error).__name__
-    words = reason if error.filename is None else f"{error.filename}: {reason}"
-    return " ".join(words.split())
+    if isinstance(error, UnicodeEncodeError):
+        words = (
+            f"{error.object[:100]!a} cannot be written in {error.encoding}. Choose a locale with "
+            "UTF-8, such as LC_ALL=C.UTF-8, or another name"
+        )
+    elif isinstance(error, OSError):
+        reason = error.strerror or str(error) or type(error).__name__
+        words = reason if error.filename is None else f"{error.filename}: {reason}"
+    else:
+        words, jax = None, sys.modules.get("jax")
+        try:
+            if jax is not None:
+                jax.devices()
+        except Exception:
+            # JAX found no device. JAX 0.10 raises RuntimeError or AssertionError.
+            names = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME")
+            given = [f"{name} is {os.environ[name]!r}" for name in names if os.environ.get(name)]
+            words = (
+                f"JAX finds no device to compute on ({', '.join(given) or 'of any kind'}). Set "
+                "JAX_PLATFORMS to 'cpu', or unset it"
+            )
+    return words and " ".join(words.split())

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from evo_cpg import system
+from evo_cpg.api.machine import version
 from evo_cpg.cli import terminal
 from evo_cpg.cli.errors import message_for
 from evo_cpg.cli.main import program
@@ -273,6 +274,27 @@ def test_a_stream_escapes_characters_outside_its_encoding():
         assert os.read(reading, 100) == b"gr\\xf6\\xdfe\\xb7\\u9bab\n"
     os.close(reading)
     os.close(writing)
+
+
+# No device
+
+
+def test_version_is_printed_without_a_device(monkeypatch):
+    def none(engine):
+        raise AssertionError
+
+    monkeypatch.setattr("evo_cpg.api.machine.described", none)
+    monkeypatch.setenv("JAX_PLATFORMS", "tpu")
+    assert version().endswith("engine: none: JAX finds no device for JAX_PLATFORMS=tpu")
+
+
+@pytest.mark.slow
+def test_training_without_a_device_writes_nothing(tmp_path):
+    folder = tmp_path / "run"
+    code, out, err = run("train", CONFIG, *SMALL, "--out", folder, JAX_PLATFORMS="nonsense")
+    assert (code, out) == (2, "") and "Traceback" not in err
+    assert "(JAX_PLATFORMS is 'nonsense'). Set JAX_PLATFORMS to 'cpu'" in err.splitlines()[-1]
+    assert not folder.exists()
 
 
 # Messages for errors
