@@ -173,13 +173,13 @@ def _turns(
     body: Body, own: _Frame, layout: GraphLayout, bounds: PlanBounds
 ) -> tuple[int, tuple[int, ...]]:
     """Return the kind of joint that shares most axes with a body's joint, and its limits."""
-    wanted, limits = np.zeros(3, bool), np.zeros(3)
+    turning, limits = np.zeros(3, bool), np.zeros(3)
     for dof in body.joint.dofs if body.joint else ():
         axis = int(np.abs(own.own.T @ np.array(dof.axis, float)).argmax())
-        wanted[axis] = True
+        turning[axis] = True
         limits[axis] = max(abs(float(dof.lower)), abs(float(dof.upper)))
     kinds = np.array(layout.kinds)
-    wrong = (JOINT_AXES[kinds] & ~wanted).sum(1) + 2 * (~JOINT_AXES[kinds] & wanted).sum(1)
+    wrong = (JOINT_AXES[kinds] & ~turning).sum(1) + 2 * (~JOINT_AXES[kinds] & turning).sum(1)
     least = (limits / bounds.angles - LEAST_TURN) / (1 - LEAST_TURN)
     return int(kinds[wrong.argmin()]), _cut(np.round(256 * least), 0, _MOST)
 

@@ -28,8 +28,6 @@ CREATURE = {"name": "mine", "materials": {"m": {"density": 1000}}, "bodies": [BO
         ({f"{PLAN}.largest_angle_deg": 90}, "evolution.plan.largest_angle_deg: "),
         ({f"{PLAN}.volume": -1}, "evolution.plan.volume: "),
         ({f"{PLAN}.body": 3}, "evolution.plan.body"),
-        ({"creature": CREATURE}, "creature: plans evolve their bodies. Leave creature out"),
-        ({"creature": "my.yaml"}, "creature: plans evolve their bodies. Leave creature out"),
         ({"evolution.crossed": 0.7, "evolution.grafted": 0.4}, "add up to more than 1"),
         ({"evolution.elites": 4}, "elites: must be fewer than the population of 4, got 4"),
         ({"evolution.body": {"a.length": [1, 2]}}, "plans evolve their whole bodies"),
