@@ -79,9 +79,9 @@ def cut_family(folder: Path, generations: int) -> bool:
     return whole
 
 
-def read_family(folder: Path) -> list[np.ndarray]:
+def read_family(folder: Path | str) -> list[np.ndarray]:
     """Return the generations of a family tree, ``(runs, population)`` each. See `record_of`."""
-    return [block for _, block in _members(folder / FAMILY_FILE)]
+    return [block for _, block in _members(Path(folder) / FAMILY_FILE)]
 
 
 def _members(path: Path) -> Iterator[tuple[int, Any]]:
@@ -100,7 +100,7 @@ def _members(path: Path) -> Iterator[tuple[int, Any]]:
         yield end, block
 
 
-def founders(folder: Path, generation: int, run: int = 0) -> Int[np.ndarray, " n"] | None:
+def founders(folder: Path | str, generation: int, run: int = 0) -> Int[np.ndarray, " n"] | None:
     """Return the ancestor in generation 0 of every individual of a generation.
 
     Ancestors are counted through first parents. None without a family tree of these generations.
