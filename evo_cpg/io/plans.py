@@ -27,10 +27,17 @@ from evo_cpg.io.schema.creature import CreatureConfig
 from evo_cpg.io.schema.evolution import PlanEvolutionConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.ground import PlaneConfig
-from evo_cpg.io.schema.plans import PLANS, PlanConfig
+from evo_cpg.io.schema.plans import PLANS, PlanConfig, actuator_section
 from evo_cpg.physics.contact.contact_model import CORNERS
 from evo_cpg.simulation.limits import rules_of
-from evo_cpg.simulation.planned import SINK, PlanBuilder, PlanInputs, PlanNumbers, numbers_of
+from evo_cpg.simulation.planned import (
+    SINK,
+    PlanBuilder,
+    PlanInputs,
+    PlanNumbers,
+    leverage,
+    numbers_of,
+)
 from evo_cpg.simulation.recording import NERVE
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, population_mesh, run_in_blocks, sharded
@@ -260,19 +267,19 @@ def creature_of(plan: Plan, section: PlanConfig) -> dict[str, Any]:
     Bodies have the names of their places in the plan: part0, part1 and so on.
     """
     physics, half, rotation = section.physics(None, 0.0), plan.half, np.asarray(plan.rotation)
-    thick = 4 * half[:, 1] * half[:, 2] * half[:, 1:].min(1)
-    strength = physics.weakest + (1 - physics.weakest) * plan.strength
+    size = leverage(half)
     bodies = []
     for i in np.flatnonzero(plan.present):
-        size = [float(2 * edge) for edge in half[i]]
+        edges = [float(2 * edge) for edge in half[i]]
         body: dict[str, Any] = {
             "name": f"part{i}",
-            "shape": {"type": "box", "size": size},
+            "shape": {"type": "box", "size": edges},
             "material": "body",
         }
         parent = plan.parent[i]
         if parent >= 0:
-            gain = physics.motor_gain * strength[i] * min(thick[i], thick[parent])
+            least = min(size[i], size[parent])
+            motor = physics.actuator(plan.strength[i], half[i], least)
             limits = np.degrees(plan.limit[i])
             turns = [k for k in range(3) if plan.axes[i, k]]
             # Mirrored bodies turn about x and z the other way round.
@@ -284,7 +291,7 @@ def creature_of(plan: Plan, section: PlanConfig) -> dict[str, Any]:
                 "axes": [f"{'-' if sign[k] < 0 else ''}{'xyz'[k]}" for k in turns],
                 "limits_deg": [[-float(limits[k]), float(limits[k])] for k in turns],
                 "rotation_deg": [float(np.degrees(x)) for x in matrix_to_euler(rotation[i])],
-                "actuator": {"gain": float(gain)},
+                "actuator": actuator_section(motor),
             }
         bodies.append(body)
     return {"name": "evolved", "materials": section.materials, "bodies": bodies}

@@ -19,11 +19,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
-from evo_cpg.creature.algebra.numerics import MixedArray
-from evo_cpg.creature.creature import NO_LIMIT, Actuator, DegreeOfFreedom
+from evo_cpg.creature.algebra.numerics import MixedArray, xp
+from evo_cpg.creature.creature import NO_LIMIT, Actuator, DegreeOfFreedom, Muscle
 from evo_cpg.creature.development import Plan
 from evo_cpg.creature.graph import GraphLayout
-from evo_cpg.creature.laws import laws_of
+from evo_cpg.creature.laws import Muscles, laws_of
 from evo_cpg.creature.self_collision import TOUCH, gaps_of_boxes
 from evo_cpg.creature.shapes import Box, Surface
 from evo_cpg.creature.tree import LEAST_VOLUME, Group, Tree, spatial_inertia
@@ -35,6 +35,7 @@ from evo_cpg.physics.water.force_law import ForceLaw
 from evo_cpg.simulation.simulation import Rules, Simulation
 
 _LAWS = ("armature", "lower", "upper", "servo_gain", "limit_stiffness", "limit_damping")
+_MUSCLES = tuple(x.name for x in dataclasses.fields(Muscles) if x.name not in ("driven", "hill"))
 # Random plans that show which numbers of a simulation vary, and digits to which they are equal.
 _SAMPLES, _DIGITS = 3, 5
 
@@ -50,7 +51,9 @@ class PlanPhysics:
         density: density of the parts, kg/m^3.
         motor_gain: gain of the strongest motors over the cross-section of the part and its half
             thickness, N m s/rad per m^3. A motor is as strong as the thinner of its two parts.
-        weakest: gain of the weakest motors, as a fraction of the strongest.
+        muscle_area: cross-section of the strongest muscles on each side, as a fraction of that of
+            the part, or None if motors move the joints.
+        weakest: strength of the weakest motors or muscles, as a fraction of the strongest.
         form_resolution: see `evo_cpg.io.schema.world`.
         skin_resolution: see `evo_cpg.io.schema.world`.
         clearance: height of the lowest point at the start on ground, m.
@@ -60,12 +63,32 @@ class PlanPhysics:
 
     density: float = 1000.0
     motor_gain: float = 2e4
+    muscle_area: float | None = None
     weakest: float = 0.1
     form_resolution: int = 2
     skin_resolution: int = 1
     clearance: float = 0.0
     axes: tuple[int, ...] = (0, 1, 2)
     meet: bool = True
+
+    def actuator(self, strength: Any, half: Any, size: Any) -> Actuator | Muscle:
+        """Return the motor, or the muscles, about an axis of a joint.
+
+        Args:
+            strength: gene of the strength, 0 to 1.
+            half: half extents of the part, m.
+            size: cross-section times half thickness of the thinner of both parts, m^3.
+        """
+        strength = self.weakest + (1 - self.weakest) * strength
+        if self.muscle_area is None:
+            return Actuator(self.motor_gain * strength * size)
+        arm = xp.minimum(half[1], half[2])
+        return Muscle(self.muscle_area * strength * size / arm, arm, 2 * half[0])
+
+
+def leverage(half: Any) -> Any:
+    """Return the cross-sections times half thicknesses of parts, m^3, given half extents (m)."""
+    return 4 * half[:, 1] * half[:, 2] * xp.minimum(half[:, 1], half[:, 2])
 
 
 class PlanNumbers(NamedTuple):
@@ -79,7 +102,8 @@ class PlanNumbers(NamedTuple):
         mass: masses, kg.
         form: 1 for each point of form drag that no other body covers, else 0.
         skin: the same for skin friction.
-        laws: numbers of the joints' laws, in the order of `_LAWS`.
+        laws: numbers of the joints' laws, in the order of `_LAWS`, then of
+            `_MUSCLES` if there are muscles.
         pairs: 1 for each two bodies that must not pass through each other, else 0.
         lowest: height of the lowest point in the neutral pose over the root's centre, m.
         length: largest extent in the neutral pose, m.
@@ -194,19 +218,21 @@ def _laws(
     plan: Plan, parent: Int[Array, " b"], physics: PlanPhysics, inertia: Any, walk: TreeWalk
 ) -> Float[Array, "l d"]:
     """Return the laws of all axes. Strength follows the cross-section of the thinner part."""
-    width = plan.half[:, 1:]
-    section = 4 * width.prod(1) * width.min(1)
-    size = jnp.minimum(section, section[parent])
-    strength = physics.weakest + (1 - physics.weakest) * plan.strength
-    own = np.array(physics.axes)
-    gain = jnp.repeat((physics.motor_gain * strength * size)[1:], len(own))
+    size = leverage(plan.half)
+    size = jnp.minimum(size, size[parent])
+    own, parts = np.array(physics.axes), range(1, len(size))
+    motors = [physics.actuator(plan.strength[i], plan.half[i], size[i]) for i in parts]
     dofs = [
-        DegreeOfFreedom(np.eye(3)[0], -limit, limit, 0.0, 0.0, 0.0, 0.0, 0.0, Actuator(own))
-        for limit, own in zip(plan.limit[1:, own].reshape(-1), gain, strict=True)
+        DegreeOfFreedom(np.eye(3)[0], -limit, limit, 0.0, 0.0, 0.0, 0.0, 0.0, motor)
+        for i, motor in zip(parts, motors, strict=True)
+        for limit in plan.limit[i, own]
     ]
     found, here = laws_of(dofs, inertia), jnp.abs(walk.turns) > 0
-    absent = {"armature": 1.0, "lower": -NO_LIMIT, "upper": NO_LIMIT}
-    return jnp.stack([jnp.where(here, found[name], absent.get(name, 0.0)) for name in _LAWS])
+    absent = {"armature": 1.0, "lower": -NO_LIMIT, "upper": NO_LIMIT, "curvature": 1.0}
+    names = _LAWS
+    if found["muscles"] is not None:
+        names, found = _LAWS + _MUSCLES, found | vars(found["muscles"])
+    return jnp.stack([jnp.where(here, found[name], absent.get(name, 0.0)) for name in names])
 
 
 def _uncovered(
@@ -471,8 +497,12 @@ def _tree(common: Tree, numbers: PlanNumbers) -> Tree:
         for i, mass in zip(each, numbers.mass, strict=True)
     ]
     volume = jnp.maximum(size.prod(0), LEAST_VOLUME)
+    muscles, (laws, active) = common.muscles, jnp.split(numbers.laws, [len(_LAWS)])
+    if muscles is not None:
+        muscles = dataclasses.replace(muscles, **dict(zip(_MUSCLES, active, strict=True)))
     return dataclasses.replace(
         common,
+        muscles=muscles,
         joint_offset=numbers.offset,
         joint_orientation=numbers.orientation,
         mass=numbers.mass,
@@ -480,7 +510,7 @@ def _tree(common: Tree, numbers: PlanNumbers) -> Tree:
         com=com,
         inertia=jnp.stack(inertias, -1),
         walk=numbers.walk,
-        **dict(zip(_LAWS, numbers.laws, strict=True)),
+        **dict(zip(_LAWS, laws, strict=True)),
     )
 
 

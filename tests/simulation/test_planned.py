@@ -17,6 +17,7 @@ TOLERANCE, AFTER_MEETING = 1e-9, 1e-4
 CASES = {
     "water": (WATER, 1.0, {"bodies": 6}),
     "land": (LAND, 0.25, {"bodies": 4, "density": 500.0}),
+    "muscles": (WATER, 1.0, {"bodies": 4, "joints": ["hinge", "ball"], "actuator": "muscle"}),
 }
 SLOW = {
     "water": (WATER, 1.0, {"bodies": 12, "joints": ["hinge", "universal", "ball"]}),
@@ -64,6 +65,7 @@ def differences(plans, genes, frames) -> tuple[float, float, float]:
     ("case", "count", "slow"),
     [
         ("water", 3, False),
+        ("muscles", 3, False),
         pytest.param("land", 2, False, marks=pytest.mark.slow),
         pytest.param("water", 50, True, marks=pytest.mark.slow),
         pytest.param("land", 50, True, marks=pytest.mark.slow),

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from evo_cpg.creature.creature import Actuator, Muscle
 from evo_cpg.creature.development import PlanBounds
 from evo_cpg.creature.graph import JOINT_AXES, GraphLayout
 from evo_cpg.io.schema.section import NotNegative, Positive, Section
@@ -35,8 +36,11 @@ class PlanConfig(Section):
         friction: friction of the bodies, static and dynamic.
         restitution: restitution of the bodies.
         largest_angle_deg: largest joint angle in each direction, degrees.
+        actuator: whether motors (servos) or muscles move the joints.
         motor_gain: gain of the strongest motors over the cross-section and the half thickness of
             the thinner of both parts, N m s/rad per m^3.
+        muscle_area: cross-section of the strongest muscles on each side, as a fraction of that of
+            the thinner part. Their stress is that of a joint's muscles.
     """
 
     bodies: Annotated[int, Field(ge=2, le=20)] = 20
@@ -52,7 +56,9 @@ class PlanConfig(Section):
     friction: NotNegative = 0.8
     restitution: Annotated[float, Field(ge=0, le=1)] = 0.1
     largest_angle_deg: Annotated[float, Field(gt=1, le=80)] = 60.0
+    actuator: Literal["motor", "muscle"] = "motor"
     motor_gain: Positive = 2e4
+    muscle_area: Annotated[float, Field(gt=0, le=0.5)] = 0.25
 
     @model_validator(mode="after")
     def _check(self) -> "PlanConfig":
@@ -85,6 +91,7 @@ class PlanConfig(Section):
         return PlanPhysics(
             self.density,
             self.motor_gain,
+            self.muscle_area if self.actuator == "muscle" else None,
             form_resolution=resolutions[0],
             skin_resolution=resolutions[1],
             clearance=clearance,
@@ -108,7 +115,9 @@ class PlanConfig(Section):
             "child_at": [-edge / 2, 0, 0],
             "axes": ["xyz"[axis] for axis in self.axes],
             "limits_deg": [-self.largest_angle_deg, self.largest_angle_deg],
-            "actuator": {"gain": 1.0},
+            "actuator": actuator_section(
+                self.physics(None, 0.0).actuator(1.0, [edge] * 3, edge**3)
+            ),
         }
         parts = [{"name": f"part{i}", **box} for i in range(bodies or self.bodies)]
         for part in parts[1:]:
@@ -119,3 +128,11 @@ class PlanConfig(Section):
             "bodies": parts,
             "self_collision": False,
         }
+
+
+def actuator_section(actuator: Actuator | Muscle) -> dict[str, Any]:
+    """Return the section of a motor or of muscles."""
+    if isinstance(actuator, Actuator):
+        return {"gain": float(actuator.gain)}
+    names = "area", "arm", "fibre_length"
+    return {"type": "muscle"} | {name: float(getattr(actuator, name)) for name in names}
