@@ -100,15 +100,22 @@ def _members(path: Path) -> Iterator[tuple[int, Any]]:
         yield end, block
 
 
-def founders(folder: Path | str, generation: int, run: int = 0) -> Int[np.ndarray, " n"] | None:
-    """Return the ancestor in generation 0 of every individual of a generation.
+def founders(
+    folder: Path | str, generation: int, run: int = 0, least: int = 1
+) -> tuple[int, Int[np.ndarray, " n"]] | None:
+    """Return the ancestors of every individual of a generation, through first parents.
 
-    Ancestors are counted through first parents. None without a family tree of these generations.
+    The ancestors live in the latest generation in which there are still ``least`` of them, and in
+    generation 0 if there are more. Returns that generation, and the ancestor of each individual, or
+    None without a family tree of these generations.
     """
-    family = read_family(folder)
+    family = read_family(folder)[: max(generation, 1)]
     if len(family) < max(generation, 1):
         return None
     found = np.arange(family[0].shape[1])
-    for block in family[:generation]:
-        found = found[block["first"][run]]
-    return found
+    for number in reversed(range(generation)):
+        older = family[number]["first"][run, found]
+        if len(np.unique(older)) < min(least, len(np.unique(found))):
+            return number + 1, found
+        found = older
+    return 0, found

@@ -44,11 +44,17 @@ def test_origins_lead_to_the_parents(run):
         np.testing.assert_array_equal(before["second"][0] == -1, alone)
 
 
-def test_the_last_population_has_founders(run):
-    found = founders(run.path, 4)
-    assert found.shape == (20,) and set(found) <= set(range(20))
-    np.testing.assert_array_equal(founders(run.path, 0), np.arange(20))
-    assert founders(run.path, 5) is None
+def test_ancestors_follow_first_parents(run):
+    blocks = [block[0] for block in read_family(run.path)]
+    born, found = founders(run.path, 4)
+    ancestor = np.arange(20)
+    for block in reversed(blocks):
+        ancestor = block["first"][ancestor]
+    assert born == 0
+    np.testing.assert_array_equal(found, ancestor)
+    born, found = founders(run.path, 4, least=5)
+    assert len(set(found)) >= 5 and (born == 0 or len(set(blocks[born - 1]["first"][found])) < 5)
+    assert founders(run.path, 0)[0] == 0 and founders(run.path, 5) is None
 
 
 @pytest.mark.parametrize("lost", [1, 200])
