@@ -7,7 +7,7 @@ import numpy as np
 
 from evo_cpg.analysis.gait_numbers import gait_numbers
 from evo_cpg.api.progress import working
-from evo_cpg.api.runs import REPLAY_TOLERANCE, motion_of, open_champion
+from evo_cpg.api.runs import REPLAY_TOLERANCE, motion_of, open_champion, require_generation
 from evo_cpg.errors import UsageError, advise
 from evo_cpg.io.run import Replay, Run
 from evo_cpg.training.checkpoint import Champion
@@ -54,10 +54,7 @@ def crowd_panel(opened: Run, generation: int, trial: int, film: Film) -> Panel:
         RunFolderError: the generation cannot be made anew.
     """
     experiment, number, run = opened.experiment, opened.champion.run, opened.folder.path
-    done = opened.folder.newest
-    if generation > done:
-        raise UsageError(f"crowd: {run} has {done} generations. The next one is {done}")
-    opened.require_configured()
+    require_generation(opened, "crowd", generation)
     simulation = experiment.simulation
     seconds = min(film.seconds or simulation.duration, simulation.duration)
     with working(f"breeding generation {generation} again"):

@@ -8,7 +8,7 @@ has to store its populations.
 import dataclasses
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,10 +17,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from evo_cpg.simulation.recording import Recorder, Recording
-from evo_cpg.training.checkpoint import history_columns
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.training.checkpoint import Champion, history_columns
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
-from evo_cpg.training.experiment import ExperimentParts, begin, situation_numbers, trial_keys
+from evo_cpg.training.experiment import (
+    Evaluated,
+    ExperimentParts,
+    begin,
+    situation_numbers,
+    trial_keys,
+)
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.train import Running, evaluate_here
 
@@ -96,36 +103,73 @@ def populations_at(
     """Return the populations of some generations of all runs, made anew from the seed.
 
     The generations ascend. Generation 0 is only drawn. The evolution is repeated up to the last of
-    the others, so this takes as long as that part of the training.
+    the others, so this takes as long as that part of the training. The newest two generations are
+    in the folder.
 
     Raises:
         RunFolderError: the repeated evolution has other results than the folder has.
     """
-    start = folder.load_start()
-    if start is None and [*generations] == [0]:
+    if [*generations] == [0] and folder.load_start() is None:
         return [np.asarray(jax.jit(lambda: begin(experiment)[0])())]
-    found: list[np.ndarray] = []
+    return [
+        np.asarray(again.checkpoint.genes)
+        for again, _ in _repeated(experiment, folder, generations)
+    ]
+
+
+def evaluated_at(
+    experiment: ExperimentParts, folder: RunFolder, generation: int
+) -> tuple[Float[np.ndarray, "g all"], Float[np.ndarray, "runs n"]]:
+    """Return the population of a generation of all runs, and the fitness of its individuals.
+
+    The fitness is -inf for individuals that diverge or break a rule.
+
+    Raises:
+        RunFolderError: the repeated evolution has other results than the folder has.
+    """
+    ((again, evaluate),) = _repeated(experiment, folder, [generation])
+    (found,) = evaluate([again])
+    return np.asarray(again.checkpoint.genes), np.asarray(found.worth.fitness)
+
+
+def _repeated(
+    experiment: ExperimentParts, folder: RunFolder, generations: Sequence[int]
+) -> Iterator[tuple[Running, Callable[[Sequence[Running]], list[Evaluated]]]]:
+    """Yield the repeated evolution at some generations, and the function that evaluates it.
+
+    It begins at a checkpoint of the run if one is early enough.
+    """
     with tempfile.TemporaryDirectory(prefix="evo_cpg_crowd_") as scratch:
-        again = RunFolder(Path(scratch) / "run")
-        again.create(folder.config.read_text(), {}, start)
+        copy = RunFolder(Path(scratch) / "run")
+        copy.create(folder.config.read_text(), {}, folder.load_start())
+        known = folder.load(generations[0])
+        if known is not None:
+            copy.save(known)
         mesh = population_mesh()
-        running = Running(experiment, again, mesh)
-        evaluate = evaluate_here(experiment, mesh)
+        running, evaluate = Running(experiment, copy, mesh), evaluate_here(experiment, mesh)
         for generation in generations:
             while running.checkpoint.generation < generation:
                 began = time.perf_counter()
                 (evaluated,) = evaluate([running])
                 running.tell(evaluated, began)
-            found.append(np.asarray(running.checkpoint.genes))
-    history = running.checkpoint.history
-    if history:
-        best, before = history_columns(history)["best"], folder.history()["best"]
-        if not np.allclose(best, before[: len(best)], rtol=1e-3, atol=1e-6, equal_nan=True):
-            raise RunFolderError(
-                f"{folder.path}: the first generations cannot be made anew. The configuration, the "
-                "machine or the version has changed since the evolution"
-            )
-    return found
+            _require_equal(running, folder)
+            yield running, evaluate
+
+
+def _require_equal(running: Running, folder: RunFolder) -> None:
+    """Check the fitness of a repeated evolution.
+
+    Raises:
+        RunFolderError: the folder has other results.
+    """
+    if not running.checkpoint.history:
+        return
+    best, before = history_columns(running.checkpoint.history)["best"], folder.history()["best"]
+    if not np.allclose(best, before[: len(best)], rtol=1e-3, atol=1e-6, equal_nan=True):
+        raise RunFolderError(
+            f"{folder.path}: the first generations cannot be made anew. The configuration, the "
+            "machine or the version has changed since the evolution"
+        )
 
 
 def compile_crowd_motion(
@@ -145,9 +189,7 @@ def compile_crowd_motion(
         selects the noise. It compiles at its first call. Animals that diverge are left out.
     """
     simulation = experiment.simulation
-    steps = min(max(round(seconds * simulation.control_rate), 1), simulation.steps)
-    every = max(round(simulation.control_rate / rate), 1)
-    short = dataclasses.replace(simulation, steps=steps)
+    short, every = _shortened(simulation, seconds, rate)
     count = min(experiment.strategy.population, _MOST)
     of_run, individuals, trials = (np.full(count, run), np.arange(count), np.full(count, trial))
     numbers = None if situation_numbers(experiment) is None else trials
@@ -156,8 +198,7 @@ def compile_crowd_motion(
     names = simulation.world.tree.names
     order = [names.index(body.name) for body in experiment.creature.bodies]
 
-    recorder = Recorder(count=None, names=("position", "rotation"), every=every)
-    live = compile_trials(short, population_mesh(), observers=recorder)
+    live = compile_trials(short, population_mesh(), observers=_recorder(every))
 
     def of(genes: Float[np.ndarray, "g n"], generation: int) -> CrowdMotion:
         keys = trial_keys(experiment, generation, of_run, individuals, trials)
@@ -170,3 +211,49 @@ def compile_crowd_motion(
         return CrowdMotion(instants, position[:, sane], rotation[:, sane], goal)
 
     return of
+
+
+def motions_of(
+    experiment: ExperimentParts,
+    individuals: Sequence[Champion],
+    seconds: float,
+    rate: float,
+    trial: int = 0,
+) -> tuple[Float[np.ndarray, " t"], list[dict[str, np.ndarray]]]:
+    """Return places and rotations of the bodies of individuals of one generation.
+
+    One program computes all, also if their bodies differ.
+
+    Args:
+        experiment: experiment in which the individuals evolved.
+        individuals: the individuals, of any run.
+        seconds: length of the motion from the start of the trial, s, at most the trial's.
+        rate: instants per second, rounded to a divisor of the control rate.
+        trial: number of the trial.
+
+    Returns:
+        Instants (s), and for each individual the arrays ``position`` and ``rotation`` of a
+        `Recorder`. Those of a plan have the layout of the program.
+    """
+    short, every = _shortened(experiment.simulation, seconds, rate)
+    runs, indices = np.array([(one.run, one.index) for one in individuals]).T
+    trials = np.full(len(individuals), trial)
+    keys = trial_keys(experiment, individuals[0].generation, runs, indices, trials)
+    genes = np.stack([one.genes for one in individuals], axis=1).astype(np.float32)
+    numbers = None if situation_numbers(experiment) is None else trials
+    live = compile_trials(short, population_mesh(), observers=_recorder(every))
+    found = live(genes, jax.device_get(keys), numbers)
+    instants = np.arange(len(found["position"])) * every / short.control_rate
+    alone = [{name: x[..., i : i + 1] for name, x in found.items()} for i in range(len(trials))]
+    return instants, alone
+
+
+def _shortened(simulation: Simulation, seconds: float, rate: float) -> tuple[Simulation, int]:
+    """Return a shorter trial, and the control steps between two instants at about a rate (1/s)."""
+    steps = min(max(round(seconds * simulation.control_rate), 1), simulation.steps)
+    every = max(round(simulation.control_rate / rate), 1)
+    return dataclasses.replace(simulation, steps=steps), every
+
+
+def _recorder(every: int) -> Recorder:
+    return Recorder(count=None, names=("position", "rotation"), every=every)

@@ -4,6 +4,7 @@ The words of a story fade in and out. A word beside an animal or a line also fad
 would cross another one.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
@@ -14,7 +15,7 @@ from PIL import ImageDraw
 from evo_cpg.view.camera import CameraPath, in_camera, project, smooth
 from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import Look
-from evo_cpg.view.scene import Scene
+from evo_cpg.view.scene import Panel, Scene, grid_spacing
 
 # Margin around the captions in a picture 720 pixels high, pixels, and the least factor by which
 # margin and letters shrink in smaller pictures.
@@ -92,6 +93,72 @@ def fitted(title: str, size: float, room: float) -> tuple[str, float]:
     while title and font(least).getlength(legible(title) + _CUT) > room:
         title = title[:-1]
     return title + _CUT, least
+
+
+# Length of the scale bar in cells, its thickness, and the gap between parts of the caption, pixels
+# in a picture 720 pixels high. Largest number of lines in the legend.
+_BAR, _THICK, _BETWEEN, _LINES = 0.9, 3, 34, 3
+
+
+def wall_captions(
+    panel: Panel, scene: Scene, view: CameraPath, size: tuple[int, int], scale: float
+) -> Callable[[np.ndarray, float], None]:
+    """Return a function that writes the captions of a wall into a picture, with the time, s.
+
+    Args:
+        panel: the animals.
+        scene: their scene.
+        view: the camera.
+        size: width and height of the film, pixels.
+        scale: pixels rendered per pixel of the film.
+    """
+    wall, look, unit = scene.wall, scene.look, scale * max(size[1] / 720, _SMALLEST)
+    assert wall is not None
+    width, margin, small = round(size[0] * scale), _MARGIN * unit, size[1] < _SMALL
+    away = np.linalg.norm(view.position[0] - view.focus[0])
+    pixels = size[1] * scale / (2 * np.tan(np.radians(view.view_angle / 2)) * away)
+    length = grid_spacing(2 * _BAR * wall.cell[0])
+    title, large = fitted(panel.title or "", _LARGE * unit, width / 2)
+    height = round(margin + 60 * unit)
+    bottom, note = height - margin, _NOTE * unit
+    dim = {"color": look.text, "bold": False, "opacity": 0.75}
+    legend = legend_of(panel)
+
+    def draw_scale(draw: ImageDraw.ImageDraw, left: float) -> float:
+        right, thick = left + length * pixels, max(round(_THICK * unit), 1)
+        for ends in ((left, bottom, right, bottom), (left, bottom - 8 * unit, left, bottom),
+                     (right, bottom - 8 * unit, right, bottom)):  # fmt: skip
+            draw.line(ends, look.text, thick)
+        write(draw, f"{length:g} m", ((left + right) / 2, bottom - 12 * unit), note,
+              look.text, anchor="md")  # fmt: skip
+        return right + _BETWEEN * unit
+
+    def draw_legend(draw: ImageDraw.ImageDraw, left: float) -> None:
+        for number, (color, words) in enumerate(legend):
+            middle, half = bottom - (len(legend) - 1 - number) * 19 * unit - 6 * unit, 5.5 * unit
+            draw.rectangle((left, middle - half, left + 2 * half, middle + half), fill=color)
+            write(draw, words, (left + 3 * half, middle), note, anchor="lm", **dim)
+
+    def write_into(picture: np.ndarray, time: float) -> None:
+        with lettering(picture[:height]) as draw:
+            above = 0 if small else 27 * unit
+            write(draw, title, (width - margin, bottom - above), large, look.text, anchor="rd")
+            write(draw, f"{time:.1f} s", (margin, bottom), _LARGE * unit, look.text)
+            if not small:
+                write(draw, panel.note, (width - margin, bottom), note, anchor="rd", **dim)
+                draw_legend(draw, draw_scale(draw, margin + 95 * unit))
+
+    return write_into
+
+
+def legend_of(panel: Panel) -> list[tuple[str, str]]:
+    """Return colours and words for the largest lines of descent, or for the ranks of fitness."""
+    shown = panel.exhibits
+    if shown[0].founder is None:
+        return [(shown[0].color, "fittest"), (shown[-1].color, f"rank {len(shown)}")]
+    color_of = {one.founder: one.color for one in shown}
+    largest = Counter(one.founder for one in shown).most_common(_LINES)
+    return [(color_of[line], f"line {line}: {n} of {len(shown)}") for line, n in largest if n > 1]
 
 
 # Places of the arrow's tip, from the middle to the edges: sideways, down and up. The captions are
