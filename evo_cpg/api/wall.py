@@ -12,7 +12,7 @@ from evo_cpg.api.runs import require_generation
 from evo_cpg.files import write_text
 from evo_cpg.io.run import Run
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.crowd import CrowdMotion, evaluated_at, motions_of
+from evo_cpg.training.crowd import CrowdMotion, compile_motions, evaluated_at
 from evo_cpg.training.family import founders
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.captions import legend_of
@@ -117,12 +117,15 @@ def _exhibits(
     """Return individuals with their own bodies and motion."""
     simulation = opened.experiment.simulation
     seconds = min(film.seconds or simulation.duration, simulation.duration)
-    time, found = motions_of(opened.experiment, animals, seconds, film.fps / film.speed, trial)
+    record = compile_motions(opened.experiment, seconds, film.fps / film.speed)
+    genes, places = np.stack([one.genes for one in animals], 1), [one.index for one in animals]
+    time, found = record(genes, animals[0].generation, animals[0].run, np.array(places), trial)
     of_line = [None if lines is None else int(lines[one.index]) for one in animals]
     colors = colors_of_lines(of_line, "land" if simulation.world.water is None else "water")
     exhibits = []
-    for one, frames, line, color in zip(animals, found, of_line, colors, strict=True):
+    for i, (one, line, color) in enumerate(zip(animals, of_line, colors, strict=True)):
         own = opened.of_body(one).experiment
+        frames = {name: values[..., i : i + 1] for name, values in found.items()}
         if simulation.plans is not None:
             frames = simulation.plans.frames_of(own.simulation, frames)
         names = own.simulation.world.tree.names

@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from evo_cpg.simulation.recording import Recorder, Recording
-from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training.checkpoint import Champion, history_columns
+from evo_cpg.training.checkpoint import history_columns
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
 from evo_cpg.training.experiment import (
@@ -172,6 +171,50 @@ def _require_equal(running: Running, folder: RunFolder) -> None:
         )
 
 
+Motions = Callable[
+    [Float[np.ndarray, "g n"], int, int, Int[np.ndarray, " n"], int],
+    tuple[Float[np.ndarray, " t"], dict[str, np.ndarray]],
+]
+
+
+def compile_motions(experiment: ExperimentParts, seconds: float, rate: float) -> Motions:
+    """Return a function that records individuals of one generation, with one program.
+
+    Args:
+        experiment: experiment in which the individuals evolved.
+        seconds: length of the motion from the start of the trial, s, at most the trial's.
+        rate: instants per second, rounded to a divisor of the control rate.
+
+    Returns:
+        A function of genomes, the number of the generation, the number of the run, the places of
+        the individuals in its population, and the number of the trial. It compiles at its first
+        call. It returns instants (s), and the arrays ``position`` and ``rotation`` of a `Recorder`.
+        Those of plans have the layout of the common program.
+    """
+    simulation = experiment.simulation
+    steps = min(max(round(seconds * simulation.control_rate), 1), simulation.steps)
+    every = max(round(simulation.control_rate / rate), 1)
+    short = dataclasses.replace(simulation, steps=steps)
+    recorder = Recorder(count=None, names=("position", "rotation"), every=every)
+    live = compile_trials(short, population_mesh(), observers=recorder)
+    several = situation_numbers(experiment) is not None
+
+    def of(
+        genes: Float[np.ndarray, "g n"],
+        generation: int,
+        run: int,
+        individuals: Int[np.ndarray, " n"],
+        trial: int,
+    ) -> tuple[Float[np.ndarray, " t"], dict[str, np.ndarray]]:
+        runs, trials = (np.full(len(individuals), number) for number in (run, trial))
+        keys = trial_keys(experiment, generation, runs, individuals, trials)
+        own = np.asarray(genes, np.float32)
+        found = live(own, jax.device_get(keys), trials if several else None)
+        return np.arange(len(found["position"])) * every / simulation.control_rate, found
+
+    return of
+
+
 def compile_crowd_motion(
     experiment: ExperimentParts, seconds: float, rate: float, run: int = 0, trial: int = 0
 ) -> Callable[[Float[np.ndarray, "g n"], int], CrowdMotion]:
@@ -188,72 +231,20 @@ def compile_crowd_motion(
         A function of the genomes of the run's population, and the number of its generation, which
         selects the noise. It compiles at its first call. Animals that diverge are left out.
     """
-    simulation = experiment.simulation
-    short, every = _shortened(simulation, seconds, rate)
-    count = min(experiment.strategy.population, _MOST)
-    of_run, individuals, trials = (np.full(count, run), np.arange(count), np.full(count, trial))
-    numbers = None if situation_numbers(experiment) is None else trials
-    light = simulation.lights[0 if numbers is None else trial]
+    simulation, record = experiment.simulation, compile_motions(experiment, seconds, rate)
+    individuals = np.arange(min(experiment.strategy.population, _MOST))
+    several = situation_numbers(experiment) is not None
+    light = simulation.lights[trial if several else 0]
     goal = np.array(light, float) if light else np.full(3, np.nan)
     names = simulation.world.tree.names
     order = [names.index(body.name) for body in experiment.creature.bodies]
 
-    live = compile_trials(short, population_mesh(), observers=_recorder(every))
-
     def of(genes: Float[np.ndarray, "g n"], generation: int) -> CrowdMotion:
-        keys = trial_keys(experiment, generation, of_run, individuals, trials)
-        own = np.asarray(genes, np.float32)[:, :count]
-        found = live(own, jax.device_get(keys), numbers)
+        own = np.asarray(genes)[:, : len(individuals)]
+        instants, found = record(own, generation, run, individuals, trial)
         position = np.moveaxis(found["position"], (3, 2), (1, 2))[:, :, order]
         rotation = np.moveaxis(found["rotation"], (4, 3), (1, 2))[:, :, order]
         sane = (np.abs(position) < _ASTRAY).all((0, 2, 3)) & np.isfinite(rotation).all((0, 2, 3, 4))
-        instants = np.arange(len(position)) * every / simulation.control_rate
         return CrowdMotion(instants, position[:, sane], rotation[:, sane], goal)
 
     return of
-
-
-def motions_of(
-    experiment: ExperimentParts,
-    individuals: Sequence[Champion],
-    seconds: float,
-    rate: float,
-    trial: int = 0,
-) -> tuple[Float[np.ndarray, " t"], list[dict[str, np.ndarray]]]:
-    """Return places and rotations of the bodies of individuals of one generation.
-
-    One program computes all, also if their bodies differ.
-
-    Args:
-        experiment: experiment in which the individuals evolved.
-        individuals: the individuals, of any run.
-        seconds: length of the motion from the start of the trial, s, at most the trial's.
-        rate: instants per second, rounded to a divisor of the control rate.
-        trial: number of the trial.
-
-    Returns:
-        Instants (s), and for each individual the arrays ``position`` and ``rotation`` of a
-        `Recorder`. Those of a plan have the layout of the program.
-    """
-    short, every = _shortened(experiment.simulation, seconds, rate)
-    runs, indices = np.array([(one.run, one.index) for one in individuals]).T
-    trials = np.full(len(individuals), trial)
-    keys = trial_keys(experiment, individuals[0].generation, runs, indices, trials)
-    genes = np.stack([one.genes for one in individuals], axis=1).astype(np.float32)
-    numbers = None if situation_numbers(experiment) is None else trials
-    live = compile_trials(short, population_mesh(), observers=_recorder(every))
-    found = live(genes, jax.device_get(keys), numbers)
-    instants = np.arange(len(found["position"])) * every / short.control_rate
-    alone = [{name: x[..., i : i + 1] for name, x in found.items()} for i in range(len(trials))]
-    return instants, alone
-
-
-def _shortened(simulation: Simulation, seconds: float, rate: float) -> tuple[Simulation, int]:
-    """Return a shorter trial, and the control steps between two instants at about a rate (1/s)."""
-    steps = min(max(round(seconds * simulation.control_rate), 1), simulation.steps)
-    every = max(round(simulation.control_rate / rate), 1)
-    return dataclasses.replace(simulation, steps=steps), every
-
-
-def _recorder(every: int) -> Recorder:
-    return Recorder(count=None, names=("position", "rotation"), every=every)

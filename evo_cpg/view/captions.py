@@ -95,15 +95,18 @@ def fitted(title: str, size: float, room: float) -> tuple[str, float]:
     return title + _CUT, least
 
 
-# Length of the scale bar in cells, its thickness, and the gap between parts of the caption, pixels
-# in a picture 720 pixels high. Largest number of lines in the legend.
-_BAR, _THICK, _BETWEEN, _LINES = 0.9, 3, 34, 3
+# Length of the scale bar in cells, its thickness, height of its ends, and the gap between parts of
+# the caption, pixels in a picture 720 pixels high. Side of a square of the legend, distance of its
+# lines, and their largest number.
+_BAR, _THICK, _TICK, _BETWEEN, _SQUARE, _STEP, _LINES = 0.9, 3, 8, 30, 11, 19, 3
 
 
 def wall_captions(
     panel: Panel, scene: Scene, view: CameraPath, size: tuple[int, int], scale: float
 ) -> Callable[[np.ndarray, float], None]:
     """Return a function that writes the captions of a wall into a picture, with the time, s.
+
+    A small picture has only title and time, and a narrow one has no legend.
 
     Args:
         panel: the animals.
@@ -114,39 +117,41 @@ def wall_captions(
     """
     wall, look, unit = scene.wall, scene.look, scale * max(size[1] / 720, _SMALLEST)
     assert wall is not None
-    width, margin, small = round(size[0] * scale), _MARGIN * unit, size[1] < _SMALL
-    away = np.linalg.norm(view.position[0] - view.focus[0])
-    pixels = size[1] * scale / (2 * np.tan(np.radians(view.view_angle / 2)) * away)
-    length = grid_spacing(2 * _BAR * wall.cell[0])
-    title, large = fitted(panel.title or "", _LARGE * unit, width / 2)
+    width, margin, note = round(size[0] * scale), _MARGIN * unit, _NOTE * unit
     height = round(margin + 60 * unit)
-    bottom, note = height - margin, _NOTE * unit
-    dim = {"color": look.text, "bold": False, "opacity": 0.75}
-    legend = legend_of(panel)
-
-    def draw_scale(draw: ImageDraw.ImageDraw, left: float) -> float:
-        right, thick = left + length * pixels, max(round(_THICK * unit), 1)
-        for ends in ((left, bottom, right, bottom), (left, bottom - 8 * unit, left, bottom),
-                     (right, bottom - 8 * unit, right, bottom)):  # fmt: skip
-            draw.line(ends, look.text, thick)
-        write(draw, f"{length:g} m", ((left + right) / 2, bottom - 12 * unit), note,
-              look.text, anchor="md")  # fmt: skip
-        return right + _BETWEEN * unit
-
-    def draw_legend(draw: ImageDraw.ImageDraw, left: float) -> None:
-        for number, (color, words) in enumerate(legend):
-            middle, half = bottom - (len(legend) - 1 - number) * 19 * unit - 6 * unit, 5.5 * unit
-            draw.rectangle((left, middle - half, left + 2 * half, middle + half), fill=color)
-            write(draw, words, (left + 3 * half, middle), note, anchor="lm", **dim)
+    bottom, legend, clock = height - margin, legend_of(panel), font(_LARGE * unit)
+    title, large = fitted(panel.title or "", _LARGE * unit, width / 2)
+    length = grid_spacing(2 * _BAR * wall.cell[0])
+    ends = np.array([[[0.0, 0.0, 0.0], [length, 0.0, 0.0]]]) + view.focus[0]
+    pixels = np.ptp(project(view, ends, size[0] / size[1])[0, :, 0]) / 2 * width
+    left = margin + clock.getlength(f"{scene.clip.time[-1]:.1f} s") + _BETWEEN * unit
+    middle, right, top = left + pixels / 2, left + pixels, bottom - _TICK * unit
+    corners = [(left, top), (left, bottom), (right, bottom), (right, top)]
+    free = (
+        width - margin - max(font(large).getlength(title), font(note, False).getlength(panel.note))
+    )
+    square, beside = _SQUARE * unit, right + _BETWEEN * unit
+    lettered = max((font(note, False).getlength(words) for _, words in legend), default=0)
+    if beside + 2 * square + lettered > free:
+        legend = []
 
     def write_into(picture: np.ndarray, time: float) -> None:
         with lettering(picture[:height]) as draw:
-            above = 0 if small else 27 * unit
-            write(draw, title, (width - margin, bottom - above), large, look.text, anchor="rd")
+            dim = {"color": look.text, "bold": False, "opacity": 0.75}
+            small = size[1] < _SMALL
+            above = bottom if small else bottom - 27 * unit
+            write(draw, title, (width - margin, above), large, look.text, anchor="rd")
             write(draw, f"{time:.1f} s", (margin, bottom), _LARGE * unit, look.text)
-            if not small:
-                write(draw, panel.note, (width - margin, bottom), note, anchor="rd", **dim)
-                draw_legend(draw, draw_scale(draw, margin + 95 * unit))
+            if small:
+                return
+            write(draw, panel.note, (width - margin, bottom), note, anchor="rd", **dim)
+            draw.line(corners, look.text, max(round(_THICK * unit), 1))
+            write(draw, f"{length:g} m", (middle, top), note, look.text, anchor="md")
+            for number, (color, words) in enumerate(reversed(legend)):
+                low = bottom - number * _STEP * unit
+                draw.rectangle((beside, low - square, beside + square, low), fill=color)
+                write(draw, words, (beside + 1.5 * square, low - square / 2), note,
+                      anchor="lm", **dim)  # fmt: skip
 
     return write_into
 

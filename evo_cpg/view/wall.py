@@ -23,9 +23,8 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.view.camera import ACROSS, BodyBoxes, CameraPath, course, overview, smooth
-from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.look import STYLES
-from evo_cpg.view.meshes import pieces
+from evo_cpg.view.meshes import pieces, surfaces
 from evo_cpg.view.offscreen import CELLS, add_faded, floor_texture
 from evo_cpg.view.scene import Clip, Exhibit, Panel, Scene, Wall, grid_spacing, sample_at, scene_of
 from evo_cpg.view.scenery import add_particles, add_sky
@@ -84,38 +83,27 @@ def hung(panel: Panel, clip: Clip, aspect: float) -> Scene:
     stands = panel.ground is not None
     scene, upright = scene_of(panel, clip), 1 if stands else 2
     shown = [_in_place(one, clip, panel.ground) for one in panel.exhibits]
-    boxes = np.array(
-        [_box(motion, one.creature) for one, (motion, _) in zip(panel.exhibits, shown, strict=True)]
-    )
-    sizes = boxes[:, 1] - boxes[:, 0]
-    wide, high = sizes[:, 0], sizes[:, upright].copy()
+    pairs = zip(panel.exhibits, shown, strict=True)
+    boxes = np.array([_box(motion, one.creature) for one, (motion, _) in pairs])
+    sizes, centres = np.ptp(boxes, axis=1), boxes.mean(1)
     if stands:
-        # A row does not hide the row behind it.
-        high += boxes[:, 1, 2] / np.tan(ELEVATION)
-    cell = np.array(
-        [max(_ROOM * np.quantile(x, _QUANTILE), _LARGEST * x.max()) for x in (wide, high)]
-    )
-    seen = cell * [1.0, np.sin(ELEVATION) if stands else 1.0]
-    columns = _columns(len(shown), seen, _WIDER * aspect)
-    middles = _grid(len(shown), columns, cell, upright)
-    moved = []
-    for (motion, _), box, middle in zip(shown, boxes, middles, strict=True):
-        centre = box.mean(0)
-        if stands:
-            # The height fills the upper part of the tile in the picture.
-            centre += [0.0, box[1, 2] / np.tan(ELEVATION) / 2, -centre[2]]
-        moved.append(motion.position + (middle - centre))
-    every = Clip(
-        clip.time,
-        np.concatenate(moved, axis=1),
-        np.concatenate([motion.rotation for motion, _ in shown], axis=1),
-        *(clip.distance, clip.speed, clip.rate),
-    )
+        # A row does not hide the row behind it: the height adds to the depth, on the far side.
+        behind = boxes[:, 1, 2] / np.tan(ELEVATION)
+        sizes[:, 1] += behind
+        centres += np.stack([0 * behind, behind / 2, -centres[:, 2]], axis=1)
+    sizes = sizes[:, [0, upright]]
+    cell = np.maximum(_ROOM * np.quantile(sizes, _QUANTILE, axis=0), _LARGEST * sizes.max(0))
+    seen = cell[1] * np.sin(ELEVATION) if stands else cell[1]
+    middles = _grid(len(shown), cell, upright, _WIDER * aspect * seen / cell[0])
+    shifts = zip(shown, middles - centres, strict=True)
+    place = np.concatenate([motion.position + shift for (motion, _), shift in shifts], axis=1)
+    turn = np.concatenate([motion.rotation for motion, _ in shown], axis=1)
     drift = np.stack([path for _, path in shown], axis=1)
     wall = Wall(tuple(one.creature for one in panel.exhibits), middles, cell, drift)
     low = 0.0 if stands else float(middles[:, 2].min() - _BELOW * 2 * cell[1])
-    radius = float(np.median(wide) / 2)
+    radius = float(np.median(sizes[:, 0]) / 2)
     marks = scene.marks._replace(spacing=CELLS * grid_spacing(2 * radius))
+    every = clip._replace(position=place, rotation=turn)
     return scene._replace(
         clip=every, goal=None, ground=Ground(floor=Plane(height=low)), surface=None,
         look=STYLES[panel.world], radius=radius, marks=marks, wall=wall,
@@ -144,15 +132,13 @@ def _box(motion: Clip, creature: Creature) -> Float[np.ndarray, "2 3"]:
     return np.array([np.quantile(values, part, axis=0) for values, part in ends])
 
 
-def _columns(count: int, cell: np.ndarray, aspect: float) -> int:
-    """Return the number of columns with which cells are largest in a picture."""
+def _grid(count: int, cell: np.ndarray, upright: int, aspect: float) -> Float[np.ndarray, "n 3"]:
+    """Return the middles of cells, row by row from the top, m. The last row is centred.
+
+    With their number of columns, the cells are largest in a picture of some cells' aspect.
+    """
     tried = np.arange(1, count + 1)
-    size = np.minimum(aspect / (tried * cell[0]), 1 / (np.ceil(count / tried) * cell[1]))
-    return int(tried[size.argmax()])
-
-
-def _grid(count: int, columns: int, cell: np.ndarray, upright: int) -> Float[np.ndarray, "n 3"]:
-    """Return the middles of cells, row by row from the top, m. The last row is centred."""
+    columns = tried[np.minimum(aspect / tried, 1 / np.ceil(count / tried)).argmax()]
     row, column = np.divmod(np.arange(count), columns)
     length = np.minimum(columns, count - row * columns)
     middles = np.zeros((count, 3))
@@ -183,12 +169,7 @@ def add_wall(stage: Stage) -> list[Update]:
     updates = [add_sky(stage)]
     if scene.stands:
         updates.append(_add_tiles(stage, scene.wall))
-        # The shadows of few points take a third of the time.
-        shapes = [body.shape for body in scene.bodies]
-        hulls = [
-            coarse(one) if one.exists else (one.skin().points, one.skin().faces) for one in shapes
-        ]
-        meshes = [pv.PolyData.from_regular_faces(*hull) for hull in hulls]
+        meshes = [mesh for one in scene.wall.creatures for mesh in surfaces(one, fine=False)]
         updates.append(add_sun_shadows(stage, meshes))
         updates += [add_shadows(stage, scene.half_extents), add_contacts(stage)]
     if look.particles:
