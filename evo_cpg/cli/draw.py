@@ -102,10 +102,16 @@ def render(
     cores: Cores = None,
 ) -> None:
     """Film the champion of a run, or an elite of its map of gaits."""
-    from evo_cpg.api.film import champion_panel, crowd_panel, lineage_panels
+    from evo_cpg.api.film import (
+        IN_FILM,
+        champion_panel,
+        crowd_panel,
+        lineage_panels,
+        wall_page,
+        wall_panel,
+    )
     from evo_cpg.api.progress import working
     from evo_cpg.api.runs import open_champion, suffix, writing
-    from evo_cpg.api.wall import IN_FILM, wall_page, wall_panel
     from evo_cpg.files import make_folder
     from evo_cpg.training.devices import available_cores
     from evo_cpg.training.run_folder import RunFolder

@@ -171,13 +171,9 @@ def _require_equal(running: Running, folder: RunFolder) -> None:
         )
 
 
-Motions = Callable[
-    [Float[np.ndarray, "g n"], int, int, Int[np.ndarray, " n"], int],
-    tuple[Float[np.ndarray, " t"], dict[str, np.ndarray]],
-]
-
-
-def compile_motions(experiment: ExperimentParts, seconds: float, rate: float) -> Motions:
+def compile_motions(
+    experiment: ExperimentParts, seconds: float, rate: float
+) -> Callable[..., tuple[Float[np.ndarray, " t"], dict[str, np.ndarray]]]:
     """Return a function that records individuals of one generation, with one program.
 
     Args:

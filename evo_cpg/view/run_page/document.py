@@ -85,7 +85,7 @@ def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
     return _whole(title, {"scene": scene}, style, player(_still(picture)))
 
 
-def wall_page(
+def wall_document(
     title: str,
     note: str,
     legend: Sequence[tuple[str, str]],
