@@ -120,11 +120,11 @@ def wall_captions(
     width, margin, note = round(size[0] * scale), _MARGIN * unit, _NOTE * unit
     height = round(margin + 60 * unit)
     bottom, legend, clock = height - margin, legend_of(panel), font(_LARGE * unit)
-    title, large = fitted(panel.title or "", _LARGE * unit, width / 2)
     length = grid_spacing(2 * _BAR * wall.cell[0])
     ends = np.array([[[0.0, 0.0, 0.0], [length, 0.0, 0.0]]]) + view.focus[0]
     pixels = np.ptp(project(view, ends, size[0] / size[1])[0, :, 0]) / 2 * width
     left = margin + clock.getlength(f"{scene.clip.time[-1]:.1f} s") + _BETWEEN * unit
+    title, large = fitted(panel.title or "", _LARGE * unit, min(width / 2, width - margin - left))
     middle, right, top = left + pixels / 2, left + pixels, bottom - _TICK * unit
     corners = [(left, top), (left, bottom), (right, bottom), (right, top)]
     free = (

@@ -42,6 +42,8 @@ const Viewer = (() => {
     const sight = (data.water ? 13 : 20) * radius;
     scene.fog = new THREE.Fog(horizon, (data.water ? 0.3 : 0.25) * sight, sight);
     scene.add(new THREE.HemisphereLight(look.fill, look.floor[0], data.water ? 2.6 : 1.7));
+    // The colours of lines are clear in the shade, too.
+    if (data.herd) scene.add(new THREE.HemisphereLight("#ffffff", "#ffffff", 0.8));
     const sun = new THREE.DirectionalLight(look.sun, data.water ? 2.6 : 2.4);
     sun.castShadow = true;
     sun.shadow.mapSize.set(2048, 2048);
@@ -351,10 +353,10 @@ const Viewer = (() => {
     made.up.set(0, 0, 1);
     return made;
   }
-  function fitted(camera, aspect) {
+  function fitted(camera, aspect, wide = 1.4) {
     camera.aspect = aspect;
     // A narrow window shows as much of the animal as a wide one.
-    camera.fov = aspect < 1.4 ? 32 * Math.min(1.8, 1.4 / aspect) : 32;
+    camera.fov = aspect < wide ? 32 * Math.min(1.8, wide / aspect) : 32;
     camera.updateProjectionMatrix();
   }
 
@@ -531,7 +533,7 @@ const Viewer = (() => {
       if (!box.width) return;
       renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
       renderer.setSize(box.width, box.height, false);
-      fitted(camera, box.width / box.height);
+      fitted(camera, box.width / box.height, data.herd ? 16 / 9 : undefined);
       draw();
     }
     return { show, get time() { return now; } };
