@@ -117,6 +117,26 @@ def open_champion(
     return found
 
 
+def require_generation(opened: Run, word: str, generation: int) -> None:
+    """Check that a generation of a run can be shown.
+
+    Args:
+        opened: the run.
+        word: first word of the message.
+        generation: number of the generation. The one that is evaluated next counts, too.
+
+    Raises:
+        UsageError: the run has no such generation.
+        RunFolderError: the run's configuration does not describe it.
+    """
+    done = opened.folder.newest
+    if generation > done:
+        raise UsageError(
+            f"{word}: {opened.folder.path} has {done} generations. The next one is {done}"
+        )
+    opened.require_configured()
+
+
 def champion_of(folder: RunFolder, number: int) -> Champion:
     """Return the champion of one of several runs, from the newest checkpoint.
 

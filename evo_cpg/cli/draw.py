@@ -24,6 +24,7 @@ from evo_cpg.cli.options import (
     Strict,
     Trial,
     View,
+    Wall,
     complete_config,
     find_run,
 )
@@ -41,7 +42,7 @@ def render(
             "--output",
             "-o",
             help="A .mp4, .webp, .gif or .png file (default: in RUN/videos), or FOLDER/%04d.png "
-            "for one picture per frame.",
+            "for one picture per frame. With --wall also a .html file.",
         ),
     ] = None,
     size: Annotated[
@@ -81,6 +82,7 @@ def render(
         typer.Option(metavar="RUN", help="Also show the champion of this run. Repeatable."),
     ] = None,
     crowd: Crowd = None,
+    wall: Wall = None,
     story: Annotated[
         bool,
         typer.Option(
@@ -100,7 +102,14 @@ def render(
     cores: Cores = None,
 ) -> None:
     """Film the champion of a run, or an elite of its map of gaits."""
-    from evo_cpg.api.film import champion_panel, crowd_panel, lineage_panels
+    from evo_cpg.api.film import (
+        IN_FILM,
+        champion_panel,
+        crowd_panel,
+        lineage_panels,
+        wall_page,
+        wall_panel,
+    )
     from evo_cpg.api.progress import working
     from evo_cpg.api.runs import open_champion, suffix, writing
     from evo_cpg.files import make_folder
@@ -114,7 +123,8 @@ def render(
     titles, others = title or [], [find_run(each) for each in beside or []]
     if story:
         fixed = {
-            "--sheet": sheet, "--crowd": crowd is not None, "--seconds": seconds,
+            "--sheet": sheet, "--crowd": crowd is not None, "--wall": wall is not None,
+            "--seconds": seconds,
             "--camera": camera != View.FOLLOW, "--fps": fps != 30, "--speed": speed != 1,
         }  # fmt: skip
         require_none("--story", alone | fixed)
@@ -128,7 +138,11 @@ def render(
     if lineage is not None:
         require_none("--lineage", {"--cell": cell, "--beside": others, "--title": titles})
     if crowd is not None:
-        require_none("--crowd", alone)
+        require_none("--crowd", {**alone, "--wall": wall is not None})
+    as_page = wall is not None and output is not None and output.suffix == ".html"
+    if wall is not None:
+        sheets = as_page and sheet is not None
+        require_none("--wall", {**alone, "--camera": camera != View.FOLLOW, "--sheet": sheets})
     if titles and len(titles) != 1 + len(others):
         raise UsageError(f"--title: {len(titles)} for {1 + len(others)} animals. Give one for each")
     if len(others) >= _MOST:
@@ -148,7 +162,10 @@ def render(
             raise UsageError(
                 f"--lineage: {len(generations)} generations are too many. Allowed: up to {_MOST}"
             )
-    film_of = {"lineage": lineage is not None, f"crowd{crowd}": crowd is not None}
+    film_of = {
+        "lineage": lineage is not None, f"crowd{crowd}": crowd is not None,
+        f"wall_{wall}": wall is not None,
+    }  # fmt: skip
     name = next((word for word, chosen in film_of.items() if chosen), "champion")
     name += suffix(number, trial, cell) + "_beside_others" * bool(others)
     name += f"_{camera}" * (camera != View.FOLLOW) + "_signals" * signals
@@ -156,9 +173,16 @@ def render(
     with writing(run, output):
         film = Film(pixels, fps, seconds, speed, camera.value, moments)
         RunFolder(run).require()
+        if as_page:
+            assert wall is not None and output is not None
+            opened, name = open_champion(run, number, trial), (titles or [None])[0]
+            print(wall_page(opened, wall, trial, film, output, name))
+            return
         # Check the path before making the folder of films.
         film_path(output or run / name, film, signals)
-        if crowd is not None:
+        if wall is not None:
+            panels = [wall_panel(open_champion(run, number, trial), wall, trial, film, IN_FILM)]
+        elif crowd is not None:
             opened = open_champion(run, number, trial)
             panels = [crowd_panel(opened, crowd, trial, film)]
         elif lineage is not None:

@@ -195,6 +195,15 @@ Crowd = Annotated[
         "ghosts. The first generation is 0.",
     ),
 ]
+Wall = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="GENERATION",
+        help="Show animals of this generation in a grid, each with its own body: the fittest of "
+        "each line of descent first. A .html file is a page for the browser.",
+    ),
+]
 Folder = Annotated[
     Path | None, typer.Option("--out", "-o", help="Folder for the files (default: RUN).")
 ]

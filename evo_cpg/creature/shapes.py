@@ -354,9 +354,9 @@ class Box(Shape):
         return np.array(list(itertools.product((-1, 1), repeat=3))) * self.half_extents
 
     @override
-    def skin(self) -> SkinMesh:
-        """Return the skin of a box with rounded edges."""
-        directions, signs, faces = _split_sphere()
+    def skin(self, quarter: int = _QUARTER) -> SkinMesh:
+        """Return the skin of a box with rounded edges, of some points each."""
+        directions, signs, faces = _split_sphere(quarter)
         radius = _ROUNDING * self.half_extents.min()
         return SkinMesh(
             signs * (self.half_extents - radius) + radius * directions, directions, faces
@@ -661,7 +661,7 @@ def _around_x(nodes: Numbers, weights: Numbers, around: Numbers) -> tuple[Number
 
 
 @functools.cache
-def _split_sphere() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _split_sphere(quarter: int = _QUARTER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a cube projected to a sphere, cut along the three coordinate planes.
 
     Moving each octant outwards makes a rounded box or a capsule.
@@ -669,12 +669,12 @@ def _split_sphere() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Returns:
         Unit vectors ``(n, 3)``, signs of their octants ``(n, 3)``, and triangles ``(m, 3)``.
     """
-    half = np.linspace(0, np.pi / 4, _QUARTER)
+    half = np.linspace(0, np.pi / 4, quarter)
     along = np.tan(np.concatenate([-half[::-1], half]))
-    side = np.repeat([-1.0, 1.0], _QUARTER)
+    side = np.repeat([-1.0, 1.0], quarter)
     u, v = (grid.ravel() for grid in np.meshgrid(along, along, indexing="ij"))
     sign_u, sign_v = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
-    count = 2 * _QUARTER
+    count = 2 * quarter
     corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
     quads = corner[:, None] + np.array([0, count, count + 1, 0, count + 1, 1])
     triangles = quads.reshape(-1, 3)

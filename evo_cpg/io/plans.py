@@ -84,6 +84,7 @@ class EvolvedPlans(PlanBuilder):
         self._inputs: dict[int, PlanInputs] = {}
         self._mesh = population_mesh()
         self._develop = sharded(jax.vmap(self._one, -1, -1), self._mesh, (2,))
+        self._grow = jax.jit(lambda x: developed(self.layout.unpack(x), self.layout, self.bounds))
 
     @override
     def random(self, key: Array, batch: tuple[int, ...], dtype: Any) -> Float[Array, "g *n"]:
@@ -130,9 +131,7 @@ class EvolvedPlans(PlanBuilder):
     def plan(self, genes: Float[np.ndarray, " g"]) -> Plan:
         """Return the plan of one genome, in float64."""
         with jax.enable_x64(True):
-            graph = self.layout.unpack(jnp.asarray(genes, float))
-            plan = jax.jit(lambda x: developed(x, self.layout, self.bounds))(graph)
-            return jax.tree.map(np.asarray, plan)
+            return jax.tree.map(np.asarray, self._grow(jnp.asarray(genes, float)))
 
     @override
     def own(self, genes: Float[np.ndarray, " g"]) -> Simulation:

@@ -8,7 +8,7 @@ has to store its populations.
 import dataclasses
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +20,14 @@ from evo_cpg.simulation.recording import Recorder, Recording
 from evo_cpg.training.checkpoint import history_columns
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
-from evo_cpg.training.experiment import ExperimentParts, begin, situation_numbers, trial_keys
+from evo_cpg.training.experiment import (
+    Evaluated,
+    ExperimentParts,
+    begin,
+    situation_numbers,
+    trial_keys,
+)
+from evo_cpg.training.family import read_family
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.train import Running, evaluate_here
 
@@ -96,36 +103,118 @@ def populations_at(
     """Return the populations of some generations of all runs, made anew from the seed.
 
     The generations ascend. Generation 0 is only drawn. The evolution is repeated up to the last of
-    the others, so this takes as long as that part of the training.
+    the others, so this takes as long as that part of the training. The newest two generations are
+    in the folder.
 
     Raises:
         RunFolderError: the repeated evolution has other results than the folder has.
     """
-    start = folder.load_start()
-    if start is None and [*generations] == [0]:
+    if [*generations] == [0] and folder.load_start() is None:
         return [np.asarray(jax.jit(lambda: begin(experiment)[0])())]
-    found: list[np.ndarray] = []
+    return [
+        np.asarray(again.checkpoint.genes)
+        for again, _ in _repeated(experiment, folder, generations)
+    ]
+
+
+def evaluated_at(
+    experiment: ExperimentParts, folder: RunFolder, generation: int
+) -> tuple[Float[np.ndarray, "g all"], Float[np.ndarray, "runs n"]]:
+    """Return the population of a generation of all runs, and the fitness of its individuals.
+
+    The fitness is -inf for individuals that diverge or break a rule. A family tree has all results.
+
+    Raises:
+        RunFolderError: the repeated evolution has other results than the folder has.
+    """
+    plans, kept = experiment.simulation.plans, read_family(folder.path)
+    if plans and generation < len(kept):
+        genome = kept[generation]["genome"]
+        genes = plans.layout.from_bytes(genome.reshape(-1, genome.shape[-1]).T)
+        return np.asarray(genes, np.float32), kept[generation]["fitness"]
+    ((again, evaluate),) = _repeated(experiment, folder, [generation])
+    (found,) = evaluate([again])
+    return np.asarray(again.checkpoint.genes), np.asarray(found.worth.fitness)
+
+
+def _repeated(
+    experiment: ExperimentParts, folder: RunFolder, generations: Sequence[int]
+) -> Iterator[tuple[Running, Callable[[Sequence[Running]], list[Evaluated]]]]:
+    """Yield the repeated evolution at some generations, and the function that evaluates it.
+
+    It begins at a checkpoint of the run if one is early enough.
+    """
     with tempfile.TemporaryDirectory(prefix="evo_cpg_crowd_") as scratch:
-        again = RunFolder(Path(scratch) / "run")
-        again.create(folder.config.read_text(), {}, start)
+        copy = RunFolder(Path(scratch) / "run")
+        copy.create(folder.config.read_text(), {}, folder.load_start())
+        known = folder.load(generations[0])
+        if known is not None:
+            copy.save(known)
         mesh = population_mesh()
-        running = Running(experiment, again, mesh)
-        evaluate = evaluate_here(experiment, mesh)
+        running, evaluate = Running(experiment, copy, mesh), evaluate_here(experiment, mesh)
         for generation in generations:
             while running.checkpoint.generation < generation:
                 began = time.perf_counter()
                 (evaluated,) = evaluate([running])
                 running.tell(evaluated, began)
-            found.append(np.asarray(running.checkpoint.genes))
-    history = running.checkpoint.history
-    if history:
-        best, before = history_columns(history)["best"], folder.history()["best"]
-        if not np.allclose(best, before[: len(best)], rtol=1e-3, atol=1e-6, equal_nan=True):
-            raise RunFolderError(
-                f"{folder.path}: the first generations cannot be made anew. The configuration, the "
-                "machine or the version has changed since the evolution"
-            )
-    return found
+            _require_equal(running, folder)
+            yield running, evaluate
+
+
+def _require_equal(running: Running, folder: RunFolder) -> None:
+    """Check the fitness of a repeated evolution.
+
+    Raises:
+        RunFolderError: the folder has other results.
+    """
+    if not running.checkpoint.history:
+        return
+    best, before = history_columns(running.checkpoint.history)["best"], folder.history()["best"]
+    if not np.allclose(best, before[: len(best)], rtol=1e-3, atol=1e-6, equal_nan=True):
+        raise RunFolderError(
+            f"{folder.path}: the first generations cannot be made anew. The configuration, the "
+            "machine or the version has changed since the evolution"
+        )
+
+
+def compile_motions(
+    experiment: ExperimentParts, seconds: float, rate: float
+) -> Callable[..., tuple[Float[np.ndarray, " t"], dict[str, np.ndarray]]]:
+    """Return a function that records individuals of one generation, with one program.
+
+    Args:
+        experiment: experiment in which the individuals evolved.
+        seconds: length of the motion from the start of the trial, s, at most the trial's.
+        rate: instants per second, rounded to a divisor of the control rate.
+
+    Returns:
+        A function of genomes, the number of the generation, the number of the run, the places of
+        the individuals in its population, and the number of the trial. It compiles at its first
+        call. It returns instants (s), and the arrays ``position`` and ``rotation`` of a `Recorder`.
+        Those of plans have the layout of the common program.
+    """
+    simulation = experiment.simulation
+    steps = min(max(round(seconds * simulation.control_rate), 1), simulation.steps)
+    every = max(round(simulation.control_rate / rate), 1)
+    short = dataclasses.replace(simulation, steps=steps)
+    recorder = Recorder(count=None, names=("position", "rotation"), every=every)
+    live = compile_trials(short, population_mesh(), observers=recorder)
+    several = situation_numbers(experiment) is not None
+
+    def of(
+        genes: Float[np.ndarray, "g n"],
+        generation: int,
+        run: int,
+        individuals: Int[np.ndarray, " n"],
+        trial: int,
+    ) -> tuple[Float[np.ndarray, " t"], dict[str, np.ndarray]]:
+        runs, trials = (np.full(len(individuals), number) for number in (run, trial))
+        keys = trial_keys(experiment, generation, runs, individuals, trials)
+        own = np.asarray(genes, np.float32)
+        found = live(own, jax.device_get(keys), trials if several else None)
+        return np.arange(len(found["position"])) * every / simulation.control_rate, found
+
+    return of
 
 
 def compile_crowd_motion(
@@ -144,29 +233,20 @@ def compile_crowd_motion(
         A function of the genomes of the run's population, and the number of its generation, which
         selects the noise. It compiles at its first call. Animals that diverge are left out.
     """
-    simulation = experiment.simulation
-    steps = min(max(round(seconds * simulation.control_rate), 1), simulation.steps)
-    every = max(round(simulation.control_rate / rate), 1)
-    short = dataclasses.replace(simulation, steps=steps)
-    count = min(experiment.strategy.population, _MOST)
-    of_run, individuals, trials = (np.full(count, run), np.arange(count), np.full(count, trial))
-    numbers = None if situation_numbers(experiment) is None else trials
-    light = simulation.lights[0 if numbers is None else trial]
+    simulation, record = experiment.simulation, compile_motions(experiment, seconds, rate)
+    individuals = np.arange(min(experiment.strategy.population, _MOST))
+    several = situation_numbers(experiment) is not None
+    light = simulation.lights[trial if several else 0]
     goal = np.array(light, float) if light else np.full(3, np.nan)
     names = simulation.world.tree.names
     order = [names.index(body.name) for body in experiment.creature.bodies]
 
-    recorder = Recorder(count=None, names=("position", "rotation"), every=every)
-    live = compile_trials(short, population_mesh(), observers=recorder)
-
     def of(genes: Float[np.ndarray, "g n"], generation: int) -> CrowdMotion:
-        keys = trial_keys(experiment, generation, of_run, individuals, trials)
-        own = np.asarray(genes, np.float32)[:, :count]
-        found = live(own, jax.device_get(keys), numbers)
+        own = np.asarray(genes)[:, : len(individuals)]
+        instants, found = record(own, generation, run, individuals, trial)
         position = np.moveaxis(found["position"], (3, 2), (1, 2))[:, :, order]
         rotation = np.moveaxis(found["rotation"], (4, 3), (1, 2))[:, :, order]
         sane = (np.abs(position) < _ASTRAY).all((0, 2, 3)) & np.isfinite(rotation).all((0, 2, 3, 4))
-        instants = np.arange(len(position)) * every / simulation.control_rate
         return CrowdMotion(instants, position[:, sane], rotation[:, sane], goal)
 
     return of

@@ -166,7 +166,7 @@ def _compile_trials_of_plans(
     def program(size: int, given: tuple) -> None:
         own = plans.inputs(size)
         star = dataclasses.replace(own.common, **common)
-        chunk = width if recorded else LANES
+        chunk = width if recorded and width else LANES
         programs[size] = compile_trials(star, mesh, chunk, own, observers, given)
 
     def run(

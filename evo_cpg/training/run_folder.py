@@ -265,14 +265,20 @@ class RunFolder:
         for _, old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
 
-    def load(self) -> Checkpoint | None:
+    def load(self, most: int | None = None) -> Checkpoint | None:
         """Return the newest readable checkpoint, or None before the first generation is done.
+
+        Args:
+            most: largest number of finished generations, or None for any number. There may be no
+                such checkpoint.
 
         Raises:
             RunFolderError: there are checkpoints, but none that can be read.
         """
         wrong: list[str] = []
-        for _, path in reversed(self._checkpoints()):
+        for done, path in reversed(self._checkpoints()):
+            if most is not None and done > most:
+                continue
             try:
                 return read_checkpoint(read_arrays(path))
             except FileNotFoundError:

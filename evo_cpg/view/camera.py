@@ -54,7 +54,7 @@ _ASPECTS = {"side": np.radians(4.0), "top": np.radians(88.0)}
 _AROUND = np.radians(14.0)
 CAMERAS = ("follow", *_ASPECTS, "orbit")
 # The camera of an overview: angle between the line of sight and the way of the animals.
-_ACROSS = np.radians(68.0)
+ACROSS = np.radians(68.0)
 # Upper end of the part of the frame for an overview: below a title, and without one.
 _UNDER_TITLE, _UNTITLED = 0.5, 0.86
 # Largest distance of an overview, in lengths of what it shows, and number of halvings of the
@@ -197,6 +197,7 @@ def overview(
     elevation: float,
     aspect: float,
     titled: bool = False,
+    view_angle: float = VIEW_ANGLE,
 ) -> CameraPath:
     """Return one frame of a camera that is turned to one side and shows some points.
 
@@ -207,16 +208,17 @@ def overview(
         elevation: height of the eye above the focus as an angle, rad.
         aspect: width of the picture over its height.
         titled: whether the upper part of the frame is left for a title.
+        view_angle: full vertical angle of view, degrees.
     """
     above = _UNDER_TITLE if titled else _UNTITLED
-    sight = _direction(bearing + _ACROSS, elevation)
+    sight = _direction(bearing + ACROSS, elevation)
     middle = (points.min(0) + points.max(0)) / 2
     far = _FARTHEST * float(np.linalg.norm(np.ptp(points, axis=0)))
     near, best = 0.0, None
     for _ in range(_HALVINGS + 1):
         # From the largest distance, all points are in the frame.
         half = far if best is None else (near + far) / 2
-        path = CameraPath((middle - half * sight)[None], middle[None], VIEW_ANGLE)
+        path = CameraPath((middle - half * sight)[None], middle[None], view_angle)
         for _ in range(_SHIFTS):
             place = project(path, points[None], aspect)[0]
             if not np.isfinite(place).all():

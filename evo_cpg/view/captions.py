@@ -4,6 +4,7 @@ The words of a story fade in and out. A word beside an animal or a line also fad
 would cross another one.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
@@ -14,7 +15,7 @@ from PIL import ImageDraw
 from evo_cpg.view.camera import CameraPath, in_camera, project, smooth
 from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import Look
-from evo_cpg.view.scene import Scene
+from evo_cpg.view.scene import Panel, Scene, grid_spacing
 
 # Margin around the captions in a picture 720 pixels high, pixels, and the least factor by which
 # margin and letters shrink in smaller pictures.
@@ -92,6 +93,77 @@ def fitted(title: str, size: float, room: float) -> tuple[str, float]:
     while title and font(least).getlength(legible(title) + _CUT) > room:
         title = title[:-1]
     return title + _CUT, least
+
+
+# Length of the scale bar in cells, its thickness, height of its ends, and the gap between parts of
+# the caption, pixels in a picture 720 pixels high. Side of a square of the legend, distance of its
+# lines, and their largest number.
+_BAR, _THICK, _TICK, _BETWEEN, _SQUARE, _STEP, _LINES = 0.9, 3, 8, 30, 11, 19, 3
+
+
+def wall_captions(
+    panel: Panel, scene: Scene, view: CameraPath, size: tuple[int, int], scale: float
+) -> Callable[[np.ndarray, float], None]:
+    """Return a function that writes the captions of a wall into a picture, with the time, s.
+
+    A small picture has only title and time, and a narrow one has no legend.
+
+    Args:
+        panel: the animals.
+        scene: their scene.
+        view: the camera.
+        size: width and height of the film, pixels.
+        scale: pixels rendered per pixel of the film.
+    """
+    wall, look, unit = scene.wall, scene.look, scale * max(size[1] / 720, _SMALLEST)
+    assert wall is not None
+    width, margin, note = round(size[0] * scale), _MARGIN * unit, _NOTE * unit
+    height = round(margin + 60 * unit)
+    bottom, legend, clock = height - margin, legend_of(panel), font(_LARGE * unit)
+    length = grid_spacing(2 * _BAR * wall.cell[0])
+    ends = np.array([[[0.0, 0.0, 0.0], [length, 0.0, 0.0]]]) + view.focus[0]
+    pixels = np.ptp(project(view, ends, size[0] / size[1])[0, :, 0]) / 2 * width
+    left = margin + clock.getlength(f"{scene.clip.time[-1]:.1f} s") + _BETWEEN * unit
+    title, large = fitted(panel.title or "", _LARGE * unit, min(width / 2, width - margin - left))
+    middle, right, top = left + pixels / 2, left + pixels, bottom - _TICK * unit
+    corners = [(left, top), (left, bottom), (right, bottom), (right, top)]
+    free = (
+        width - margin - max(font(large).getlength(title), font(note, False).getlength(panel.note))
+    )
+    square, beside = _SQUARE * unit, right + _BETWEEN * unit
+    lettered = max((font(note, False).getlength(words) for _, words in legend), default=0)
+    if beside + 2 * square + lettered > free:
+        legend = []
+
+    def write_into(picture: np.ndarray, time: float) -> None:
+        with lettering(picture[:height]) as draw:
+            dim = {"color": look.text, "bold": False, "opacity": 0.75}
+            small = size[1] < _SMALL
+            above = bottom if small else bottom - 27 * unit
+            write(draw, title, (width - margin, above), large, look.text, anchor="rd")
+            write(draw, f"{time:.1f} s", (margin, bottom), _LARGE * unit, look.text)
+            if small:
+                return
+            write(draw, panel.note, (width - margin, bottom), note, anchor="rd", **dim)
+            draw.line(corners, look.text, max(round(_THICK * unit), 1))
+            write(draw, f"{length:g} m", (middle, top), note, look.text, anchor="md")
+            for number, (color, words) in enumerate(reversed(legend)):
+                low = bottom - number * _STEP * unit
+                draw.rectangle((beside, low - square, beside + square, low), fill=color)
+                write(draw, words, (beside + 1.5 * square, low - square / 2), note,
+                      anchor="lm", **dim)  # fmt: skip
+
+    return write_into
+
+
+def legend_of(panel: Panel) -> list[tuple[str, str]]:
+    """Return colours and words for the largest lines of descent, or for the ranks of fitness."""
+    shown = panel.exhibits
+    if shown[0].founder is None:
+        return [(shown[0].color, "fittest"), (shown[-1].color, f"rank {len(shown)}")]
+    color_of = {one.founder: one.color for one in shown}
+    largest = Counter(one.founder for one in shown).most_common(_LINES)
+    return [(color_of[line], f"line {line}: {n} of {len(shown)}") for line, n in largest if n > 1]
 
 
 # Places of the arrow's tip, from the middle to the edges: sideways, down and up. The captions are

@@ -29,8 +29,9 @@ from evo_cpg.view.scenery import (
 )
 from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.skin import add_skins
-from evo_cpg.view.stage import Stage
+from evo_cpg.view.stage import Stage, Update
 from evo_cpg.view.terrain import Terrain, add_obstacles, obstacle_mesh
+from evo_cpg.view.wall import add_wall
 from evo_cpg.view.water import add_ceiling, add_mirror, add_tint, add_waterlines
 
 
@@ -41,12 +42,45 @@ def set_scene(
 
     Args:
         stage: the scene and its camera.
-        bodies: actors of each body, as `evo_cpg.view.meshes.add_bodies` returns them.
+        bodies: actors of each body, as `evo_cpg.view.meshes.add_bodies` returns them. A wall has
+            none.
         skins: whether chains have a skin.
 
     Returns:
         A function that draws a frame by its number: bytes ``(height, width, 3)``, bottom row first.
     """
+    plotter = stage.plotter
+    updates = add_wall(stage) if stage.scene.wall is not None else _add_world(stage, skins)
+    plotter.camera.view_angle = stage.camera.view_angle
+    plotter.camera.up = (0.0, 0.0, 1.0)
+    # This makes the window without drawing. Without a window VTK resets the camera later.
+    plotter.renderer.SetDraw(False)
+    plotter.show(auto_close=False, interactive=False)
+    plotter.renderer.SetDraw(True)
+
+    def show(number: int) -> np.ndarray:
+        shot = stage.shot(number)
+        plotter.camera.position = shot.eye
+        plotter.camera.focal_point = shot.focus
+        away = float(np.linalg.norm(shot.focus - shot.eye))
+        plotter.camera.clipping_range = (0.05 * away, 20 * stage.away)
+        for update in updates:
+            update(shot)
+        for actors, place, turn in zip(bodies, shot.position, shot.rotation, strict=bool(bodies)):
+            for actor in actors:
+                actor.user_matrix = placed(turn, place)
+        plotter.render()
+        width, height = plotter.window_size
+        buffer = vtkUnsignedCharArray()
+        window = cast(vtkRenderWindow, plotter.render_window)
+        window.GetPixelData(0, 0, width - 1, height - 1, 0, buffer, 0)
+        return vtk_to_numpy(buffer).reshape(height, width, 3)
+
+    return show
+
+
+def _add_world(stage: Stage, skins: bool) -> list[Update]:
+    """Draw everything around the only animal, and the skins of its chains."""
     plotter, scene, look = stage.plotter, stage.scene, stage.look
     # Translucent actors are drawn in the order in which they are added. So the floor comes first,
     # then things in its plane. The light and the trail come after the shadows, the water last.
@@ -94,29 +128,4 @@ def set_scene(
         updates.append(add_waterlines(stage, scene.surface))
     if skins:
         updates.append(add_skins(stage))
-    plotter.camera.view_angle = stage.camera.view_angle
-    plotter.camera.up = (0.0, 0.0, 1.0)
-    # This makes the window without drawing. Without a window VTK resets the camera later.
-    plotter.renderer.SetDraw(False)
-    plotter.show(auto_close=False, interactive=False)
-    plotter.renderer.SetDraw(True)
-
-    def show(number: int) -> np.ndarray:
-        shot = stage.shot(number)
-        plotter.camera.position = shot.eye
-        plotter.camera.focal_point = shot.focus
-        away = float(np.linalg.norm(shot.focus - shot.eye))
-        plotter.camera.clipping_range = (0.05 * away, 20 * stage.away)
-        for update in updates:
-            update(shot)
-        for actors, place, turn in zip(bodies, shot.position, shot.rotation, strict=True):
-            for actor in actors:
-                actor.user_matrix = placed(turn, place)
-        plotter.render()
-        width, height = plotter.window_size
-        buffer = vtkUnsignedCharArray()
-        window = cast(vtkRenderWindow, plotter.render_window)
-        window.GetPixelData(0, 0, width - 1, height - 1, 0, buffer, 0)
-        return vtk_to_numpy(buffer).reshape(height, width, 3)
-
-    return show
+    return updates

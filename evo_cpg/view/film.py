@@ -26,7 +26,7 @@ from PIL import Image
 
 from evo_cpg.files import OutputError, in_one_piece
 from evo_cpg.view.camera import aspect_of
-from evo_cpg.view.captions import captions, pointer
+from evo_cpg.view.captions import captions, pointer, wall_captions
 from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.legible import lettering, write
 from evo_cpg.view.meshes import add_bodies
@@ -46,6 +46,7 @@ from evo_cpg.view.output import (
 from evo_cpg.view.scene import Clip, Panel, check_panel, sample, scene_of
 from evo_cpg.view.signals import FRACTION, LOWEST, SMALLEST, Strip
 from evo_cpg.view.stage import Stage, camera_path
+from evo_cpg.view.wall import hung, wall_view
 
 # Pixels rendered per pixel of the result, along a side. A frame of 1280 x 720 costs 46 ms at 1.25
 # and 100 ms at 2 on one core of a software renderer. It costs 58 ms at 1.5, which looks hardly
@@ -179,6 +180,9 @@ class Frames:
     @contextlib.contextmanager
     def _panel(self, panel: Panel, clip: Clip) -> Iterator[Callable[[int], np.ndarray]]:
         """Draw an animal's picture, frame by frame: ``(height, width, 3)``, bottom row first."""
+        if panel.exhibits:
+            yield from self._wall(panel, clip)
+            return
         scene, film, scale = scene_of(panel, clip), self._film, self._scale
         (width, height), above = self._one, self._one[1]
         strip, strip_height = None, 0
@@ -206,6 +210,22 @@ class Frames:
                 point(seen, instant)
                 caption(seen, time - clip.time[0], clip.distance[instant], clip.speed[instant])
                 return seen if strip is None else np.concatenate([strip.at(time), seen])
+
+            yield draw
+
+    def _wall(self, panel: Panel, clip: Clip) -> Iterator[Callable[[int], np.ndarray]]:
+        """Draw many animals as `_panel` draws one."""
+        size, scale = self._one, self._scale
+        scene = hung(panel, clip, size[0] / size[1])
+        view = wall_view(scene, size[0] / size[1])
+        caption = wall_captions(panel, scene, view, size, scale)
+        with canvas((round(size[0] * scale), round(size[1] * scale))) as plotter:
+            show = set_scene(Stage(plotter, scene, view, scale, wide=True), [])
+
+            def draw(instant: int) -> np.ndarray:
+                seen = show(instant)
+                caption(seen, clip.time[instant] - clip.time[0])
+                return seen
 
             yield draw
 

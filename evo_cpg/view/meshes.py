@@ -7,6 +7,7 @@ Colours run from a warm head over cream to a cool tail. Orange and blue, with th
 between them, are clear with every common kind of colour blindness, and on sea and sand.
 """
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple, cast
 
@@ -14,7 +15,7 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Body, Creature, LightSensor, length_of, neutral_pose
-from evo_cpg.creature.shapes import Ellipsoid, Shape
+from evo_cpg.creature.shapes import Box, Ellipsoid, Shape, SkinMesh
 from evo_cpg.view.fins import fins
 from evo_cpg.view.offscreen import grid_triangles, smooth_surface
 
@@ -23,6 +24,8 @@ _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
 _EYE = 0.44
 # Radius of an eye on a body without a shape, relative to the animal's length.
 _EYE_ALONE = 0.02
+# Points along a quarter of a box's edge that is not fine.
+_FEW = 3
 # Points of an eye around and from pole to pole.
 _BALL = (20, 14)
 # Eyes of an animal without light sensors: direction of its front, distance behind the foremost
@@ -51,18 +54,7 @@ def body_colors(creature: Creature) -> np.ndarray:
     A body without a colour of its own takes a palette colour by its number of joints from the head.
     Bodies on the animal's left are darker, so that left and right legs differ.
     """
-    links = [
-        (i, creature.body_index(body.joint.parent), int(body.whole is None))
-        for i, body in enumerate(creature.bodies)
-        if body.joint
-    ]
-    joints_away = {head_index(creature): 0}
-    while len(joints_away) < len(creature.bodies):
-        for body, parent, joints in links:
-            for here, there in ((body, parent), (parent, body)):
-                if here in joints_away and there not in joints_away:
-                    joints_away[there] = joints_away[here] + joints
-    distance = np.array([joints_away[i] for i in range(len(creature.bodies))], float)
+    distance = _joints_from_head(creature)
     anchors = np.array([pv.Color(color).float_rgb for color in _HEAD_TO_TAIL])
     along = distance / max(distance.max(), 1) * (len(anchors) - 1)
     colors = np.column_stack([np.interp(along, range(len(anchors)), c) for c in anchors.T])
@@ -74,13 +66,46 @@ def body_colors(creature: Creature) -> np.ndarray:
     return colors
 
 
+def painted(creature: Creature, color: str) -> Creature:
+    """Return a creature in tones of one colour, from a pale head to a dark tail."""
+    distance, own = _joints_from_head(creature), np.array(pv.Color(color).float_rgb)
+    tones = np.interp(distance / max(distance.max(), 1), (0.0, 0.5, 1.0), (0.35, 0.0, -0.3))
+    mixed = np.where(tones > 0, 1.0, 0.0)[:, None]
+    colors = own + np.abs(tones)[:, None] * (mixed - own)
+    bodies = (
+        dataclasses.replace(body, color=pv.Color(each).hex_rgb)
+        for body, each in zip(creature.bodies, colors, strict=True)
+    )
+    return dataclasses.replace(creature, bodies=tuple(bodies))
+
+
+def _joints_from_head(creature: Creature) -> np.ndarray:
+    """Return the number of joints between the head and each body, as floats."""
+    links = [
+        (i, creature.body_index(body.joint.parent), int(body.whole is None))
+        for i, body in enumerate(creature.bodies)
+        if body.joint
+    ]
+    joints_away = {head_index(creature): 0}
+    while len(joints_away) < len(creature.bodies):
+        for body, parent, joints in links:
+            for here, there in ((body, parent), (parent, body)):
+                if here in joints_away and there not in joints_away:
+                    joints_away[there] = joints_away[here] + joints
+    return np.array([joints_away[i] for i in range(len(creature.bodies))], float)
+
+
 def shape_mesh(shape: Shape) -> pv.PolyData:
     """Return the surface of a shape in its own frame, m, with normals for smooth shading.
 
     A mesh's edges stay sharp, because every triangle has corners of its own. A triangle without
     area has no normal and is left out.
     """
-    points, normals, faces = shape.skin()
+    return _surface(shape.skin())
+
+
+def _surface(skin: SkinMesh) -> pv.PolyData:
+    points, normals, faces = skin
     mesh = pv.PolyData.from_regular_faces(points, faces)
     mesh.point_data.active_normals = normals
     return mesh
@@ -139,25 +164,49 @@ class BodySurface(NamedTuple):
     color: str
     name: str = ""
 
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return points ``(n, 3)``, their normals ``(n, 3)`` and triangles ``(f, 3)``."""
+        mesh = self.mesh
+        if mesh.point_data.active_normals is None:
+            mesh = cast(pv.PolyData, mesh.compute_normals(split_vertices=False))
+        normals = np.asarray(mesh.point_data.active_normals)
+        return np.asarray(mesh.points), normals, mesh.regular_faces
 
-def surfaces(creature: Creature) -> list[pv.PolyData]:
-    """Return the drawn surface of every body in its own frame, m: its shape, a fin or a shell."""
+    @property
+    def colors(self) -> np.ndarray:
+        """Red, green and blue of every point ``(n, 3)``, 0 to 255."""
+        if "rgb" in self.mesh.point_data:
+            return np.asarray(self.mesh["rgb"])
+        return np.tile(pv.Color(self.color).int_rgb, (self.mesh.n_points, 1)).astype(np.uint8)
+
+
+def surfaces(creature: Creature, fine: bool = True) -> list[pv.PolyData]:
+    """Return the drawn surface of every body in its own frame, m: its shape, a fin or a shell.
+
+    Boxes have a quarter of the points if they need not be ``fine``.
+    """
     finned, colors, found = fins(creature), body_colors(creature), []
     for i, body in enumerate(creature.bodies):
         if i in finned:
             found.append(finned[i].mesh())
         elif body.name in _SHELLS and isinstance(body.shape, Ellipsoid):
             found.append(_shell_mesh(body, colors[i]))
+        elif isinstance(body.shape, Box) and not fine:
+            found.append(_surface(body.shape.skin(_FEW)))
         else:
             found.append(shape_mesh(body.shape))
     return found
 
 
-def pieces(creature: Creature) -> list[list[BodySurface]]:
-    """Return the pieces of every body: its own surface, then white and pupil of its eyes."""
+def pieces(creature: Creature, fine: bool = True) -> list[list[BodySurface]]:
+    """Return the pieces of every body: its own surface, then white and pupil of its eyes.
+
+    See `surfaces` for ``fine``.
+    """
     colors = [pv.Color(color).hex_rgb for color in body_colors(creature)]
     found = [
-        [BodySurface(mesh, color)] for mesh, color in zip(surfaces(creature), colors, strict=True)
+        [BodySurface(mesh, color)]
+        for mesh, color in zip(surfaces(creature, fine), colors, strict=True)
     ]
     for number, sensor in enumerate(creature.light_sensors or drawn_eyes(creature), 1):
         white, pupil = eye_meshes(creature, sensor)

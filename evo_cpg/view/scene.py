@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.creature import Body, Creature
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane
 from evo_cpg.simulation.recording import Recording, RecordingError
@@ -106,6 +106,26 @@ _WALKS = 0.25
 _NEARBY = 4.0
 
 
+class Exhibit(NamedTuple):
+    """An animal on a wall.
+
+    Attributes:
+        creature: the animal, in the colour of its line of descent.
+        recording: motion of the animal.
+        color: colour of the line, as ``#rrggbb``.
+        number: place of the individual in its population.
+        fitness: fitness of the individual.
+        founder: number of its ancestor in generation 0, or None if unknown.
+    """
+
+    creature: Creature
+    recording: Recording
+    color: str
+    number: int
+    fitness: float
+    founder: int | None = None
+
+
 class Panel(NamedTuple):
     """An animal that a film shows.
 
@@ -121,6 +141,7 @@ class Panel(NamedTuple):
         crowd: other animals of the same kind, which are drawn as ghosts, or None.
         numbers: whether distances are painted on the ground.
         staging: arrangement of a race, or None.
+        exhibits: animals on a wall, the fittest first, instead of the only animal. None if empty.
     """
 
     creature: Creature
@@ -134,6 +155,7 @@ class Panel(NamedTuple):
     crowd: CrowdMotion | None = None
     numbers: bool = True
     staging: "Staging | None" = None
+    exhibits: tuple[Exhibit, ...] = ()
 
 
 class Track(NamedTuple):
@@ -257,12 +279,29 @@ class Marks(NamedTuple):
         return (place - self.origin) @ self.turn() / self.spacing
 
 
+class Wall(NamedTuple):
+    """Animals in the cells of a grid: upright in water, and on the ground on land.
+
+    Attributes:
+        creatures: the animals.
+        middles: middle of each cell, m.
+        cell: width of a cell and distance of the rows, m.
+        drift: horizontal path of each animal, to the right and away from the viewer, m. The drawn
+            animals stay in their cells.
+    """
+
+    creatures: tuple[Creature, ...]
+    middles: Float[np.ndarray, "n 3"]
+    cell: Float[np.ndarray, "2"]
+    drift: Float[np.ndarray, "frames n 2"]
+
+
 class Scene(NamedTuple):
     """An animal in its world, over the instants of a clip.
 
     Attributes:
         creature: the animal.
-        clip: motion of the animal.
+        clip: motion of the animal. On a wall it has the bodies of all animals.
         goal: place of the light ``(3,)``, m, or None without a light.
         ground: ground that carries the animal, or a level floor below its path.
         stands: whether the ground carries the animal.
@@ -274,6 +313,7 @@ class Scene(NamedTuple):
         ghosts: other animals of the same kind at the clip's instants, or None.
         numbers: whether distances are painted on the ground.
         staging: arrangement of a race, or None.
+        wall: animals on a wall instead of the only animal, or None.
     """
 
     creature: Creature
@@ -289,6 +329,13 @@ class Scene(NamedTuple):
     ghosts: CrowdMotion | None = None
     numbers: bool = True
     staging: Staging | None = None
+    wall: Wall | None = None
+
+    @property
+    def bodies(self) -> list[Body]:
+        """Bodies of the animal, or of all animals on a wall."""
+        shown = (self.creature,) if self.wall is None else self.wall.creatures
+        return [body for creature in shown for body in creature.bodies]
 
     @property
     def level(self) -> float | None:
@@ -304,7 +351,7 @@ class Scene(NamedTuple):
     @property
     def half_extents(self) -> np.ndarray:
         """Half extents of the bodies ``(b, 3)``, m."""
-        return np.array([body.shape.half_extents for body in self.creature.bodies])
+        return np.array([body.shape.half_extents for body in self.bodies])
 
     def terrain(self, far: float) -> Terrain:
         """Return a mesh of the ground that ends ``far`` (m) beyond the path and the light."""

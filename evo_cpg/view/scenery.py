@@ -6,7 +6,7 @@ import numpy as np
 import pyvista as pv
 from jaxtyping import Float
 
-from evo_cpg.view.camera import level_axes, turned_about_vertical
+from evo_cpg.view.camera import VIEW_ANGLE, level_axes, turned_about_vertical
 from evo_cpg.view.meshes import head_index
 from evo_cpg.view.offscreen import add_faded, spot_texture
 from evo_cpg.view.scene import Track
@@ -35,6 +35,8 @@ _SHAFT_SLANT, _SHAFT_OPACITY, _SHAFT_NEAR = 0.22, 0.13, 4.5
 # bottom up, over a larger height that begins below the horizon.
 _SKY, _SKY_HEIGHT = 18.0, 2.6
 _DEEP, _BRIGHT = -1.5, 7.0
+# Factor of both heights behind a wall.
+_DIM = 1.7
 
 
 def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
@@ -219,14 +221,19 @@ def add_sky(stage: Stage) -> Update:
     plotter.add_light(fill)
 
     across, ahead = level_axes(stage.sight)
-    blue = np.linspace(0, 1, 12)
-    height = _SKY_HEIGHT * stage.away * np.concatenate([blue, [10.0]])
+    blue, away, foot = np.linspace(0, 1, 12), stage.away, 0.0
+    if stage.scene.wall is not None and not stage.scene.stands:
+        # The narrow view shows the change around its middle, but not the brightest water.
+        narrow, wide = (np.tan(np.radians(x / 2)) for x in (stage.camera.view_angle, VIEW_ANGLE))
+        away *= _DIM * narrow / wide
+        foot = _SKY * stage.away * stage.sight[2] / np.hypot(*stage.sight[:2])
+    height = _SKY_HEIGHT * away * np.concatenate([blue, [10.0]])
     mix = np.append(1 - (1 - blue) ** 2, 1.0)[:, None]
     if look.under_water:
-        height = stage.away * np.concatenate([_DEEP + (_BRIGHT - _DEEP) * blue, [10 * _BRIGHT]])
+        height = away * np.concatenate([_DEEP + (_BRIGHT - _DEEP) * blue, [10 * _BRIGHT]])
         mix = np.append(blue**1.5, 1.0)[:, None]
     haze, zenith = (np.array(pv.Color(color).int_rgb) for color in (look.distance, look.zenith))
-    middle = _SKY * stage.away * ahead + height[:, None] * [0.0, 0.0, 1.0]
+    middle = _SKY * stage.away * ahead + (foot + height)[:, None] * [0.0, 0.0, 1.0]
     side = 2 * _SKY * stage.away * across
     points = np.stack([middle - side, middle + side], 1)
     backdrop = pv.StructuredGrid(*(points[..., i, None] for i in range(3)))

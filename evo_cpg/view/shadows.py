@@ -125,7 +125,7 @@ def add_shadows(stage: Stage, half_extents: np.ndarray) -> Update:
 
 def add_contacts(stage: Stage) -> Update:
     """Draw dark soft spots under bodies that touch the ground. Spots fade as the gap opens."""
-    bodies, ground = stage.scene.creature.bodies, stage.ground
+    bodies, ground = stage.scene.bodies, stage.ground
     drawn = [i for i, body in enumerate(bodies) if body.shape.exists]
     texture = spot_texture(stage.look.shadow, _CONTACT, sharpness=2.6)
     spots = Spots(stage.plotter, texture, ground, stage.lift, len(drawn))

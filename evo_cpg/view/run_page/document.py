@@ -6,7 +6,7 @@ script and no request. Text from a configuration of unknown origin stays text.
 
 import base64
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from evo_cpg.view.run_page import movement, origin
@@ -20,6 +20,7 @@ body { max-width: none; padding: 0; }
 #animal .screen { flex: 1 1 0; min-height: 8rem; aspect-ratio: auto; }
 .hint { display: none; }
 """
+_WIDE = "body { max-width: 90rem; }"
 
 
 def document(subject: PageSubject, motion: RecordedMotion) -> str:
@@ -84,6 +85,34 @@ def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
     return _whole(title, {"scene": scene}, style, player(_still(picture)))
 
 
+def wall_document(
+    title: str,
+    note: str,
+    legend: Sequence[tuple[str, str]],
+    scene: Mapping[str, Any],
+    picture: bytes,
+) -> str:
+    """Return a page with a wall of animals.
+
+    Args:
+        title: title of the page.
+        note: sentence below the title.
+        legend: colours and their words.
+        scene: data of the viewer.
+        picture: the wall as JPEG, for browsers without WebGL.
+    """
+    marks = (tag("li", tag("i", style=f"background:{color}"), words) for color, words in legend)
+    return _whole(
+        title,
+        {"scene": scene},
+        asset("page.css") + _WIDE,
+        tag("h1", title),
+        tag("p", note, class_="lead"),
+        player(_still(picture), (("side", "Front"),), follows=False),
+        tag("ul", *marks, class_="legend"),
+    )
+
+
 def _whole(title: str, scenes: Mapping[str, Any], style: str, *body: Html | None) -> str:
     """Return a page with the data of its viewer: scenes by name."""
     parts = []
@@ -95,13 +124,19 @@ def _whole(title: str, scenes: Mapping[str, Any], style: str, *body: Html | None
     return whole_page(title, style, join(*body, *parts), scripts).text
 
 
-def player(before: Html) -> Html:
+_VIEWS = ("side", "Side"), ("top", "Top"), ("behind", "Behind"), ("front", "Front")
+
+
+def player(before: Html, views: Sequence[tuple[str, str]] = _VIEWS, follows: bool = True) -> Html:
     """Return the screen and the controls of the animal in 3D.
 
     Args:
         before: what the screen shows before the animal, and without WebGL.
+        views: names of views, and the words on their buttons.
+        follows: whether the camera can follow the animal.
     """
-    views = [("side", "Side"), ("top", "Top"), ("behind", "Behind"), ("front", "Front")]
+    follow = tag("label", tag("input", class_="follow", type="checkbox", checked=True), " follow",
+                 hidden=not follows)  # fmt: skip
     buttons = [tag("button", word, type="button", data_view=key) for key, word in views]
     paces = [
         tag("option", f"{pace} x", value=pace, selected=pace == "1")
@@ -122,7 +157,7 @@ def player(before: Html) -> Html:
 <span class="group">{join(*buttons)}
 <button type="button" data-zoom="0.8" aria-label="zoom in">+</button>
 <button type="button" data-zoom="1.25" aria-label="zoom out">\N{MINUS SIGN}</button></span>
-<label><input class="follow" type="checkbox" checked> follow</label>
+{follow}
 <span class="note hint">drag to turn, right-drag to move, Ctrl or Shift and wheel to zoom</span>
 </div>
 </div>"""

@@ -42,6 +42,8 @@ const Viewer = (() => {
     const sight = (data.water ? 13 : 20) * radius;
     scene.fog = new THREE.Fog(horizon, (data.water ? 0.3 : 0.25) * sight, sight);
     scene.add(new THREE.HemisphereLight(look.fill, look.floor[0], data.water ? 2.6 : 1.7));
+    // The colours of lines are clear in the shade, too.
+    if (data.herd) scene.add(new THREE.HemisphereLight("#ffffff", "#ffffff", 0.8));
     const sun = new THREE.DirectionalLight(look.sun, data.water ? 2.6 : 2.4);
     sun.castShadow = true;
     sun.shadow.mapSize.set(2048, 2048);
@@ -193,17 +195,38 @@ const Viewer = (() => {
     }
 
     // ---- the animal
-    const bodies = data.bodies.map((body) => {
-      const group = new THREE.Group();
-      body.parts.forEach((part) => group.add(Animal.solid(part, array)));
-      scene.add(group);
-      return group;
+    // Each animal of a wall has its own motion.
+    const herd = (data.herd || [data]).map((each, number) => {
+      const bodies = each.bodies.map((body) => {
+        const group = new THREE.Group();
+        body.parts.forEach((part) => group.add(Animal.solid(part, array)));
+        return group;
+      });
+      const skins = Animal.skins(each.skins, bodies, each.rest, array);
+      const things = [...bodies, ...skins];
+      things.forEach((thing) => { thing.userData.number = number; scene.add(thing); });
+      // On an upright wall, no animal shades those below.
+      const shaded = !data.herd || !data.water;
+      things.forEach((thing) => thing.traverse((part) => { part.receiveShadow &&= shaded; }));
+      return { bodies, skins, things, motion: data.herd && motionOf({ ...data, ...each }, array) };
     });
-    const skins = Animal.skins(data.skins, bodies, data.rest, array);
-    skins.forEach((skin) => scene.add(skin));
+    const { bodies } = herd[0];
+    const tiled = data.herd && !data.water;
+    if (floor) floor.visible = !tiled;
+    const tiles = tiled ? data.tiles.middles.map((middle, i) => {
+      // The pattern moves back as the animal of the tile goes ahead.
+      const map = pattern(), made = new THREE.Mesh(
+        new THREE.PlaneGeometry(...data.tiles.size), new THREE.MeshStandardMaterial({ map, roughness: 1 }),
+      );
+      map.repeat.set(...data.tiles.size.map((side) => side / tile));
+      made.position.fromArray(middle);
+      made.receiveShadow = true;
+      scene.add(made);
+      return { map, drift: array(data.herd[i].drift, "f4") };
+    }) : [];
     const crowd = data.crowd && Animal.crowd(data.crowd, array, 0.2 * radius);
     crowd?.parts.forEach((part) => scene.add(part));
-    const own = motionOf(data, array);
+    const own = data.herd ? { ...herd[0].motion, focus: array(data.focus, "f4") } : motionOf(data, array);
     const { position, focus } = own;
 
     // Path of the head. On level land it is drawn on the ground.
@@ -219,7 +242,7 @@ const Viewer = (() => {
       color: look.trail, transparent: true, opacity: 0.8,
     }));
     line.frustumCulled = false;
-    scene.add(line);
+    if (!data.herd) scene.add(line);
 
     // Specks in the water show the motion. A fixed seed always gives the same specks.
     let cloud = null;
@@ -231,11 +254,11 @@ const Viewer = (() => {
         least[i % 3] = Math.min(least[i % 3], focus[i]);
         most[i % 3] = Math.max(most[i % 3], focus[i]);
       }
-      const specks = new Float32Array(3 * 1500);
+      const specks = new Float32Array(3 * 1500), around = (data.herd ? 2 : 4) * radius;
       for (let i = 0; i < specks.length; i++) {
         const k = i % 3;
-        const from = k === 2 ? data.floor : least[k] - 4 * radius;
-        const to = k === 2 ? most[k] + 2 * radius : most[k] + 4 * radius;
+        const from = k === 2 ? data.floor : least[k] - around;
+        const to = most[k] + (k === 2 ? 2 * radius : around);
         specks[i] = from + chance() * (to - from);
       }
       const places = new THREE.BufferGeometry();
@@ -250,18 +273,25 @@ const Viewer = (() => {
     const turn = new THREE.Quaternion(), next = new THREE.Quaternion();
     // Moves everything to an instant, and returns the place that the camera follows.
     function pose(motion, now) {
-      const { count, rate, position, rotation, focus } = motion;
+      const { count, rate, focus } = motion;
       const frame = Math.min(now * rate, count - 1);
       const i = Math.min(Math.floor(frame), Math.max(count - 2, 0));
       const fraction = count > 1 ? frame - i : 0;
       const j = Math.min(i + 1, count - 1);
-      bodies.forEach((body, b) => {
-        const one = i * bodies.length + b, two = j * bodies.length + b;
-        here.fromArray(position, 3 * one);
-        body.position.copy(here.lerp(there.fromArray(position, 3 * two), fraction));
-        turn.fromArray(rotation, 4 * one).normalize();
-        body.quaternion.copy(turn.slerp(next.fromArray(rotation, 4 * two).normalize(), fraction));
-      });
+      for (const { bodies, motion: alone } of herd) {
+        const { position, rotation } = alone || motion;
+        bodies.forEach((body, b) => {
+          const one = i * bodies.length + b, two = j * bodies.length + b;
+          here.fromArray(position, 3 * one);
+          body.position.copy(here.lerp(there.fromArray(position, 3 * two), fraction));
+          turn.fromArray(rotation, 4 * one).normalize();
+          body.quaternion.copy(turn.slerp(next.fromArray(rotation, 4 * two).normalize(), fraction));
+        });
+      }
+      for (const { map, drift } of tiles) {
+        const ahead = [0, 1].map((k) => drift[2 * i + k] * (1 - fraction) + drift[2 * j + k] * fraction);
+        map.offset.set(...ahead.map((far, k) => (far - data.tiles.size[k] / 2) / tile));
+      }
       crowd?.pose(now, bodies);
       here.fromArray(focus, 3 * i).lerp(there.fromArray(focus, 3 * j), fraction);
       sun.target.position.copy(here);
@@ -288,13 +318,13 @@ const Viewer = (() => {
         thing.material?.dispose();
         if (thing.isInstancedMesh) thing.dispose();
       });
-      skins[0]?.skeleton.dispose();
+      for (const { skins } of herd) skins[0]?.skeleton.dispose();
       sun.dispose();
     }
     // A crowd is seen from farther away.
     const away = (data.water ? 4.3 : 4.4) * radius * (data.crowd ? 1.5 : 1);
     const views = {
-      side: [data.bearing - Math.PI / 2 + 0.35, data.water ? 0.42 : 0.24],
+      side: [data.bearing - Math.PI / 2 + 0.35, data.elevation ?? (data.water ? 0.42 : 0.24)],
       top: [data.bearing - Math.PI / 2, 1.5],
       behind: [data.bearing + Math.PI + 0.12, 0.35],
       front: [data.bearing + 0.3, 0.25],
@@ -306,7 +336,15 @@ const Viewer = (() => {
         Math.cos(around) * Math.cos(up), Math.sin(around) * Math.cos(up), Math.sin(up),
       ).multiplyScalar(away);
     }
-    return { data, own, sight, array, pose, render, offset, dispose };
+    // Returns the number of the animal at a place in the picture, -1 to 1, or undefined.
+    const ray = new THREE.Raycaster();
+    function at(place, camera) {
+      ray.setFromCamera(place, camera);
+      let [thing] = ray.intersectObjects(herd.flatMap(({ things }) => things)).map((hit) => hit.object);
+      while (thing && thing.userData.number === undefined) thing = thing.parent;
+      return thing?.userData.number;
+    }
+    return { data, own, sight, array, pose, render, offset, dispose, at };
   }
 
   // Returns a camera for a scene, as wide as the canvas.
@@ -315,10 +353,10 @@ const Viewer = (() => {
     made.up.set(0, 0, 1);
     return made;
   }
-  function fitted(camera, aspect) {
+  function fitted(camera, aspect, wide = 1.4) {
     camera.aspect = aspect;
     // A narrow window shows as much of the animal as a wide one.
-    camera.fov = aspect < 1.4 ? 32 * Math.min(1.8, 1.4 / aspect) : 32;
+    camera.fov = aspect < wide ? 32 * Math.min(1.8, wide / aspect) : 32;
     camera.updateProjectionMatrix();
   }
 
@@ -343,7 +381,7 @@ const Viewer = (() => {
     renderer.shadowMap.type = THREE.PCFShadowMap;
     const anisotropy = renderer.capabilities.getMaxAnisotropy();
     let world = null, data = null, duration = 0, camera = null, controls = null;
-    let speed = null, distance = null, view = "side";
+    let view = "side", pointed = null;
     let now = 0, playing = false, last = 0, waiting = false;
     const there = new THREE.Vector3();
 
@@ -353,8 +391,6 @@ const Viewer = (() => {
       data = scene;
       world = worldOf(data, anisotropy);
       duration = world.own.duration;
-      speed = world.array(data.speed, "f4");
-      distance = world.array(data.distance, "f4");
       slider.max = duration;
       slider.step = 1 / data.rate;
       now = Math.min(now, duration);
@@ -427,9 +463,7 @@ const Viewer = (() => {
       const shown = data.start + now;
       clock.textContent = `${shown.toFixed(1)} / ${(data.start + duration).toFixed(1)} s`;
       slider.setAttribute("aria-valuetext", `${shown.toFixed(1)} s`);
-      const grid = `grid ${+data.spacing.toPrecision(3)} m`;
-      caption.textContent =
-        `${speed[frame].toFixed(2)} m/s · ${distance[frame].toFixed(2)} m ${data.measured} · ${grid}`;
+      caption.textContent = words(frame);
       for (const { bar, axis } of cursors) {
         const part = (shown - axis.start) / (axis.stop - axis.start);
         bar.hidden = part < 0 || part > 1;
@@ -437,6 +471,21 @@ const Viewer = (() => {
       }
       draw();
     }
+    function words(frame) {
+      const grid = `grid ${+data.spacing.toPrecision(3)} m`;
+      if (data.herd) return `${data.herd[pointed]?.words ?? "Point at an animal"} · ${grid}`;
+      const [speed, distance] = [data.speed, data.distance].map((each) => world.array(each, "f4")[frame]);
+      return `${speed.toFixed(2)} m/s · ${distance.toFixed(2)} m ${data.measured} · ${grid}`;
+    }
+    function point(event) {
+      if (!data?.herd) return;
+      const box = canvas.getBoundingClientRect();
+      const right = (event.clientX - box.left) / box.width, up = (box.bottom - event.clientY) / box.height;
+      pointed = world.at(new THREE.Vector2(2 * right - 1, 2 * up - 1), camera) ?? pointed;
+      caption.textContent = words(0);
+    }
+    canvas.addEventListener("pointermove", point);
+    canvas.addEventListener("pointerdown", point);
     function draw() {
       if (waiting) return;
       waiting = true;
@@ -484,7 +533,7 @@ const Viewer = (() => {
       if (!box.width) return;
       renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
       renderer.setSize(box.width, box.height, false);
-      fitted(camera, box.width / box.height);
+      fitted(camera, box.width / box.height, data.herd ? 16 / 9 : undefined);
       draw();
     }
     return { show, get time() { return now; } };

@@ -23,9 +23,10 @@ from evo_cpg.view.ghosts import coarse
 from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import BodySurface, head_index, pieces
 from evo_cpg.view.offscreen import CELLS
-from evo_cpg.view.scene import Clip, Panel, quaternions, sample, scene_of
+from evo_cpg.view.scene import Clip, Exhibit, Panel, quaternions, sample, scene_of
 from evo_cpg.view.skin import skins
 from evo_cpg.view.terrain import obstacle_mesh
+from evo_cpg.view.wall import ELEVATION, TILE, hung
 
 # Frames per second. The viewer interpolates between them.
 RATE = 30.0
@@ -51,6 +52,11 @@ _MANY = 65536
 _CROWD_RATE, _LEAST_RATE, _CROWD_BYTES = 15.0, 8.0, 3e6
 # Bytes of a body at an instant, and largest numbers of 16 and 8 bits.
 _SIZE, _HALF, _BYTE = 10, 65535, 127
+# Instants per second on a wall. Radius for the viewer's camera, relative to the visible height of
+# the wall, bearing at which the camera is in front of it, and its elevation, rad.
+WALL_RATE, _WHOLE, _FRONT, _LEVEL = 15.0, 0.43, -0.35, 0.1
+# Factor of its size by which a wall on the ground is farther away.
+_NEARER = 1.2
 
 Add = Callable[[Any, str], Any]
 
@@ -129,11 +135,58 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
     }
 
 
-def animal_data(creature: Creature, arrays: Arrays) -> dict[str, Any]:
-    """Return the surfaces of an animal."""
+def wall_data(panel: Panel, aspect: float) -> dict[str, Any]:
+    """Return all things on a wall, for a picture of about an aspect (width over height)."""
+    clip = sample(panel.recording, WALL_RATE)
+    scene, arrays = hung(panel, clip, aspect), Arrays()
+    wall, position, rotation = scene.wall, scene.clip.position, scene.clip.rotation
+    assert wall is not None
+    herd, first = [], 0
+    for one, drift in zip(panel.exhibits, np.moveaxis(wall.drift, 1, 0), strict=True):
+        own = slice(first, first := first + len(one.creature.bodies))
+        motion = {
+            "position": arrays.add(position[:, own], "<f4"),
+            "rotation": arrays.add(quaternions(rotation[:, own]) * _SHORT, "<i2"),
+            "drift": arrays.add(drift, "<f4") if scene.stands else None,
+            "words": exhibit_words(one),
+        }
+        herd.append(animal_data(one.creature, arrays, fine=False) | motion)
+    across, upright = np.ptp(wall.middles, axis=0)[[0, 1 if scene.stands else 2]] + wall.cell
+    # On the ground, the first row is nearer than the others.
+    high, near = (upright * np.sin(ELEVATION), _NEARER) if scene.stands else (upright, 1.0)
+    return {
+        "start": float(clip.time[0]),
+        "rate": clip.rate,
+        "count": len(clip.time),
+        "focus": arrays.add(np.zeros((len(clip.time), 3)), "<f4"),
+        "herd": herd,
+        "tiles": {"middles": wall.middles.tolist(), "size": (TILE * wall.cell).tolist()},
+        # The camera of the viewer is this many radii away, so that the wall fills its picture.
+        "radius": _WHOLE * near * float(max(high, across / aspect)),
+        "bearing": _FRONT,
+        "elevation": float(ELEVATION) if scene.stands else _LEVEL,
+        "floor": float(scene.ground.level or 0.0),
+        "spacing": scene.marks.spacing / CELLS,
+        "obstacles": [],
+        **dict.fromkeys(("terrain", "goal", "surface")),
+        "water": panel.world == "water",
+        "look": {name: getattr(scene.look, name) for name in _LOOK},
+        "arrays": arrays.written,
+    }
+
+
+def exhibit_words(one: Exhibit) -> str:
+    """Return number, fitness, ancestor and number of bodies of an animal on a wall."""
+    line = "" if one.founder is None else f", line {one.founder}"
+    bodies = f"{len(one.creature.bodies)} bodies"
+    return f"animal {one.number}: fitness {one.fitness:.3g}, {bodies}{line}"
+
+
+def animal_data(creature: Creature, arrays: Arrays, fine: bool = True) -> dict[str, Any]:
+    """Return the surfaces of an animal. See `evo_cpg.view.meshes.surfaces` for ``fine``."""
     bodies = [
         {"name": body.name, "parts": [piece_data(piece, arrays.add) for piece in own]}
-        for body, own in zip(creature.bodies, pieces(creature), strict=True)
+        for body, own in zip(creature.bodies, pieces(creature, fine), strict=True)
     ]
     return {"bodies": bodies, **skin_data(creature, arrays.add)}
 
@@ -157,13 +210,9 @@ def _motion(clip: Clip, arrays: Arrays) -> dict[str, Any]:
 
 def piece_data(piece: BodySurface, add: Add) -> dict[str, Any]:
     """Return a surface."""
-    mesh = piece.mesh
-    if mesh.point_data.active_normals is None:
-        mesh = cast(pv.PolyData, mesh.compute_normals(split_vertices=False))
-    normals = np.asarray(mesh.point_data.active_normals)
-    made = surface_data(np.asarray(mesh.points), normals, mesh.regular_faces, add)
-    if "rgb" in mesh.point_data:
-        return made | {"colors": add(mesh["rgb"], "u1")}
+    made = surface_data(*piece.arrays(), add)
+    if "rgb" in piece.mesh.point_data:
+        return made | {"colors": add(piece.colors, "u1")}
     return made | {"color": piece.color}
 
 
