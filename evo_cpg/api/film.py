@@ -171,7 +171,11 @@ def chosen_of_lines(
     ranked = first[::-1][np.isfinite(fitness[first[::-1]])]
     none = np.zeros(len(fitness), int)
     kinds = np.stack([none if x is None else x for x in (lines, bodies)], axis=1)[ranked]
-    place = [int((kinds[:k] == kind).all(1).sum()) for k, kind in enumerate(kinds)]
+    _, kind, count = np.unique(kinds, axis=0, return_inverse=True, return_counts=True)
+    # Number of fitter individuals of the same kind.
+    place = np.empty(len(ranked), int)
+    earlier = np.repeat(np.cumsum(count) - count, count)
+    place[np.argsort(kind.reshape(-1), kind="stable")] = np.arange(len(ranked)) - earlier
     return ranked[np.argsort(place, kind="stable")]
 
 

@@ -39,7 +39,7 @@ _TURNED = -np.radians(38.0)
 _CALM = 0.8
 # Room around the animal at the quantile of all sizes that fills a cell, and fraction of the largest
 # animal that a cell holds. Instants at which an animal is larger are ignored up to a quantile.
-_ROOM, _QUANTILE, _LARGEST, _RARE = 1.06, 0.9, 0.85, 0.05
+_ROOM, _QUANTILE, _LARGEST, _RARE = 1.1, 0.9, 0.85, 0.05
 # Elevations of the camera, rad: before an upright wall, and above the ground.
 _UPRIGHT, ELEVATION = np.radians(6.0), np.radians(38.0)
 # View, degrees: narrow and from far away, so that all animals are seen from the same side. Room for
@@ -91,6 +91,9 @@ def hung(panel: Panel, clip: Clip, aspect: float) -> Scene:
         behind = boxes[:, 1, 2] / np.tan(ELEVATION)
         sizes[:, 1] += behind
         centres += np.stack([0 * behind, behind / 2, -centres[:, 2]], axis=1)
+    else:
+        # From a little above, the depth is seen as height.
+        sizes[:, 2] += sizes[:, 1] * np.tan(_UPRIGHT)
     sizes = sizes[:, [0, upright]]
     cell = np.maximum(_ROOM * np.quantile(sizes, _QUANTILE, axis=0), _LARGEST * sizes.max(0))
     seen = cell[1] * np.sin(ELEVATION) if stands else cell[1]
