@@ -98,7 +98,8 @@ class _Inwards(_Walked[Value]):
 
 
 def _chosen(flag: Any, yes: Value, no: Value) -> Value:
-    return jax.tree.map(lambda x, y: jnp.where(flag > 0, x, y), yes, no)
+    which = flag > 0
+    return jax.tree.map(lambda x, y: jnp.where(which, x, y), yes, no)
 
 
 def _plus(total: Value | None, flag: Any, value: Value) -> Value:

@@ -48,6 +48,8 @@ def keeps(
         valid &= (jnp.abs(rates) <= rules.joint_rate).all(0)
     if rules.power is not None:
         valid &= energy <= rules.power * duration
+    if rules.penetration is None and rules.overlap is None:
+        return valid
     kin = kinematics(world.tree, state)
     if rules.penetration is not None and world.contact_model is not None:
         valid &= (clearance(world.contact_model, kin) >= -rules.penetration).all(0)

@@ -61,8 +61,12 @@ class MixedArray:
 
     def __jax_array__(self) -> jax.Array:
         """Return the whole array."""
-        known = jnp.asarray(self.known.reshape(-1), self.traced.dtype)
-        array = jnp.concatenate([known, self.traced])[self.index]
+        size = self.known.size
+        if (self.index >= size).all():
+            array = self.traced[self.index - size]
+        else:
+            known = jnp.asarray(self.known.reshape(-1), self.traced.dtype)
+            array = jnp.concatenate([known, self.traced])[self.index]
         return array if self.signs is None else array * jnp.asarray(self.signs, array.dtype)
 
     def __getattr__(self, name: str) -> Any:
@@ -71,7 +75,15 @@ class MixedArray:
         return getattr(self.__jax_array__(), name)
 
     def __getitem__(self, key: Any) -> jax.Array:
-        return self.__jax_array__()[key]
+        if any(isinstance(x, jax.Array) for x in jax.tree.leaves(key)):
+            return self.__jax_array__()[key]
+        known, index, size = np.asarray(self.known[key]), self.index[key], self.known.size
+        places = np.flatnonzero(index >= size)
+        if not places.size:
+            return jnp.asarray(known, self.dtype)
+        signs = None if self.signs is None else self.signs[key].reshape(-1)[places]
+        sources = index.reshape(-1)[places] - size
+        return MixedArray(known, places, self.traced, sources, signs).__jax_array__()
 
     def __iter__(self) -> Iterator[jax.Array]:
         return iter(self.__jax_array__())
