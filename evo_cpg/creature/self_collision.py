@@ -113,16 +113,16 @@ def gaps_of_boxes(
         pairs: indices of the boxes of each pair.
     """
     first, second = pairs
+    frames = [(middle[x], turned[x], half[x]) for x in pairs]
 
-    def project(point: Numbers, body: np.ndarray) -> Numbers:
-        own = xp.einsum("pij,pi->pj", turned[body], point - middle[body])
-        return middle[body] + xp.einsum(
-            "pij,pj->pi", turned[body], xp.clip(own, -half[body], half[body])
-        )
+    def project(point: Numbers, centre: Numbers, axes: Numbers, most: Numbers) -> Numbers:
+        # Sums of products, because XLA computes many small matrix products slowly.
+        own = xp.clip((axes * (point - centre)[:, :, None]).sum(1), -most, most)
+        return centre + (axes * own[:, None]).sum(2)
 
     def on_both(_: Any, points: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
-        here = project(points[1], first)
-        return here, project(here, second)
+        here = project(points[1], *frames[0])
+        return here, project(here, *frames[1])
 
     points = middle[first], middle[second]
     if is_traced(points):
