@@ -192,11 +192,13 @@ def buried():
     return made, compile_steps(made)(champion())
 
 
+@pytest.mark.slow
 def test_a_start_in_the_ground_is_flagged(buried):
     """The push-out lifts the animal: depth, and energy that no motor spent."""
     assert {"penetration", "push_out_energy"} <= failed(buried, push_out_energy=0.01)
 
 
+@pytest.mark.slow
 def test_the_push_out_does_not_lift_a_standing_animal():
     """The contact force of a resting point balances its weight, so the point does not move."""
     made = walker()

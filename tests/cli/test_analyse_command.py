@@ -167,6 +167,7 @@ def test_html_of_a_run_is_escaped_in_a_named_page(cli, swimmer, tmp_path):
             assert not tab.complaints
 
 
+@pytest.mark.slow
 def test_the_page_lists_differences_from_the_paper(swimmer):
     """The run differs from the shipped configuration, whose comments name the paper's values."""
     page = page_of(swimmer)

@@ -85,6 +85,7 @@ def test_cell_selects_the_elite_to_audit(cli, mapped, monkeypatch):
     assert "there is no cell 9,9. Allowed: speed 0 to 2" in complaint
 
 
+@pytest.mark.slow
 def test_an_elite_is_audited_with_all_its_terms(mapped):
     """The map keeps only the terms of its axes. The check `free_energy` needs another term."""
     run = mapped[0]

@@ -87,6 +87,7 @@ def test_no_line_of_the_help_is_cut_at_80_columns():
     assert not [line for line in commands if line.endswith("...") or len(line) > 80]
 
 
+@pytest.mark.slow
 def test_importing_does_not_configure_or_start_jax(compiled):
     loaded = python(IMPORT_EVERYTHING, compiled=compiled).split()
     files = Path(evo_cpg.__file__).parent.rglob("*.py")

@@ -87,6 +87,7 @@ def test_a_story_without_crowds_says_so(run, tmp_path):
         assert evo.story(other, film, (96, 54)) == film
 
 
+@pytest.mark.slow
 def test_a_population_is_made_anew_from_the_seed(run):
     opened = open_run(run)
     experiment, folder = opened.experiment, opened.folder

@@ -153,6 +153,7 @@ def test_growth_follows_the_rules_of_connections():
 
 
 @pytest.mark.usefixtures("x64")
+@pytest.mark.slow
 def test_pairs_on_the_root_are_mirror_images():
     plans = as_numpy(develop(BOUNDS)(random_graphs(1)))
     pairs = 0
@@ -322,6 +323,7 @@ def check_walk(parent: np.ndarray, slot: np.ndarray) -> None:
     assert slot.max() == 2
 
 
+@pytest.mark.slow
 def test_open_bodies_never_use_one_slot(plans):
     trees = random_trees(100_000, 20)
     order, slot = map(np.asarray, jit_as_for_users(jax.vmap(walk_order))(trees))
@@ -331,6 +333,7 @@ def test_open_bodies_never_use_one_slot(plans):
     check_walk(plans.parent, plans.slot)
 
 
+@pytest.mark.slow
 def test_plans_are_equal_alone_and_in_batches():
     graphs = random_graphs(3)
     bounds = dataclasses.replace(BOUNDS, volume=0.02)

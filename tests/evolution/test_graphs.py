@@ -178,6 +178,7 @@ def test_grafts_bring_all_that_a_node_reaches(plans):
     assert whole > 0.3 * (~full).sum()
 
 
+@pytest.mark.slow
 def test_random_plans_have_all_sizes():
     sizes = bodies(draw(keys(6)))
     counts = np.bincount(sizes, minlength=21)
@@ -185,6 +186,7 @@ def test_random_plans_have_all_sizes():
     assert 7 <= np.median(sizes) <= 11 and counts[20] < 0.25 * COUNT
 
 
+@pytest.mark.slow
 def test_mutation_alone_hardly_changes_mean_size():
     first = last = draw(keys(6))
     for generation in range(10):

@@ -68,6 +68,7 @@ def test_legs_become_one_part_on_both_sides():
     np.testing.assert_array_equal(np.sign(plan.place[1:5, 1]).sum(), 0)
 
 
+@pytest.mark.slow
 def test_the_first_individuals_descend_from_the_animal():
     simulation = experiment(DOG).simulation
     genes = np.asarray(simulation.genome.random(jax.random.key(0), (40,)))
@@ -81,7 +82,7 @@ def test_the_first_individuals_descend_from_the_animal():
     assert np.unique(np.asarray(layout.unpack(genes).control)[0, 0, 0]).size > 20
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_own_creature_of_a_plan_gives_its_plan(seed):
     plans = plans_of(WATER, 8, 1, volume=1.0)
     layout = GraphLayout(12, 4, kinds=plans.layout.kinds)

@@ -188,6 +188,7 @@ def test_a_limb_on_each_segment_of_a_row():
     }
 
 
+@pytest.mark.slow
 def test_copies_are_read_back_and_differentiated_together():
     data = {"name": "x", "creature": yaml.safe_load(STAR), "world": {"water": None}}
     data["task"] = {"type": "distance"}

@@ -146,6 +146,7 @@ def test_a_second_in_water_agrees(config, trials):
 @pytest.mark.parametrize(
     "config", [*cases(EVERY), pytest.param(ALL_SENSES, id="all feedback", marks=pytest.mark.slow)]
 )
+@pytest.mark.slow
 def test_control_steps_agree_to_the_last_digits(config, trials):
     trial, generator = trials(config), np.random.default_rng(0)
     animal, apart, loose, touching = trial.start, [], [], 0

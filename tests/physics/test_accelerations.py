@@ -127,6 +127,7 @@ def test_the_comparison_can_fail():
 
 @pytest.mark.parametrize("number", [0, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("held", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_derivatives_equal_those_of_the_dense_equations(number, held):
     """Compare both modes with derivatives of the mass matrix and of a dense solution."""
     rng = np.random.default_rng(number)

@@ -21,6 +21,7 @@ from evo_cpg.physics.tree.state import State, resting_state
 H = 1 / 120
 
 
+@pytest.mark.slow
 def test_holding_wrench_balances_momentum():
     """Momentum about the world's origin changes by the holding wrench and the weight."""
     rng = np.random.default_rng(5)

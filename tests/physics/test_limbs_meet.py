@@ -205,6 +205,7 @@ def test_a_recording_has_the_mean_force_of_every_pair(x64):
         for shape in SHAPES
     ],
 )
+@pytest.mark.slow
 def test_overlapping_limbs_separate_slowly(x64, shape):
     """The push-out does little work at any depth: the speed stays below 0.5 m/s."""
     world, run = adrift(shape, "z")

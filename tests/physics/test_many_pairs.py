@@ -119,6 +119,7 @@ def listed_points(contacts):
     return contacts.of_points(lambda _: 1.0)
 
 
+@pytest.mark.slow
 def test_points_that_are_not_listed_exert_no_force(x64, loops):
     """Points that are not listed in a step are too far away to touch, at any reachable rate."""
     world, state = clapping("capsules", "z")

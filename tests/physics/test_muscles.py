@@ -200,6 +200,7 @@ def test_mirrored_activation_gives_the_mirrored_motion():
 
 
 @pytest.mark.parametrize("hill", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
 def test_gradients_through_muscles_equal_central_differences(hill):
     world = pair(dataclasses.replace(HILL, hill=hill))
     names = ["strength", "stiffening", "damping"] + ["strain", "slowness", "curvature"] * hill

@@ -204,6 +204,7 @@ def test_a_capsule_lies_across_a_beam_at_any_angle(x64):
     np.testing.assert_allclose(tilt, 0.0, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_touched_obstacles_at_an_end_take_precedence():
     """A post penetrates the front of a log. Two blocks near its middle do not touch."""
     post = Block((0.5, 0.0, 0.5), (0.05, 0.05, 0.5))

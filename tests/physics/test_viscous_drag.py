@@ -126,6 +126,7 @@ def test_sphere_follows_the_standard_curve(resolution):
     np.testing.assert_allclose(found[4:], measured[4:], rtol=0.12)
 
 
+@pytest.mark.slow
 def test_long_capsule_follows_the_long_cylinder():
     """Wieselsberger 1922 across the flow, within 15 % from Re 64 to 1.1e5."""
     reynolds, measured = np.transpose([pair for pair in CYLINDER if pair[0] >= 64])

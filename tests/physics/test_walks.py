@@ -74,9 +74,8 @@ def results(tree: Tree, state, torque, y, push) -> tuple:
     )
 
 
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
 def test_any_parents_give_the_motion_of_the_known_tree(seed):
     with jax.enable_x64(True):
         rng = np.random.default_rng(seed)

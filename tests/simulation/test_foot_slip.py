@@ -59,6 +59,7 @@ def trial_of(
     return {name: float(value[0]) for name, value in outcome.terms.items()}, numbers
 
 
+@pytest.mark.slow
 def test_a_block_slips_its_stopping_distance():
     """It stops after v^2 / (2 mu g) - v h / 2, because a step moves it by its final speed."""
     mu = 0.4

@@ -133,6 +133,7 @@ def kinetic_energy(numbers, rotation, angular, linear) -> np.ndarray:
 
 
 @each_size
+@pytest.mark.slow
 def test_mass_matrices_are_positive_definite(bodies, count):
     """Their quadratic form is the kinetic energy, which NumPy sums over boxes, to 1e-10."""
     for _, numbers, state, _, out in observed(bodies, count):
@@ -183,6 +184,7 @@ def at_rest(bodies: int, count: int, density: float):
 
 
 @each_size
+@pytest.mark.slow
 def test_displaced_water_weighs_its_volume(bodies, count):
     """The force on bodies of half the density is the weight of as much water as they weigh."""
     density = 0.5 * WATER_DENSITY
@@ -195,6 +197,7 @@ def test_displaced_water_weighs_its_volume(bodies, count):
 
 
 @each_size
+@pytest.mark.slow
 def test_plans_as_dense_as_water_stay_at_rest(bodies, count):
     """No part accelerates in any pose, because each floats."""
     for _, acceleration, force in at_rest(bodies, count, WATER_DENSITY):
@@ -246,6 +249,7 @@ def test_plans_fall_freely(bodies, count):
 
 
 @each_size
+@pytest.mark.slow
 def test_passive_plans_lose_energy_in_water(bodies, count):
     """Drag and motors at rest only take energy from bodies that begin with random velocities."""
 

@@ -64,7 +64,7 @@ def differences(plans, genes, frames) -> tuple[float, float, float]:
 @pytest.mark.parametrize(
     ("case", "count", "slow"),
     [
-        ("water", 3, False),
+        pytest.param("water", 3, False, marks=pytest.mark.slow),
         ("muscles", 3, False),
         pytest.param("land", 2, False, marks=pytest.mark.slow),
         pytest.param("water", 50, True, marks=pytest.mark.slow),

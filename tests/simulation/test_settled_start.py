@@ -98,6 +98,7 @@ def test_bodies_float_at_their_draught(shape, area, reach, error, fraction):
 
 
 @pytest.mark.parametrize(("width", "angle"), [(0.2, 45.0), (0.4, 0.0)])
+@pytest.mark.slow
 def test_a_log_of_square_section_floats_on_its_edge_and_a_board_flat(width, angle):
     """Half immersed, GM = w^2 / (6 t) - t / 4, which is negative for the log (w = t).
 
@@ -248,6 +249,7 @@ def test_starts_rest_where_the_simulation_rests(name):
     assert len(differ) <= 1, differ
 
 
+@pytest.mark.slow
 def test_creatures_that_cannot_rest_are_refused():
     """The steep slope exceeds the angle of friction, 26.6 degrees."""
     stone, cork = (alone(Box((0.2, 0.2, 0.2)), density) for density in (2000.0, 500.0))

@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pytest
 
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
@@ -9,6 +10,7 @@ from evo_cpg.studies.fukui2003 import Displacements, displacements, kept
 from tiny_run import CONFIG, PAIR
 
 
+@pytest.mark.slow
 def test_a_swimmer_keeps_its_displacement_at_half_the_step():
     """Motion in water is not chaotic, so the difference falls with the step."""
     config = load_config(CONFIG, [*PAIR, "simulation.seconds=4"])

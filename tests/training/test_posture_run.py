@@ -1,6 +1,7 @@
 """Evolution of postures as bits, from a configuration to the last population."""
 
 import numpy as np
+import pytest
 import yaml
 
 from evo_cpg.io.build import build_experiment
@@ -29,6 +30,7 @@ evolution: {type: bits, generations: 4, mutated_genes: [2, 10]}
 """
 
 
+@pytest.mark.slow
 def test_postures_evolve(tmp_path):
     """Genes stay bits. The seven best are kept, so the best fitness never falls."""
     experiment = build_experiment(check_config(yaml.safe_load(FLAPPER), "flapper"), "flapper")

@@ -320,6 +320,7 @@ def test_a_film_of_an_odd_size_is_animated_in_an_even_size(creature, recording, 
         assert (picture.size, picture.n_frames) == (SMALL, 3)
 
 
+@pytest.mark.slow
 def test_a_sheet_shows_moments_from_the_first_to_the_last(creature, recording, tmp_path):
     """Each picture equals the still of its instant. Pictures are in rows."""
     settings = {"size": SMALL, "title": "", "fps": 1}

@@ -106,6 +106,7 @@ def test_feet_that_touch_down_have_bars(walk):
     assert Strip(only, STYLES["land"], (640, 100), 1.0).at(1.0).std() > 10
 
 
+@pytest.mark.slow
 def test_a_film_has_the_strip_at_its_lower_edge(recording, tmp_path):
     shown = signals_of(recording, "CPG output")
     settings = {"size": (320, 180), "seconds": 3, "title": ""}

@@ -113,6 +113,7 @@ def test_stiff_joints_bend_less(ribbon):
     assert stiff < 0.02 * loose
 
 
+@pytest.mark.slow
 def test_towed_stiff_body_has_its_drag_and_no_thrust(ribbon):
     """The drag of the laws grows with the square of the speed."""
     rows = ask(ribbon, FORWARDS | {"u": [0.0, 1.0], "tow": [0.1, 0.2]}).rows

@@ -174,6 +174,7 @@ def test_trimesh_reads_the_animal_and_its_world(scene, tmp_path):
         np.testing.assert_allclose(light["translation"], recording.goal, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_skin_follows_its_bones_as_in_films():
     """The formula of the specification (glTF 2.0, section 3.7.3.3) at some instants."""
     creature, recording = synthetic.swimmer(), synthetic.swim(2.0)
