@@ -38,6 +38,7 @@ def test_the_champion_is_better_and_verified(refined, finished_run, cli):
     assert out.endswith("is as recorded (exactly)\n")
 
 
+@pytest.mark.slow
 def test_the_folder_records_the_gain_and_keeps_the_earlier_champion(refined, finished_run):
     folder, _ = refined
     with (folder.path / "refine.csv").open() as file:

@@ -249,6 +249,7 @@ def boxes_of(plans: Plan, depth: float) -> tuple:
     return centres, attitudes, plans.half - depth / 2
 
 
+@pytest.mark.slow
 def test_no_boxes_overlap_except_parents(plans):
     # The depth has a margin of 1 mm, because growth rounds places.
     boxes = boxes_of(plans, BOUNDS.overlap + 0.001)

@@ -57,6 +57,7 @@ def reached(plan: PlanGraph, start: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("source", SOURCES)
+@pytest.mark.slow
 def test_the_root_reaches_every_node(plans, source):
     plan = plans[source]
     assert (plan.on[:, 0].sum(-1) >= 1).all()

@@ -83,6 +83,7 @@ def test_the_first_individuals_descend_from_the_animal():
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_the_own_creature_of_a_plan_gives_its_plan(seed):
     plans = plans_of(WATER, 8, 1, volume=1.0)
     layout = GraphLayout(12, 4, kinds=plans.layout.kinds)

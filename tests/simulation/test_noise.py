@@ -150,6 +150,7 @@ def test_friction_is_uniform_over_trials():
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("engine", ["auto", pytest.param("jax", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_noise_of_friction_equals_another_friction_coefficient(engine):
     creature = swimmer(EYES)
     tree = build_tree(creature)

@@ -227,6 +227,7 @@ def trials(world: dict, bodies: int, seconds: float, controller: dict, begin=Non
 
 
 @each_size
+@pytest.mark.slow
 def test_plans_fall_freely(bodies, count):
     """All bodies accelerate with g and do not turn, and no joint moves, to 1e-10.
 

@@ -84,6 +84,7 @@ def test_plans_move_as_their_own_creatures(case, count, slow):
     assert np.median(moved) > 5e-3
 
 
+@pytest.mark.slow
 def test_the_comparison_can_fail():
     """An axis of a mirrored body that turns the other way round moves bodies by far more."""
     plans, genes, found, run = prepared("water", 3, False)

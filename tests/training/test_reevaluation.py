@@ -187,6 +187,7 @@ def test_chosen_champions_replay_as_recorded(evolved):
         assert terms == champion.terms
 
 
+@pytest.mark.slow
 def test_a_run_stopped_before_the_choice_chooses_equally(evolved, tmp_path):
     _, done, _ = evolved
     folder = folder_at(tmp_path / "run")

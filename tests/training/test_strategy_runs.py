@@ -44,6 +44,7 @@ def made(strategy, generations=GENERATIONS):
 
 
 @pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.slow
 def test_a_resumed_run_has_the_bits_of_an_uninterrupted_one(name, tmp_path):
     strategy = STRATEGIES[name]()
     whole = train(made(strategy), folder_at(tmp_path / "whole"))

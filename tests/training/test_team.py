@@ -82,6 +82,7 @@ SLOW = "map", "lexicase", "learning", "noise"
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind in SLOW)) for kind in KINDS]
 )
+@pytest.mark.slow
 def test_a_team_has_the_bits_of_one_process(kind, tmp_path):
     _, alone = evolve(KINDS[kind], tmp_path / "alone")
     with using(Workers("a", "b", "c")):
