@@ -42,9 +42,6 @@ from evo_cpg.simulation.recording import NERVE
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, population_mesh, run_in_blocks, sharded
 
-# Difference of the numbers of bodies of two programs. Each takes seconds to compile.
-_STEP = 5
-
 # Recorded arrays of bodies, contact points and joint axes.
 _OF_BODIES = ("position", "rotation", "velocity", "angular_velocity")
 _OF_POINTS = ("contact_force", "contact_velocity")
@@ -71,10 +68,12 @@ class EvolvedPlans(PlanBuilder):
         self._search, self.section = config.evolution, config.evolution.plan
         self.layout, self.bounds = self.section.layout, self.section.bounds
         most = self.section.bodies + 1
-        self.sizes = tuple(range(most, 2, -_STEP))[::-1]
+        # Each program takes half a minute to compile.
+        self.sizes = tuple(sorted({max(most // 2 + 1, 3), most}))
         clearance = config.simulation.start_clearance
         on_ground = config.world.ground is not None
-        self.physics = self.section.physics(config.world.water, clearance, on_ground)
+        meet = on_ground or "overlap" in config.audit.disqualify
+        self.physics = self.section.physics(config.world.water, clearance, meet)
         # On land sums over contacts of limbs are ordered differently in larger programs.
         self.joins_vectors = not on_ground
         self._ancestor = None

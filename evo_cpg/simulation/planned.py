@@ -58,7 +58,7 @@ class PlanPhysics:
         skin_resolution: see `evo_cpg.io.schema.world`.
         clearance: height of the lowest point at the start on ground, m.
         axes: axes (0 x, 1 y, 2 z) that any joint may have.
-        meet: whether limbs keep other limbs from passing.
+        meet: whether limbs must not pass through each other.
     """
 
     density: float = 1000.0
@@ -337,8 +337,9 @@ class PlanInputs:
         tree = _with_walk(star.world.tree)
         self.physics, self._rules = physics, rules
         world = dataclasses.replace(star.world, tree=tree)
-        if physics.meet:
-            world = dataclasses.replace(world, pairs=_all_pairs(tree))
+        self._pairs = _all_pairs(tree) if physics.meet else None
+        if world.contact_model is not None:
+            world = dataclasses.replace(world, pairs=self._pairs)
         self.common = dataclasses.replace(star, world=world)
         self._like = jax.eval_shape(lambda plan: numbers_of(plan, physics), _no_plan(bodies))
         known = jax.tree.map(lambda leaf: np.ones(leaf.shape), self._like)
@@ -370,7 +371,8 @@ class PlanInputs:
         parts = jax.tree.unflatten(structure, built)
         rules, world = common.rules, parts["world"]
         if rules is not None:
-            rules = self._rules(numbers.length, numbers.mass.sum(), world.pairs)
+            pairs = _pairs(self._pairs, world.tree, numbers)
+            rules = self._rules(numbers.length, numbers.mass.sum(), pairs)
         return dataclasses.replace(common, rules=rules, **parts)
 
     def _parts(self, common: Simulation, numbers: PlanNumbers) -> dict[str, Any]:

@@ -114,8 +114,8 @@ def test_limits_scale_with_the_size_and_mass_of_the_animal():
 @pytest.mark.parametrize(
     ("name", "rules"),
     [
-        ("virtual_creatures_water", ["speed", "joint_rate"]),
-        ("virtual_creatures_land", ["speed", "joint_rate", "penetration", "overlap"]),
+        ("virtual_creatures_water", ["speed", "joint_rate", "overlap"]),
+        ("virtual_creatures_land", ["speed", "joint_rate", "overlap", "penetration"]),
         ("evolving_walker", ["speed", "joint_rate"]),
     ],
 )

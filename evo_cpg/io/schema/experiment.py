@@ -196,8 +196,9 @@ class ExperimentConfig(Section):
         if not evolve or "disqualify" in (audit or {}):
             return data
         rules, world = ["speed", "joint_rate"], data.get("world") or {}
+        rules += ["overlap"] * plans
         if plans and isinstance(world, dict) and world.get("ground") is not None:
-            rules += ["penetration", "overlap"]
+            rules.append("penetration")
         return {**data, "audit": {**(audit or {}), "disqualify": rules}}
 
     @property
