@@ -17,8 +17,8 @@ class _AuditConfig(Section):
 
     Attributes:
         disqualify: names of limits. An individual that exceeds one in training is disqualified, as
-            if it had diverged. If bodies evolve, speed and joint_rate by default, and of plans overlap
-            and, on ground, penetration.
+            if it had diverged. By default, speed and joint_rate if bodies evolve, overlap with
+            plans, and penetration with plans on ground.
         after_training: whether `train` finally replays the champion at half the physics step.
     """
 
