@@ -165,8 +165,8 @@ def _joint(
     turned = frame.T @ relative
     yaw, pitch = math.atan2(turned[1, 0], turned[0, 0]), -math.asin(np.clip(turned[2, 0], -1, 1))
     turns = np.array([yaw, pitch, math.atan2(turned[2, 1], turned[2, 2])]) / bounds.turns
-    steps = (_cut(np.round(x * 128), -_SIGNED, _SIGNED) for x in (place, turns))
-    return tuple(steps)  # pyright: ignore[reportReturnType]
+    here, turn = (_cut(np.round(x * 128), -_SIGNED, _SIGNED) for x in (place, turns))
+    return here, turn
 
 
 def _turns(

@@ -68,7 +68,7 @@ class EvolvedPlans(PlanBuilder):
         self._search, self.section = config.evolution, config.evolution.plan
         self.layout, self.bounds = self.section.layout, self.section.bounds
         most = self.section.bodies + 1
-        # Each program takes half a minute to compile.
+        # More programs would waste fewer bodies, but each takes long to compile.
         self.sizes = tuple(sorted({max(most // 2 + 1, 3), most}))
         clearance = config.simulation.start_clearance
         on_ground = config.world.ground is not None

@@ -9,8 +9,8 @@ from evo_cpg.simulation.simulation import Rules
 
 # Default limits: depth in m, and as a fraction of the animal's length. The largest speed is the
 # speed after a fall from `_FALL` lengths, with the earth's gravity in m/s^2. The largest joint rate
-# is `_SWING` times the rate sqrt(g / length) of a pendulum as long as the animal. The knee of a
-# human sprinter turns at up to 20 rad/s, about 9 times this rate.
+# is `_SWING` times the rate sqrt(g / length) of a pendulum as long as the animal. The factor is
+# ours. It allows 23 rad/s at a length of 1.8 m.
 _DEEPEST, _DEPTH, _FALL, _SWING, _GRAVITY = 0.01, 0.02, 20.0, 10.0, 9.81
 
 
@@ -47,7 +47,7 @@ class Limits:
         speed: largest speed of the root, in lengths of the animal per second, or None for the speed
             after a fall from twenty times its length.
         joint_rate: largest rate of a turning axis, rad/s, or None for ten times sqrt(g / length) of
-            the animal, somewhat more than the knee of a human sprinter.
+            the animal.
         power: largest power of all motors, W for each kg of animal, or None for no limit.
         free_energy: largest excess of the energy spent over the most that costs fitness, as a
             fraction of the latter.

@@ -1,9 +1,9 @@
 """Family tree: the genome, the fitness and the origin of every individual of a run.
 
-The file ``family.gz`` has a member for each generation, so that a generation is appended to it and
-a kill loses at most the last. A member is a compressed NumPy array ``(runs, population)`` with the
-fields of `RECORD`. Its origins are those of the *next* generation, because both are known at the
-same time. A body plan takes about 100 bytes.
+The file ``family.bin`` has a block for each generation, so that a generation is appended to it and
+a kill loses at most the last. A block is its length in bytes (8 bytes, the lowest first), then a
+compressed NumPy array ``(runs, population)`` with the fields of `record_of`. Its origins are those
+of the *next* generation, because both are known at the same time.
 """
 
 import gzip
@@ -20,10 +20,12 @@ from jaxtyping import Float, Int
 from evo_cpg.evolution.strategy import Births
 from evo_cpg.files import cannot_write
 
-FAMILY_FILE = "family.gz"
+FAMILY_FILE = "family.bin"
 
 # Compression beyond this level takes twice as long for a tenth of the size.
 _LEVEL = 6
+# Bytes of a block's length.
+_HEAD = 8
 
 
 def record_of(genome_bytes: int) -> np.dtype:
@@ -55,7 +57,8 @@ def extend_family(folder: Path, fitness: Float[np.ndarray, "runs n"], births: Bi
     path = folder / FAMILY_FILE
     try:
         with path.open("ab") as file:
-            file.write(gzip.compress(packed.getvalue(), _LEVEL, mtime=0))
+            member = gzip.compress(packed.getvalue(), _LEVEL, mtime=0)
+            file.write(len(member).to_bytes(_HEAD, "little") + member)
     except OSError as error:
         raise cannot_write(path, error) from None
 
@@ -89,15 +92,14 @@ def _members(path: Path) -> Iterator[tuple[int, Any]]:
     data = path.read_bytes() if path.is_file() else b""
     end = 0
     while end < len(data):
-        member = zlib.decompressobj(16 + zlib.MAX_WBITS)
+        start = end + _HEAD
+        end = start + int.from_bytes(data[end:start], "little")
         try:
-            block = np.load(io.BytesIO(member.decompress(data[end:])), allow_pickle=False)
-        except (zlib.error, ValueError, EOFError):
+            packed = gzip.decompress(data[start:end])
+            yield end, np.load(io.BytesIO(packed), allow_pickle=False)
+        except (zlib.error, OSError, ValueError, EOFError):
+            # A kill interrupted the writing of the last block.
             return
-        if not member.eof:
-            return
-        end = len(data) - len(member.unused_data)
-        yield end, block
 
 
 def founders(

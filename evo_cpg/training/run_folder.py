@@ -8,7 +8,7 @@
     champion.npz     genome, fitness, terms and motion of the best individual of all runs
     candidates.csv   with noise: results of the candidates for the champion
     lineage.npz      earlier champions, at most 32 of each run, see `evo_cpg.training.lineage`
-    family.gz        all individuals of evolving plans, see `evo_cpg.training.family`
+    family.bin       all individuals of evolving plans, see `evo_cpg.training.family`
     refine.csv       gain of every round of `refine`
     champion_before.npz, config_before.yaml: initial state of `refine`
     videos/, plots/  output of `render` and `plot`

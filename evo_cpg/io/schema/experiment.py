@@ -193,7 +193,7 @@ class ExperimentConfig(Section):
         search, audit = (data.get(key) for key in ("evolution", "audit"))
         plans = isinstance(search, dict) and search.get("type") == "plans"
         evolve = plans or (isinstance(search, dict) and search.get("body"))
-        if not evolve or "disqualify" in (audit or {}):
+        if not evolve or not isinstance(audit or {}, dict) or "disqualify" in (audit or {}):
             return data
         rules, world = ["speed", "joint_rate"], data.get("world") or {}
         rules += ["overlap"] * plans
