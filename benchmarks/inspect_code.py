@@ -26,6 +26,7 @@ import numpy as np
 
 from benchmarks.code_interpreter import interpret
 from benchmarks.code_parts import Arrays, Call, TrialPart, calls_of, parts_of
+from benchmarks.graphs import show, verifying
 from evo_cpg.errors import UsageError, UserError, nearest
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
@@ -35,7 +36,6 @@ from evo_cpg.native.backend.code import Target, Variant
 from evo_cpg.native.backend.compiler_process import Request
 from evo_cpg.native.backend.machine import address_of_ticks, load, object_code
 from evo_cpg.native.frontend.primitives import Program, fused_p
-from evo_cpg.native.inspect import show
 from evo_cpg.native.ir import Unsupported
 from evo_cpg.native.native import call_handler
 from evo_cpg.simulation.noise import Noise
@@ -190,7 +190,7 @@ def table(rows: Sequence[PartCost], seconds: Mapping[int, float]) -> Iterator[st
 def write(part: TrialPart, target: Target, folder: Path) -> Iterator[Path]:
     """Write the graph of a part after each pass, its LLVM IR and its assembly. Return the files."""
     folder.mkdir(parents=True, exist_ok=True)
-    graphs = [*compile.stages(part.program)]
+    graphs = [*verifying(compile.stages)(part.program)]
     texts = {f"{k}-{stage}.txt": show(graph) for k, (stage, graph) in enumerate(graphs)}
     code = compile.module_of(graphs[-1][1], Variant(target, target.bytes // 4)).text
     effort = machine_constants.LLVM_EFFORT

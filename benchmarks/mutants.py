@@ -421,8 +421,8 @@ MUTANTS = (
     ),
     Mutant(
         "simulation/judge.py",
-        "valid &= ((gap >= -rules.overlap) | passes).all(0)",
-        "valid &= ((gap >= -rules.overlap) | passes).any(0)",
+        "valid &= ~deep.any(0)",
+        "valid &= ~deep.all(0)",
         "simulation/test_rules.py",
     ),
     Mutant(

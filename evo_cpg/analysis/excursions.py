@@ -14,7 +14,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.per_body import take
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.physics.contact.contact_points import contact_points
-from evo_cpg.physics.contact.pairs import Pairs, make_pairs, separations
+from evo_cpg.physics.contact.pairs import Pairs, gaps_of_pairs, make_pairs
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.tendon import torque_of
@@ -84,7 +84,7 @@ def excursions(
         if world.contact_model is not None:
             clearance = contact_points(world.contact_model, kin).gap
         if every is not None:
-            apart = separations(every, kin).gap
+            apart = gaps_of_pairs(every, kin)
         return clearance, apart, swims(world, steps)
 
     clearance, apart, swimming = along_time(depths, steps)
@@ -166,18 +166,15 @@ def _deepest_overlap(
         world: world of the trial.
         creature: the animal.
         steps: physics steps of the trial.
-        apart: gap between the rounded boxes of each point's two bodies, m.
+        apart: gap between the rounded boxes of each pair, m.
     """
     deepest, names = 0.0, ()
     if pairs is None or not apart.size:
         return deepest, names
-    least: dict[tuple[int, int], np.ndarray] = {}
-    for own, gap in zip(zip(*pairs.owners, strict=True), apart, strict=True):
-        least[own] = np.minimum(least.get(own, np.inf), gap)
     # Use the order of the tree, as `kinematics` does.
     shapes = [body.shape for body in creature.bodies_of(world.tree.names)]
     poses = functools.cache(lambda: along_time(functools.partial(_poses, world), steps))
-    for own, gap in least.items():
+    for *own, gap in zip(pairs.first, pairs.second, apart, strict=True):
         if all(shapes[i].fills_rounded_box for i in own):
             found = -float(gap.min())
         else:

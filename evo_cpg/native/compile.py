@@ -3,17 +3,11 @@
 `docs/models/native.md` lists the passes, and says how to omit one. Lowering simplifies each
 operation as it is made (`frontend.simplify`), because the place of a slice must be a known number.
 
-| environment variable | after each pass |
-|---|---|
-| ``EVO_CPG_SHOW_PASSES`` | the graph is printed to standard error (`inspect.show`) |
-| ``EVO_CPG_VERIFY_PASSES`` | the graph is checked (`inspect.verify`), as in the tests |
-
-`python -m benchmarks.inspect_code` measures the parts of a trial, and finds the pass with a fault.
+`python -m benchmarks.inspect_code` measures the parts of a trial, writes and verifies the graph
+after each pass, and finds the pass with a fault.
 """
 
 import gc
-import os
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -24,7 +18,6 @@ from evo_cpg.native.frontend.builder import Builder
 from evo_cpg.native.frontend.lower import lower
 from evo_cpg.native.frontend.primitives import Program
 from evo_cpg.native.frontend.simplify import RULES, RewriteRule
-from evo_cpg.native.inspect import InvalidGraph, show, verify
 from evo_cpg.native.ir import Graph
 from evo_cpg.native.passes import PASSES, Pass
 
@@ -54,10 +47,10 @@ def stages(
 ) -> Iterator[tuple[str, Graph]]:
     """Iterate over lowering and the passes from graph to graph: the name of each and its graph."""
     graph = lower(program, Builder(rules))
-    yield "lower", _inspected(program.name, "lower", graph)
+    yield "lower", graph
     for each in PASSES if passes is None else passes:
         graph = each(graph)
-        yield each.__name__, _inspected(program.name, each.__name__, graph)
+        yield each.__name__, graph
 
 
 def optimize(program: Program, passes: Sequence[Pass] | None = None, rules: Rules = RULES) -> Graph:
@@ -67,18 +60,6 @@ def optimize(program: Program, passes: Sequence[Pass] | None = None, rules: Rule
         Unsupported: if there is no rule for a part of the program, or the program is too large.
     """
     *_, (_, graph) = stages(program, passes, rules)
-    return graph
-
-
-def _inspected(program: str, name: str, graph: Graph) -> Graph:
-    """Print and verify the graph that a pass has made, if the environment variables are set."""
-    if os.environ.get("EVO_CPG_SHOW_PASSES"):
-        print(f"--- {program}: {name}", show(graph), sep="\n", file=sys.stderr)
-    if os.environ.get("EVO_CPG_VERIFY_PASSES"):
-        try:
-            verify(graph)
-        except InvalidGraph as error:
-            raise InvalidGraph(f"{name}: {error}") from None
     return graph
 
 

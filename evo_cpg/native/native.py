@@ -22,8 +22,9 @@ from evo_cpg.native import engine, machine_constants
 from evo_cpg.native import jax_internals as internals
 from evo_cpg.native.backend.code import Variant
 from evo_cpg.native.backend.llvm import call_frame
-from evo_cpg.native.backend.machine import host, load
-from evo_cpg.native.compile import to_llvm
+from evo_cpg.native.backend.machine import Known, host, keep_note, load, recalled
+from evo_cpg.native.compile import Module, to_llvm
+from evo_cpg.native.frontend.identity import note_of
 from evo_cpg.native.frontend.primitives import (
     Arrays,
     Program,
@@ -75,22 +76,32 @@ def compiled(program: Program, single: bool) -> Native:
     if variant not in codes:
         with counted() as spent:
             start = time.perf_counter()
-            module = to_llvm(program, variant)
-            if module.operations > machine_constants.MANY_OPERATIONS:
-                most = f"{machine_constants.MANY_OPERATIONS:,}"
-                engine.warn_once(
-                    f"A program has more than {most} operations, so it takes long to compile. "
-                    "Fewer bodies, contacts or points of drag make it smaller"
-                )
+            note = note_of(program, variant)
+            known = recalled(note)
+            if known is None:
+                module = _lowered(program, variant)
             middle = time.perf_counter()
-            name, address = load(module.text, target)
+            if known is None:
+                known = Known(*load(module.text, target), module.scratch, module.operations)
+                keep_note(note, known)
             taken = middle - start, time.perf_counter() - middle
             if spent is not None:
-                made = Made(program.name, module.operations, *taken, module.scratch)
-                spent.programs.append(made)
-            name = engine.register(name, address)
-            codes[variant] = Native(name, address, module.scratch, width)
+                spent.programs.append(Made(program.name, known.operations, *taken, known.scratch))
+            name = engine.register(known.name, known.address)
+            codes[variant] = Native(name, known.address, known.scratch, width)
     return codes[variant]
+
+
+def _lowered(program: Program, variant: Variant) -> Module:
+    """Return LLVM IR of a program, and warn if it is large."""
+    module = to_llvm(program, variant)
+    if module.operations > machine_constants.MANY_OPERATIONS:
+        most = f"{machine_constants.MANY_OPERATIONS:,}"
+        engine.warn_once(
+            f"A program has more than {most} operations, so it takes long to compile. "
+            "Fewer bodies, contacts or points of drag make it smaller"
+        )
+    return module
 
 
 class Stepper:

@@ -16,7 +16,7 @@ from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.algebra.numerics import Number
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.contact.contact_points import clearance
-from evo_cpg.physics.contact.pairs import separations
+from evo_cpg.physics.contact.pairs import gaps_of_pairs
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import State
@@ -54,10 +54,9 @@ def keeps(
     if rules.penetration is not None and world.contact_model is not None:
         valid &= (clearance(world.contact_model, kin) >= -rules.penetration).all(0)
     if rules.overlap is not None and rules.pairs is not None:
-        gap = separations(rules.pairs, kin).gap
-        # Pairs without stiffness cannot touch in this creature, only in others of its plan.
-        passes = expand_dims_like(rules.pairs.stiffness, gap) == 0
-        valid &= ((gap >= -rules.overlap) | passes).all(0)
+        gap = gaps_of_pairs(rules.pairs, kin)
+        deep = (gap < -rules.overlap) & (expand_dims_like(rules.pairs.of_pairs, gap) > 0)
+        valid &= ~deep.any(0)
     return valid
 
 

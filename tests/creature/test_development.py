@@ -347,6 +347,7 @@ def test_plans_are_equal_alone_and_in_batches():
             assert value.tobytes() == np.asarray(other).tobytes()
 
 
+@pytest.mark.slow
 def test_float64_grows_the_same_bodies():
     graphs = random_graphs(2)
     plan = as_numpy(develop(BOUNDS)(graphs))

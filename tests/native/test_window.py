@@ -12,6 +12,7 @@ from against_jax import plain, sample
 from benchmarks import inspect_code as window
 from benchmarks.code_interpreter import interpret
 from benchmarks.code_parts import calls_of, parts_of
+from benchmarks.graphs import show, verify
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.shipped import find_config
@@ -23,7 +24,6 @@ from evo_cpg.native.frontend.builder import Builder
 from evo_cpg.native.frontend.primitives import fused_p
 from evo_cpg.native.frontend.simplify import RULES, RewriteRule
 from evo_cpg.native.fuse import fuse, solve_symmetric
-from evo_cpg.native.inspect import show, verify
 from evo_cpg.native.ir import Node
 
 COUNT = 16
@@ -226,7 +226,7 @@ def test_fault_is_found_in_its_part_and_pass(plant, x64, monkeypatch):
     x = sample((3, COUNT), dtype=float)
     record = calls_of(traced(nested, x), [x])
     # The interpreter must find the fault, not the verifier.
-    monkeypatch.delenv("EVO_CPG_VERIFY_PASSES")
+    monkeypatch.setattr(compile, "stages", compile.stages.__wrapped__)
     plant(monkeypatch, "waves")
     assert first_fault(record) == ("waves", FAULTS[plant])
     *_, last = window.report(window.verdicts(record))
@@ -241,7 +241,7 @@ def test_faults_of_a_swimmer_are_found(x64):
     for plant, stage in FAULTS.items():
         for part in ("oscillators", "a physics step"):
             with pytest.MonkeyPatch.context() as patch:
-                patch.delenv("EVO_CPG_VERIFY_PASSES")
+                patch.setattr(compile, "stages", compile.stages.__wrapped__)
                 plant(patch, part)
                 assert first_fault(record) == (part, stage)
 

@@ -34,7 +34,7 @@ def one_leg():
 @pytest.fixture(
     scope="module",
     params=[
-        "one leg",
+        pytest.param("one leg", marks=pytest.mark.slow),
         pytest.param("fukui2003_model1", marks=pytest.mark.slow),
         pytest.param("iwadate2010_swimmer", marks=pytest.mark.slow),
     ],

@@ -113,6 +113,7 @@ def test_a_log_of_square_section_floats_on_its_edge_and_a_board_flat(width, angl
     assert found.start_position == pytest.approx((0, 0, 0), abs=1e-7)
 
 
+@pytest.mark.slow
 def test_righting_stiffness_follows_from_the_metacentre():
     """K = rho g V GM about the centre of gravity, half immersed."""
     world = in_water(alone(Box((1.0, 0.4, 0.2)), 500.0), surface=0.0)

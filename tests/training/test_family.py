@@ -68,6 +68,7 @@ def test_a_cut_file_keeps_whole_generations(run, tmp_path, lost):
     assert whole.startswith(copy.read_bytes()) and len(read_family(tmp_path)) == 2
 
 
+@pytest.mark.slow
 def test_a_resumed_run_has_the_same_tree(run, tmp_path):
     copy = shutil.copytree(run.path, tmp_path / "run")
     (copy / "checkpoints" / "generation_000004.npz").unlink()

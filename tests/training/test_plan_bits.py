@@ -15,11 +15,13 @@ from evo_cpg.training.evaluate import compile_replay, compile_trials
 from plans import LAND, WATER, plan_experiment, random_genes
 
 # World, bodies, and seconds.
-CASES = {"water": (WATER, 7, 0.25), "land": (LAND, 7, 0.25)}
+CASES = {"small": (WATER, 3, 0.25), "water": (WATER, 7, 0.25), "land": (LAND, 7, 0.25)}
 SLOW = pytest.mark.slow
 # Programs of different numbers of bodies do not give equal bits on land, where a plan stays in one.
 DIFFERS = pytest.mark.xfail(strict=True, reason="bits on land depend on the program's bodies")
-each_world = pytest.mark.parametrize("case", ["water", pytest.param("land", marks=SLOW)])
+each_world = pytest.mark.parametrize(
+    "case", ["small", *(pytest.param(name, marks=SLOW) for name in ("water", "land"))]
+)
 each_program = pytest.mark.parametrize(
     "case", [pytest.param("water", marks=SLOW), pytest.param("land", marks=[SLOW, DIFFERS])]
 )
@@ -32,8 +34,9 @@ def prepared(case: str):
     plans = simulation.plans
     many = random_genes(plans, 200).astype(np.float32)
     count = plans.developed(many)[0]
-    own = [i for size in (2, 3, 4, 5, 6, 7) for i in np.flatnonzero(count == size)[:2]]
-    assert len(own) == 12
+    sizes = range(2, CASES[case][1] + 1)
+    own = [i for size in sizes for i in np.flatnonzero(count == size)[:2]]
+    assert len(own) == 2 * len(sizes)
     return simulation, many[:, own]
 
 

@@ -12,6 +12,7 @@ import atexit
 import contextlib
 import functools
 import hashlib
+import json
 import os
 import pickle
 import platform
@@ -21,7 +22,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 from evo_cpg.files import in_one_piece
 from evo_cpg.native import machine_constants
@@ -110,26 +111,68 @@ def load(text: str, target: Target) -> tuple[str, int]:
     key = "\n".join([llvm_version(), platform.platform(), *map(str, target), str(effort), text])
     name = hashlib.sha256(key.encode()).hexdigest()[:32]
     if name not in _loaded:
-        code = None
-        if _folder is not None:
-            with contextlib.suppress(OSError):
-                content = (_folder / f"native-{name}").read_bytes()
-                # The last 32 bytes are a hash of the code. A truncated file counts as missing.
-                if hashlib.sha256(content[:-32]).digest() == content[-32:]:
-                    code = content[:-32]
+        code = _kept(f"native-{name}")
         if code is None:
             with counted(compiler=True):
                 code = object_code(Request(text, target.processor, target.features, effort))
-            if _folder is not None:
-                with contextlib.suppress(OSError), in_one_piece(_folder / f"native-{name}") as file:
-                    file.write_bytes(code + hashlib.sha256(code).digest())
-        builder = _llvm().JITLibraryBuilder()
-        builder.add_object_img(code).add_current_process().export_symbol("handler")
-        if text.startswith("@ticks"):
-            builder.export_symbol("ticks")
-        tracker = builder.link(_linker(), name)
-        _loaded[name] = tracker["handler"], len(code), tracker
+            _keep(f"native-{name}", code)
+        _link(name, code, text.startswith("@ticks"))
     return name, _loaded[name][0]
+
+
+class Known(NamedTuple):
+    """Machine code in memory: the name and address of its handler, its scratch and operations."""
+
+    name: str
+    address: int
+    scratch: int
+    operations: int
+
+
+def recalled(note: str | None) -> Known | None:
+    """Return the machine code of a program by its note, or None if it is not on disk."""
+    content = note and _kept(f"note-{note}")
+    if not content:
+        return None
+    name, *numbers = json.loads(content)
+    if name not in _loaded:
+        code = _kept(f"native-{name}")
+        if code is None:
+            return None
+        _link(name, code)
+    return Known(name, _loaded[name][0], *numbers)
+
+
+def keep_note(note: str | None, known: Known) -> None:
+    """Keep a note of which machine code a program has."""
+    if note:
+        _keep(f"note-{note}", json.dumps([known.name, known.scratch, known.operations]).encode())
+
+
+def _kept(name: str) -> bytes | None:
+    """Return the content of a file in the folder, or None if it is missing or damaged."""
+    if _folder is not None:
+        with contextlib.suppress(OSError):
+            content = (_folder / name).read_bytes()
+            # The last 32 bytes are a hash.
+            if hashlib.sha256(content[:-32]).digest() == content[-32:]:
+                return content[:-32]
+    return None
+
+
+def _keep(name: str, content: bytes) -> None:
+    if _folder is not None:
+        with contextlib.suppress(OSError), in_one_piece(_folder / name) as file:
+            file.write_bytes(content + hashlib.sha256(content).digest())
+
+
+def _link(name: str, code: bytes, timed: bool = False) -> None:
+    builder = _llvm().JITLibraryBuilder()
+    builder.add_object_img(code).add_current_process().export_symbol("handler")
+    if timed:
+        builder.export_symbol("ticks")
+    tracker = builder.link(_linker(), name)
+    _loaded[name] = tracker["handler"], len(code), tracker
 
 
 def address_of_ticks(name: str) -> int:

@@ -105,7 +105,7 @@ def trace(
         builder.part = f"{around}/{scope}" if scope else around
         operands = [read(atom) for atom in equation.invars]
         name, params = equation.primitive.name, equation.params
-        if name != "scan" and name not in _CALLS:
+        if name != "scan" and name not in CALLS:
             operands = [as_nodes(builder, x) for x in operands]
         if name in _PROGRAMS:
             results = _PROGRAMS[name](builder, equation, operands)
@@ -158,9 +158,13 @@ def is_supported(name: str) -> bool:
 # Rules of primitives that hold programs.
 
 
+def inner_program(equation: Any) -> Any:
+    """Return the program that a call (`CALLS`) evaluates."""
+    return equation.params.get("jaxpr") or equation.params["call_jaxpr"]
+
+
 def _call(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
-    inner = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
-    return trace(builder, inner, operands)
+    return trace(builder, inner_program(equation), operands)
 
 
 def _fused(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
@@ -216,13 +220,14 @@ def _linear_solve(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
     return trace(builder, jaxprs.solve, [*operands[before : before + counts.solve], *given])
 
 
-_CALLS = (
+CALLS = (
     "checkpoint", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "jit", "pjit",
     "remat2",
 )  # fmt: skip
+"""Primitives that evaluate one program. Their other parameters do not matter."""
 
 _PROGRAMS: dict[str, Callable[[Builder, Any, Arrays], Arrays]] = {
-    **dict.fromkeys(_CALLS, _call),
+    **dict.fromkeys(CALLS, _call),
     fused_p.name: _fused,
     linear_map_p.name: _linear_map,
     eliminate_p.name: _elimination,

@@ -13,9 +13,10 @@ Few pairs are unrolled (`evo_cpg.physics.contact.pair_contacts`), many are loope
 (`evo_cpg.physics.contact.many_pairs`).
 """
 
+import functools
 import itertools
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -126,6 +127,12 @@ class Pairs(eqx.Module):
     def owners(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Bodies of every point: in a run, the first points of all pairs, then the next ones."""
         return _of_points(self.first, self.runs), _of_points(self.second, self.runs)
+
+    @property
+    def of_pairs(self) -> Float[Numbers, " p"]:
+        """C h of each pair's points, kg. Pairs without it meet only in other creatures."""
+        points = _of_points(tuple(range(len(self.first))), self.runs)
+        return self.stiffness[np.unique(points, return_index=True)[1]]
 
     @property
     def looped(self) -> bool:
@@ -340,14 +347,31 @@ def parting_acceleration(normal: Array, carried: Array, points: Iterable[PointMo
 
 def separations(pairs: Pairs, kin: Kinematics) -> Separation:
     """Return the separations at all points of all pairs, in the world frame."""
+    return _of_runs(pairs, kin, lambda kind: KINDS[kind][0])
+
+
+def gaps_of_pairs(pairs: Pairs, kin: Kinematics) -> Float[Array, "p *n"]:
+    """Return the gap of each pair, m, negative where its rounded boxes overlap."""
+
+    def least(kind: str) -> Callable[..., list[Array]]:
+        # Boxes are never nearer than at their first point.
+        few = {"corners": 1} if kind == "boxes" else {}
+        find = functools.partial(KINDS[kind][0], **few)
+        return lambda a, b: [functools.reduce(jnp.minimum, [x.gap for x in find(a, b)])]
+
+    return _of_runs(pairs, kin, least)
+
+
+def _of_runs(pairs: Pairs, kin: Kinematics, finder: Callable[[str], Callable[..., list]]) -> Any:
+    """Return what the finder of each kind finds for all pairs, joined along their axis."""
     centre, half, radius = placed_boxes(pairs, kin)
     placed = centre, kin.rotation, half, radius
     found, start = [], 0
     for run in pairs.runs:
         bodies = [np.array(x[start : start + run.count]) for x in (pairs.first, pairs.second)]
-        find, _ = KINDS[run.kind]
+        find = finder(run.kind)
         if pairs.looped:
-            found += _one_by_one(run, bodies, placed)
+            found += _one_by_one(run, find, bodies, placed)
         else:
             found += find(*(run.boxes(placed, own, side) for side, own in enumerate(bodies)))
         start += run.count
@@ -356,13 +380,13 @@ def separations(pairs: Pairs, kin: Kinematics) -> Separation:
 
 
 def _one_by_one(
-    run: Alike, bodies: list[np.ndarray], placed: tuple[Array, ...]
-) -> list[Separation]:
-    """Return the separations of the pairs of a run, in a loop over the pairs."""
+    run: Alike, find: Callable[..., list], bodies: list[np.ndarray], placed: tuple[Array, ...]
+) -> list:
+    """Return what is found for the pairs of a run, in a loop over the pairs."""
 
-    def look(carry: None, pair: Array) -> tuple[None, list[Separation]]:
+    def look(carry: None, pair: Array) -> tuple[None, list]:
         boxes = (run.boxes(placed, pair[side], side) for side in range(2))
-        return carry, KINDS[run.kind][0](*boxes)
+        return carry, find(*boxes)
 
     _, found = jax.lax.scan(look, None, jnp.asarray(np.stack(bodies, 1), jnp.int32))
 

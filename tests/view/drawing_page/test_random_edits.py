@@ -131,7 +131,7 @@ def require_motion(document: Document) -> bool:
 @pytest.mark.parametrize(
     ("start", "count", "sense"),
     [
-        ("rich", 50, 0.9),
+        ("rich", 20, 0.9),
         *(
             pytest.param(start, 500, sense, marks=pytest.mark.slow)
             for start in ("blank", "rich", "imported", "starfish_land", "turtle", "hexapod")

@@ -1,7 +1,8 @@
-"""Inspect a graph between two passes: print it as text, and verify it."""
+"""Graphs of native code between two passes: as text, and verified."""
 
 import functools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -100,6 +101,21 @@ def verify(graph: Graph) -> Graph:
         for node in graph.nodes:
             _check_computed(node, [node], computed)
     return graph
+
+
+def verifying(stages: Callable[..., Iterable]) -> Callable[..., Iterator]:
+    """Return `evo_cpg.native.compile.stages` with a check of each graph."""
+
+    @functools.wraps(stages)
+    def run(*given: Any, **named: Any) -> Iterator[tuple[str, Graph]]:
+        for name, graph in stages(*given, **named):
+            try:
+                verify(graph)
+            except InvalidGraph as error:
+                raise InvalidGraph(f"{name}: {error}") from None
+            yield name, graph
+
+    return run
 
 
 def _check_node(graph: Graph, node: Node, known: set[Node]) -> None:
