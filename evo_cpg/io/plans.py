@@ -69,7 +69,7 @@ class EvolvedPlans(PlanBuilder):
         self.layout, self.bounds = self.section.layout, self.section.bounds
         most = self.section.bodies + 1
         # More programs would waste fewer bodies, but each takes long to compile.
-        self.sizes = tuple(sorted({max(most // 2 + 1, 3), most}))
+        self.sizes = tuple(sorted({max(most // 3 + 1, 3), max(2 * most // 3 + 1, 3), most}))
         clearance = config.simulation.start_clearance
         on_ground = config.world.ground is not None
         meet = on_ground or "overlap" in config.audit.disqualify

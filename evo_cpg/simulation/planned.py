@@ -406,17 +406,18 @@ class PlanInputs:
         Elements that are always equal, up to their sign, are computed once, because many surface
         points of a box have equal coordinates.
         """
-        draw, leaves = np.random.default_rng(0), jax.tree.leaves(self._like)
-        structure = jax.tree.structure(self._like)
+        draw, places = np.random.default_rng(0), []
+
+        def note_places(numbers: PlanNumbers) -> None:
+            leaves = jax.tree.leaves(self._parts(self.common, numbers))
+            traced = (i for i, x in enumerate(leaves) if isinstance(x, jax.Array) and x.size)
+            places.extend(traced)
+
+        jax.eval_shape(note_places, self._like)
         found = []
         for _ in range(_SAMPLES):
-            sample = [jnp.asarray(draw.uniform(0.5, 1.5, leaf.shape)) for leaf in leaves]
-            found.append(jax.tree.leaves(self._parts(self.common, structure.unflatten(sample))))
-        places = [
-            i
-            for i, each in enumerate(zip(*found, strict=True))
-            if isinstance(each[0], jax.Array) and each[0].size
-        ]
+            sample = jax.tree.map(lambda leaf: draw.uniform(0.5, 1.5, leaf.shape), self._like)
+            found.append(jax.tree.leaves(self._parts(self.common, sample)))
         rows = np.stack([np.concatenate([np.ravel(x[i]) for i in places]) for x in found], -1)
         source, sign, first = _alike(rows)
         known = tuple(np.asarray(found[0][i], float) for i in places)
@@ -496,15 +497,15 @@ def _with_walk(tree: Tree) -> Tree:
 
 def _tree(common: Tree, numbers: PlanNumbers) -> Tree:
     """Return the tree of a plan."""
-    size, none = 2 * numbers.half, jnp.zeros_like(numbers.reach)
-    com: Any = jnp.stack([numbers.reach, none, none])
+    size, none = 2 * numbers.half, xp.zeros_like(numbers.reach)
+    com: Any = xp.stack([numbers.reach, none, none])
     each = range(common.body_count)
     inertias = [
         spatial_inertia(mass, com[:, i], Box(tuple(size[:, i])).inertia(mass))
         for i, mass in zip(each, numbers.mass, strict=True)
     ]
-    volume = jnp.maximum(size.prod(0), LEAST_VOLUME)
-    muscles, (laws, active) = common.muscles, jnp.split(numbers.laws, [len(_LAWS)])
+    volume = xp.maximum(size.prod(0), LEAST_VOLUME)
+    muscles, (laws, active) = common.muscles, xp.split(numbers.laws, [len(_LAWS)])
     if muscles is not None:
         muscles = dataclasses.replace(muscles, **dict(zip(_MUSCLES, active, strict=True)))
     return dataclasses.replace(
@@ -515,7 +516,7 @@ def _tree(common: Tree, numbers: PlanNumbers) -> Tree:
         mass=numbers.mass,
         volume=volume,
         com=com,
-        inertia=jnp.stack(inertias, -1),
+        inertia=xp.stack(inertias, -1),
         walk=numbers.walk,
         **dict(zip(_LAWS, laws, strict=True)),
     )
@@ -523,7 +524,7 @@ def _tree(common: Tree, numbers: PlanNumbers) -> Tree:
 
 def _contact_model(model: ContactModel, tree: Tree, numbers: PlanNumbers) -> ContactModel:
     """Return the contact points of a plan. Those of absent bodies have no stiffness."""
-    stiffness = STIFFNESS * jnp.sqrt(tree.mass.sum() * tree.mass[np.array(model.bodies)])
+    stiffness = STIFFNESS * xp.sqrt(tree.mass.sum() * tree.mass[np.array(model.bodies)])
     return model._replace(boxes=numbers.half, centre=tree.com, stiffness=stiffness)
 
 
@@ -541,10 +542,13 @@ def _pairs(common: Pairs | None, tree: Tree, numbers: PlanNumbers) -> Pairs | No
     if common is None:
         return None
     one, two = (tree.mass[np.array(each)] for each in _every_pair(tree.body_count))
-    stiffness = PAIR_STIFFNESS * jnp.sqrt(one * two) * numbers.pairs
+    stiffness = PAIR_STIFFNESS * xp.sqrt(one * two) * numbers.pairs
     points = len(common.stiffness) // len(common.first)
     return dataclasses.replace(
-        common, centre=tree.com, half_extents=numbers.half, stiffness=jnp.tile(stiffness, points)
+        common,
+        centre=tree.com,
+        half_extents=numbers.half,
+        stiffness=xp.concatenate([stiffness] * points),
     )
 
 

@@ -9,6 +9,7 @@ solutions at which it does so.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -71,18 +72,24 @@ class SearchRecord(NamedTuple):
 
 def replay(problem: StepProblem, radius: Float[Array, "p *n"], record: SearchRecord) -> SolvedStep:
     """Return the solution by one Newton step under every cone and pair bias, for derivatives."""
-    start = problem.under(jnp.ones_like(record.restitution))
-    end = problem.under(record.restitution)
+
+    # `jit` traces all these steps once.
+    @jax.jit
+    def stepped(restitution: Array, bias: Array | None, radius: Array, point: Array) -> Array:
+        return full_step(problem.under(restitution, bias), radius, point)
+
+    bias, pairs = problem.pair_bias, problem.equations.pairs
+    ones, end = jnp.ones_like(record.restitution), record.restitution
+    start = problem.under(ones)
     first, *further = record.cones
     cone = Cone.first(radius)
-    y = full_step(start if further else end, radius, first)
+    y = stepped(ones if further else end, bias, radius, first)
     for k, point in enumerate(further, 1):
         cone = cone.updated(start.cone_radius(start.velocity(y)))
-        y = full_step(end if k == len(further) else start, cone.radius, point)
-    bias, pairs = problem.pair_bias, problem.equations.pairs
+        y = stepped(end if k == len(further) else ones, bias, cone.radius, point)
     for k, point in enumerate(record.biases, 1):
         assert pairs is not None
         new = pairs.bias_at(y[JOINTS])
-        there = full_step(problem.under(record.restitution, new), cone.radius, point)
+        there = stepped(end, new, cone.radius, point)
         y, bias = where_each(record.bias_updates >= k, (there, new), (y, bias))
     return SolvedStep(y, cone.radius, record.restitution, bias)
