@@ -45,6 +45,7 @@ def places(chain):
     return found
 
 
+@pytest.mark.slow
 def test_the_error_falls_with_the_step(places):
     """MuJoCo's error falls by the factor of the first order, to 25 %.
 

@@ -55,7 +55,7 @@ def test_settings_reach_all_plans():
     settings = {"largest_angle_deg": 30, "volume": 0.02, "density": 700.0, "motor_gain": 1e3}
     plans = plan_experiment(WATER, 7, 0.1, **given, **settings).simulation.plans
     assert (plans.layout.nodes, plans.layout.connections, plans.layout.kinds) == (4, 2, (2,))
-    assert plans.sizes == (5, 8) and plans.physics.axes == (1, 2)
+    assert plans.sizes == (3, 6, 8) and plans.physics.axes == (1, 2)
     assert plans.bounds.bodies == 7 and plans.bounds.half == (0.05, 0.15)
     assert plans.bounds.volume == 0.02
     assert (plans.physics.density, plans.physics.motor_gain) == (700.0, 1e3)

@@ -99,15 +99,16 @@ def test_a_massless_fixed_root_stops_limbs():
     assert (stiffness[0] > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
     "kinds",
     [
-        pytest.param((), id="fixed", marks=pytest.mark.slow),
-        pytest.param((Turn(),), id="hinge", marks=pytest.mark.slow),
-        pytest.param((Turn(),) * 3, id="three hinges", marks=pytest.mark.slow),
+        pytest.param((), id="fixed"),
+        pytest.param((Turn(),), id="hinge"),
+        pytest.param((Turn(),) * 3, id="three hinges"),
         pytest.param((Slide(), Slide(), Turn()), id="planar"),
-        pytest.param((BallComponent(),) * 3, id="ball", marks=pytest.mark.slow),
+        pytest.param((BallComponent(),) * 3, id="ball"),
     ],
 )
 def test_hanging_trees_accelerate_as_in_mujoco(kinds):
