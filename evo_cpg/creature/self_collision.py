@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -23,6 +24,9 @@ from evo_cpg.creature.tree import Tree
 # Alternating projections that find the nearest points of two boxes, and the gap (m) below which
 # boxes count as overlapping.
 _PROJECTIONS, TOUCH = 200, 1e-4
+
+# Least sine of the angle between edges that are not parallel.
+_PARALLEL = 1e-6
 
 # Numbers of pieces of joint ranges that are tried first, and the factor on the size of bodies in
 # these tries. If the enlarged bodies never meet, the same number shows it for similar bodies, too.
@@ -54,11 +58,13 @@ class SelfCollision:
             neutral pose.
         only: the only pairs to consider, collected from several creatures of one plan, or None for
             the rule. Pairs that overlap in the neutral pose may still pass (`passing_at_rest`).
+        looped: whether a loop computes the contacts even if there are few pairs.
     """
 
     exclude: PairNames = ()
     include: PairNames = ()
     only: PairNames | None = None
+    looped: bool = False
 
 
 def colliding_pairs(
@@ -91,28 +97,52 @@ def passing_at_rest(
     turned = rotations[bodies]
     within = xp.array([box.centre for box in boxes])
     middle = centres[bodies] + xp.einsum("bij,bj->bi", turned, within)
-    gaps = gaps_of_boxes(middle, turned, half, np.array(pairs, int).reshape(-1, 2).T)
-    first, second = np.array(pairs, int).reshape(-1, 2).T
-    return (gaps - radius[first] - radius[second] < TOUCH) & ruled
+    both = np.array(pairs, int).reshape(-1, 2).T
+    return touching((middle, turned, half), radius[both[0]] + radius[both[1]], both, ruled)
 
 
-def gaps_of_boxes(
-    middle: Float[Numbers, "b 3"],
-    turned: Float[Numbers, "b 3 3"],
-    half: Float[Numbers, "b 3"],
-    pairs: Int[np.ndarray, "2 p"],
-) -> Float[Numbers, " p"]:
-    """Return the gaps between pairs of boxes, m, 0 for boxes that touch or overlap.
+# Centres (m), rotations and half extents (m) of boxes, the boxes on the first axis.
+Boxes = tuple[Float[Numbers, "b 3"], Float[Numbers, "b 3 3"], Float[Numbers, "b 3"]]
 
-    Alternating projections find the nearest points.
+
+def touching(
+    boxes: Boxes, radius: Any, pairs: Int[np.ndarray, "2 p"], ruled: Bool[Numbers, " p"]
+) -> Bool[Numbers, " p"]:
+    """Return whether pairs of rounded boxes touch or overlap. It is False for pairs not ruled.
 
     Args:
-        middle: centres, m.
-        turned: rotations.
-        half: half extents, m.
+        boxes: the boxes without their radii.
+        radius: sum of both radii of each pair, m.
         pairs: indices of the boxes of each pair.
+        ruled: pairs to look at. Others cost no time if numbers are traced.
     """
+    # The gap along a separating direction is at most the distance, and negative in an overlap.
+    least, near = _separating_gaps(boxes, pairs), radius + TOUCH
+    unclear = ruled & (least >= 0) & (least < near)
+    distance = _distances(boxes, pairs, unclear.any())
+    return ruled & ((least < 0) | (unclear & (distance < near)))
+
+
+def _separating_gaps(boxes: Boxes, pairs: Int[np.ndarray, "2 p"]) -> Float[Numbers, " p"]:
+    """Return the largest gaps along face normals and cross products of edges (Gottschalk 1996)."""
+    middle, turned, half = boxes
     first, second = pairs
+    axes = [xp.swapaxes(turned[own], 1, 2) for own in pairs]
+    crossed = xp.cross(axes[0][:, :, None], axes[1][:, None]).reshape(-1, 9, 3)
+    every = xp.concatenate([*axes, crossed], 1)
+    length = xp.sqrt((every * every).sum(-1))
+    # Nearly parallel edges have no cross product.
+    every = every / xp.where(length > _PARALLEL, length, 1.0)[..., None]
+    gap = xp.abs((every * (middle[second] - middle[first])[:, None]).sum(-1))
+    for own, directions in zip(pairs, axes, strict=True):
+        along = xp.abs((every[:, :, None] * directions[:, None]).sum(-1))
+        gap = gap - (along * half[own][:, None]).sum(-1)
+    return xp.where(length > _PARALLEL, gap, -np.inf).max(-1)
+
+
+def _distances(boxes: Boxes, pairs: Int[np.ndarray, "2 p"], needed: Any) -> Numbers:
+    """Return the distances of boxes by alternating projections, or anything if not needed."""
+    middle, turned, half = boxes
     frames = [(middle[x], turned[x], half[x]) for x in pairs]
 
     def project(point: Numbers, centre: Numbers, axes: Numbers, most: Numbers) -> Numbers:
@@ -124,14 +154,13 @@ def gaps_of_boxes(
         here = project(points[1], *frames[0])
         return here, project(here, *frames[1])
 
-    points = middle[first], middle[second]
-    if is_traced(points):
-        points = jax.lax.fori_loop(0, _PROJECTIONS, on_both, points)
+    points = middle[pairs[0]], middle[pairs[1]]
+    if is_traced(points, needed):
+        points = jax.lax.fori_loop(0, jnp.where(needed, _PROJECTIONS, 0), on_both, points)
     else:
-        for _ in range(_PROJECTIONS):
+        for _ in range(_PROJECTIONS if needed else 0):
             points = on_both(_, points)
-    here, there = points
-    return xp.linalg.norm(there - here, axis=1)
+    return xp.linalg.norm(points[1] - points[0], axis=1)
 
 
 class LeftOut(NamedTuple):

@@ -142,6 +142,8 @@ class EvolvedPlans(PlanBuilder):
         """Return the configuration of a plan's own creature, and the genes of its controller."""
         plan, data = self.plan(genes), self.config.model_dump(mode="json")
         data["creature"] = creature_of(plan, self.section)
+        if self.config.world.ground is not None:
+            data["creature"]["self_collision"] = {"looped": True}
         given = self._search
         kept = {"generations": given.generations, "population": given.population}
         data["evolution"] = {"type": "real", "elites": given.elites, **kept}

@@ -24,14 +24,12 @@ from evo_cpg.creature.creature import NO_LIMIT, Actuator, DegreeOfFreedom, Muscl
 from evo_cpg.creature.development import Plan
 from evo_cpg.creature.graph import GraphLayout
 from evo_cpg.creature.laws import Muscles, laws_of
-from evo_cpg.creature.self_collision import TOUCH
+from evo_cpg.creature.self_collision import touching
 from evo_cpg.creature.shapes import Box, Surface
 from evo_cpg.creature.tree import LEAST_VOLUME, Group, Tree, spatial_inertia
 from evo_cpg.creature.walk import TreeWalk, slot_count, walk_of
-from evo_cpg.physics.contact.box_separation import separation_of_boxes
 from evo_cpg.physics.contact.contact_model import STIFFNESS, ContactModel
 from evo_cpg.physics.contact.pairs import KINDS, PAIR_STIFFNESS, Alike, Pairs
-from evo_cpg.physics.contact.separation import RoundedBoxes
 from evo_cpg.physics.water.fluid import Drag, make_patches
 from evo_cpg.physics.water.force_law import ForceLaw
 from evo_cpg.simulation.simulation import Rules, Simulation
@@ -268,13 +266,10 @@ def _separate(plan: Plan, half: Any, pose: _Pose) -> Float[Array, " k"]:
     and so do bodies that touch in the neutral pose.
     """
     first, second = every = _every_pair(len(half))
-    axes = jnp.moveaxis(pose.rotation, 0, -1)
-    placed = RoundedBoxes(pose.centre.T, axes, half.T, jnp.zeros(len(half)))
-    boxes = (jax.tree.map(lambda x, own=own: x[..., own], placed) for own in every)
-    gaps = separation_of_boxes(*boxes, corners=1)[0].gap
     joined = (plan.parent[second] == first) | (plan.parent[first] == second)
-    both = plan.present[first] & plan.present[second]
-    return (both & ~joined & (gaps >= TOUCH)).astype(half.dtype)
+    ruled = plan.present[first] & plan.present[second] & ~joined
+    passing = touching((pose.centre, pose.rotation, half), 0.0, every, ruled)
+    return (ruled & ~passing).astype(half.dtype)
 
 
 class PlanBuilder(abc.ABC):

@@ -201,10 +201,13 @@ class SelfCollisionConfig(Section):
     Attributes:
         exclude: pairs of names of bodies that may pass through each other.
         include: pairs of names of bodies that are kept apart although the rule exempts them.
+        looped: ``true`` to compute the contacts of few pairs as those of many, in a loop, which is
+            slower. Exported body plans do so, because plans evolve that way.
     """
 
     exclude: list[tuple[str, str]] = Field(default_factory=list)
     include: list[tuple[str, str]] = Field(default_factory=list)
+    looped: bool = False
 
 
 class CreatureConfig(Section):
@@ -324,7 +327,7 @@ class CreatureConfig(Section):
                 if a != b
             )
 
-        return SelfCollision(named(given.exclude), named(given.include))
+        return SelfCollision(named(given.exclude), named(given.include), looped=given.looped)
 
     def names_of(self, copy: Copy) -> list[str]:
         """Return the names of a body and of its parts."""
@@ -371,7 +374,8 @@ class CreatureConfig(Section):
                 (("pressure_sensors", i), x) for i, x in enumerate(self.pressure_sensors)
             ]
         if isinstance(self.self_collision, SelfCollisionConfig):
-            for which, pairs in self.self_collision:
+            for which in ("exclude", "include"):
+                pairs = getattr(self.self_collision, which)
                 for i, k in itertools.product(range(len(pairs)), range(2)):
                     if pairs[i][k] != "all":
                         references.append((("self_collision", which, i, k), pairs[i][k]))

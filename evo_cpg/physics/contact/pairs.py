@@ -113,6 +113,7 @@ class Pairs(eqx.Module):
         half_extents: half extents of every body's box, m.
         radius: radius of every body's box, m.
         stiffness: c h of every point, kg.
+        always_looped: whether a loop computes even few pairs.
     """
 
     first: tuple[int, ...] = eqx.field(static=True)
@@ -122,6 +123,7 @@ class Pairs(eqx.Module):
     half_extents: Float[Numbers, "3 b"]
     radius: Float[Numbers, " b"]
     stiffness: Float[Numbers, " p"]
+    always_looped: bool = eqx.field(static=True, default=False)
 
     @property
     def owners(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -136,8 +138,8 @@ class Pairs(eqx.Module):
 
     @property
     def looped(self) -> bool:
-        """True if there are so many pairs that a loop computes them."""
-        return len(self.first) > _MOST_WRITTEN_OUT
+        """True if a loop computes the pairs."""
+        return self.always_looped or len(self.first) > _MOST_WRITTEN_OUT
 
 
 class _Case(NamedTuple):
@@ -285,6 +287,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
         xp.array([box.half_extents for box in boxes]).T,
         xp.array([box.radius for box in boxes]),
         stiffness,
+        settings.looped,
     )
 
 
