@@ -126,14 +126,13 @@ def touching(
 def _separating_gaps(boxes: Boxes, pairs: Int[np.ndarray, "2 p"]) -> Float[Numbers, " p"]:
     """Return the largest gaps along face normals and cross products of edges (Gottschalk 1996)."""
     middle, turned, half = boxes
-    first, second = pairs
     axes = [xp.swapaxes(turned[own], 1, 2) for own in pairs]
     crossed = xp.cross(axes[0][:, :, None], axes[1][:, None]).reshape(-1, 9, 3)
     every = xp.concatenate([*axes, crossed], 1)
     length = xp.sqrt((every * every).sum(-1))
     # Nearly parallel edges have no cross product.
     every = every / xp.where(length > _PARALLEL, length, 1.0)[..., None]
-    gap = xp.abs((every * (middle[second] - middle[first])[:, None]).sum(-1))
+    gap = xp.abs((every * (middle[pairs[1]] - middle[pairs[0]])[:, None]).sum(-1))
     for own, directions in zip(pairs, axes, strict=True):
         along = xp.abs((every[:, :, None] * directions[:, None]).sum(-1))
         gap = gap - (along * half[own][:, None]).sum(-1)
@@ -142,8 +141,7 @@ def _separating_gaps(boxes: Boxes, pairs: Int[np.ndarray, "2 p"]) -> Float[Numbe
 
 def _distances(boxes: Boxes, pairs: Int[np.ndarray, "2 p"], needed: Any) -> Numbers:
     """Return the distances of boxes by alternating projections, or anything if not needed."""
-    middle, turned, half = boxes
-    frames = [(middle[x], turned[x], half[x]) for x in pairs]
+    frames = [tuple(x[own] for x in boxes) for own in pairs]
 
     def project(point: Numbers, centre: Numbers, axes: Numbers, most: Numbers) -> Numbers:
         # Sums of products, because XLA computes many small matrix products slowly.
@@ -154,7 +152,7 @@ def _distances(boxes: Boxes, pairs: Int[np.ndarray, "2 p"], needed: Any) -> Numb
         here = project(points[1], *frames[0])
         return here, project(here, *frames[1])
 
-    points = middle[pairs[0]], middle[pairs[1]]
+    points = frames[0][0], frames[1][0]
     if is_traced(points, needed):
         points = jax.lax.fori_loop(0, jnp.where(needed, _PROJECTIONS, 0), on_both, points)
     else:

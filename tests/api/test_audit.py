@@ -151,6 +151,7 @@ def test_unaccounted_energy_vanishes_with_the_step(swimming):
     assert errors[1] < errors[0] / 3 < 0.02
 
 
+@pytest.mark.slow
 def test_honest_animals_pass(honest, swimming):
     assert failed(honest) == set()
     assert failed(swimming) == set()

@@ -97,6 +97,7 @@ def test_the_readme_runs(here, capsys):
     assert len(capsys.readouterr().out.split()) == 2
 
 
+@pytest.mark.slow
 def test_a_custom_animal_trains(here, module):
     classes, program, *_ = programs("docs/own.md")
     config, *_ = configs("docs/own.md")
@@ -198,6 +199,7 @@ def test_the_task_of_the_tutorial_trains(here, module):
     assert trained.fitness == pytest.approx(depth - 0.002 * energy, rel=1e-4) and depth > 0
 
 
+@pytest.mark.slow
 def test_a_custom_optimiser_trains(module):
     strategy, program, *_ = programs("docs/searches.md")
     module("climber", strategy)

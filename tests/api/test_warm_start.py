@@ -47,6 +47,7 @@ def test_each_run_begins_with_its_own_champion(earlier):
     assert provenance["what"] == "champion" and provenance["fitness"] == earlier.fitness
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [4, 8, 12])
 def test_a_population_is_cut_or_filled(earlier, size):
     _, (genes, provenance) = start(earlier, "population", f"evolution.population={size}")

@@ -71,6 +71,7 @@ def test_the_peak_of_a_matrix_product_is_plausible():
     assert 1e9 < machine.matrix_product_rate() < 2e12
 
 
+@pytest.mark.slow
 def test_the_peak_memory_grows_with_allocations():
     # This process may have had a higher peak before, so a new process measures.
     program = (

@@ -202,6 +202,7 @@ def test_limits_belong_to_axes_that_turn(plans):
     assert plans.limit.max() <= BOUNDS.angles[0] and plans.limit[plans.axes].mean() > 0.4
 
 
+@pytest.mark.slow
 def test_all_lengths_shrink_to_the_volume():
     graphs = random_graphs(2)
     large = as_numpy(develop(BOUNDS)(graphs))

@@ -103,6 +103,7 @@ def test_variation_of_bits_on_a_map():
         build(WALKER, f"evolution={{{given}, mutated_genes: [3, 2]}}")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("evosax") is None, reason="evosax is an extra")
 def test_an_algorithm_of_evosax():
     given = "{type: evosax, algorithm: Sep_CMA_ES, sigma: 0.3, params: {c_mean: 0.9}}"

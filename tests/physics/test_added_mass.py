@@ -111,6 +111,7 @@ def test_tumbling_ellipsoid_follows_kirchhoff():
     assert 1.7 < errors[0] / errors[1] < 2.3
 
 
+@pytest.mark.slow
 def test_impulse_of_a_tree_is_conserved():
     """Joint forces are internal, so impulse and moment of bodies and water change by h^2 only."""
     h = 1e-6

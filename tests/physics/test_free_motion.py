@@ -120,6 +120,7 @@ def errors():
         return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["linear momentum", "angular momentum", "energy", "position"])
 def test_free_motion_converges_at_second_order(errors, name):
     """The exponent of the error in h, over three halvings, is 2 within 0.2."""

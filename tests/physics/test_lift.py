@@ -264,6 +264,7 @@ def test_a_tilted_plate_glides_at_its_closed_form_speed(x64):
     assert 1 / np.tan(path) > 4.0
 
 
+@pytest.mark.slow
 def test_the_step_is_of_second_order(x64):
     """Half the step gives a quarter of the error, for a plate that turns its leading edge up."""
     world = lifted(single(Box((0.1, 0.2, 0.02))))

@@ -51,6 +51,7 @@ def thrashing():
         return before, states, effort, targets
 
 
+@pytest.mark.slow
 def test_torque_never_exceeds_its_limit(thrashing):
     """The limit holds to the last bit in 200 steps of 64 individuals, and is often reached."""
     _, states, effort, _ = thrashing

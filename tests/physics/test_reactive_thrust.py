@@ -319,6 +319,7 @@ def patchwork() -> Creature:
     return Creature("patchwork", tuple(bodies))
 
 
+@pytest.mark.slow
 def test_momentum_and_energy_of_body_and_carried_water():
     """They change by the force q at the edges alone, and by its power ``-1/2 u w . p``."""
     world = ideal(patchwork())

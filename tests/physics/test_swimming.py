@@ -123,6 +123,7 @@ def test_shelter_makes_the_chain_swim():
     assert slow == pytest.approx(expected, rel=0.005), (slow, expected)
 
 
+@pytest.mark.slow
 def test_water_only_takes_energy_from_the_swimmer():
     """The power of drag is negative for every body and step after the chain has started."""
     power = simulate(H).power

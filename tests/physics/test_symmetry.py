@@ -58,6 +58,7 @@ def pick(states: State, n: int) -> State:
     return jax.tree.map(lambda x: x[..., n], states)
 
 
+@pytest.mark.slow
 def test_place_and_heading_do_not_matter(animal):
     """Turns and shifts of the initial state turn and shift the final state.
 

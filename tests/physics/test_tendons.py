@@ -57,6 +57,7 @@ def pulled() -> Creature:
     return dataclasses.replace(creature, tendons=tuple(tendons))
 
 
+@pytest.mark.slow
 def test_tendons_accelerate_as_in_mujoco():
     """Springs, dead bands, dampers, rotors, motors below and at limits, sliding friction: 1e-9.
 

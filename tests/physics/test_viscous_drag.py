@@ -393,6 +393,7 @@ def test_terminal_speed_of_a_sphere(viscosity):
     assert found == pytest.approx(low, rel=0.06)
 
 
+@pytest.mark.slow
 def test_order_of_the_step():
     """Second order at any Reynolds number (here 1e5, 1e3 and 1e-3)."""
     world = in_viscous_water(single(Sphere(D / 2)))

@@ -168,6 +168,7 @@ def test_a_traced_build_equals_a_numpy_build(case):
             build_batch(config, path, {k: v[~fits] for k, v in given.items()}, like=plan.batched)
 
 
+@pytest.mark.slow
 def test_a_compiled_program_serves_other_bodies():
     path, overrides, keys = CASES["swimmer"]
     config = load_config(path, [*overrides, "simulation.seconds=0.0833"])

@@ -125,6 +125,7 @@ def test_the_bodies_move_as_in_the_recording(scene):
         assert ((turn[1:] * turn[:-1]).sum(1) > 0).all()
 
 
+@pytest.mark.slow
 def test_the_camera_sees_every_body_at_every_instant(scene):
     """The camera looks along its -z (glTF 2.0, section 3.10)."""
     creature, recording, data = scene
