@@ -440,6 +440,7 @@ def test_a_swimmer_above_a_floor_is_not_airborne():
         assert found.excursions.airborne_way == pytest.approx(share)
 
 
+@pytest.mark.slow
 def test_light_seen_through_the_ground_is_flagged(honest, buried):
     """One light lies in the ground, and another light above it."""
     for found, share in ((buried, 1.0), (honest, 0.0)):

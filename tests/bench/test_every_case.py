@@ -29,6 +29,7 @@ def test_fast_cases_are_cases():
     assert set(suite.CASES) > FAST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_case_yields_valid_rows(name, monkeypatch, tmp_path):
     # Warnings of the peers' packages would fail the test, so the peers are left out.

@@ -76,6 +76,7 @@ def test_every_picture_exists():
             assert (page.parent / picture).is_file(), (page, picture)
 
 
+@pytest.mark.slow
 def test_the_session_of_the_readme_runs(cli, tmp_path):
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
     block = re.search(

@@ -50,6 +50,7 @@ def test_strict_refuses_before_anything_is_written(cli, tmp_path, monkeypatch, c
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_train_and_preview_warn_and_continue(cli, tmp_path):
     heavy = "creature.materials.body.density=2"
     _, err = cli.passes("preview", CONFIG, heavy, "-o", tmp_path / "body.png", "--size", "64x36")

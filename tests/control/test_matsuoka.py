@@ -190,7 +190,8 @@ def reference(gains, times, count):
     return firing[:, 0] - firing[:, 1]
 
 
-@pytest.mark.parametrize("steps", [500, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [500, 2000])
 def test_whole_trial_agrees_with_diffrax(chain, steps):
     h, gains = 1 / 60, [5.0, 20.0]
     exact = reference(np.array(gains), h * np.arange(1, steps + 1), 9)

@@ -292,6 +292,7 @@ def test_registers_refuse_a_run_before_the_last_is_done():
 # The command.
 
 
+@pytest.mark.slow
 def test_table_counts_every_operation_once():
     found, seconds = window.measured(simulation_of(*SMALL, "simulation.seconds=1"), engine.target())
     rows = {row.name: row for row in found}

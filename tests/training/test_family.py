@@ -28,6 +28,7 @@ def run(tmp_path_factory):
     return RunFolder(folder)
 
 
+@pytest.mark.slow
 def test_origins_lead_to_the_parents(run):
     blocks = read_family(run.path)
     assert [block.shape for block in blocks] == [(1, 20)] * 4
@@ -44,6 +45,7 @@ def test_origins_lead_to_the_parents(run):
         np.testing.assert_array_equal(before["second"][0] == -1, alone)
 
 
+@pytest.mark.slow
 def test_ancestors_follow_first_parents(run):
     blocks = [block[0] for block in read_family(run.path)]
     born, found = founders(run.path, 4)
@@ -57,6 +59,7 @@ def test_ancestors_follow_first_parents(run):
     assert founders(run.path, 0)[0] == 0 and founders(run.path, 5) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [1, 200])
 def test_a_cut_file_keeps_whole_generations(run, tmp_path, lost):
     copy = tmp_path / FAMILY_FILE
@@ -76,6 +79,7 @@ def test_a_resumed_run_has_the_same_tree(run, tmp_path):
     assert (copy / FAMILY_FILE).read_bytes() == (run.path / FAMILY_FILE).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_tree_with_lost_generations_is_emptied(run, tmp_path):
     shutil.copy(run.path / FAMILY_FILE, tmp_path / FAMILY_FILE)
     assert not cut_family(tmp_path, 5)
