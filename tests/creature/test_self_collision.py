@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs
+from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs, touching
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.build import build_creature
 from evo_cpg.io.load import load_config
@@ -54,6 +54,41 @@ def test_pairs_of_a_quadruped():
         if "lower" in (one, two)
     }
     assert found == expected
+
+
+HALF = np.array([0.2, 0.1, 0.05])
+
+
+def touches(place, turn=0.0, radius=0.0):
+    """Return whether a box at a place (m), turned about y (rad), touches a box at the origin."""
+    c, s = np.cos(turn), np.sin(turn)
+    boxes = (
+        np.array([np.zeros(3), place]),
+        np.array([np.eye(3), [[c, 0, s], [0, 1, 0], [-s, 0, c]]]),
+        np.array([HALF, HALF]),
+    )
+    given = radius, np.array([[0], [1]]), np.array([True])
+    known, traced = touching(boxes, *given), touching(tuple(map(jnp.asarray, boxes)), *given)
+    assert known == traced
+    return bool(known[0])
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("turn", [0.0, 0.01, 0.03, 0.3])
+def test_bodies_within_a_tenth_of_a_millimetre_touch(turn):
+    """The lowest edge of a turned box is above the other box's face."""
+    height = 2 * HALF[2] + HALF[0] * np.sin(turn) + HALF[2] * (np.cos(turn) - 1)
+    for gap, radius, expected in (
+        (-3e-4, 0, True), (5e-5, 0, True), (5e-4, 0, False), (5e-4, 1e-3, True),
+    ):  # fmt: skip
+        assert touches([-0.05, 0.02, height + gap], turn, radius) == expected
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_distance_of_corners_decides():
+    """Gaps along faces are smaller than the distance by the root of 3."""
+    for gap, expected in ((4e-5, True), (7e-5, False)):
+        assert touches(2 * HALF + gap) == expected
 
 
 @pytest.mark.parametrize("name", ["fukui2003_model3", "hexapod"])
