@@ -116,11 +116,12 @@ def touching(
         pairs: indices of the boxes of each pair.
         ruled: pairs to look at. Others cost no time if numbers are traced.
     """
-    # The gap along a separating direction is at most the distance, and negative in an overlap.
+    # The gap along a separating direction is at most the distance, and negative in an overlap. It
+    # differs from the distance between corners, which matters if they have a radius.
     least, near = _separating_gaps(boxes, pairs), radius + TOUCH
-    unclear = ruled & (least >= 0) & (least < near)
+    unclear = ruled & (radius > 0) & (least >= 0) & (least < near)
     distance = _distances(boxes, pairs, unclear.any())
-    return ruled & ((least < 0) | (unclear & (distance < near)))
+    return ruled & (least < near) & (~unclear | (distance < near))
 
 
 def _separating_gaps(boxes: Boxes, pairs: Int[np.ndarray, "2 p"]) -> Float[Numbers, " p"]:

@@ -79,16 +79,16 @@ def test_bodies_within_a_tenth_of_a_millimetre_touch(turn):
     """The lowest edge of a turned box is above the other box's face."""
     height = 2 * HALF[2] + HALF[0] * np.sin(turn) + HALF[2] * (np.cos(turn) - 1)
     for gap, radius, expected in (
-        (-3e-4, 0, True), (5e-5, 0, True), (5e-4, 0, False), (5e-4, 1e-3, True),
+        (-3e-4, 0.0, True), (5e-5, 0.0, True), (5e-4, 0.0, False), (-3e-4, 1e-3, True),
     ):  # fmt: skip
         assert touches([-0.05, 0.02, height + gap], turn, radius) == expected
 
 
 @pytest.mark.usefixtures("x64")
-def test_the_distance_of_corners_decides():
+def test_the_distance_of_round_corners_decides():
     """Gaps along faces are smaller than the distance by the root of 3."""
-    for gap, expected in ((4e-5, True), (7e-5, False)):
-        assert touches(2 * HALF + gap) == expected
+    for gap, expected in ((5e-4, True), (7e-4, False)):
+        assert touches(2 * HALF + gap, radius=1e-3) == expected
 
 
 @pytest.mark.parametrize("name", ["fukui2003_model3", "hexapod"])
