@@ -65,16 +65,11 @@ def rollout(
         def alone(
             values: list[Array], genes: Array, keys: Array | None, trial: Array | None
         ) -> Any:
-            if genes.ndim > 1:
-                return jax.vmap(alone, in_axes=-1, out_axes=-1)(values, genes, keys, trial)
             own = inputs.put(common, values)
             return rollout(own, genes, keys, trial, observers, backward=backward, begin=begin)
 
         own = [jnp.asarray(value, genes.dtype) for value in values]
-        if not any(one.every_step for one in jax.tree.leaves(observers)):
-            with using(common.engine):
-                return fuse(alone, own, genes, keys, trial, batch_ndim=1, name="a trial")
-        found = alone(own, genes, keys, trial)
+        found = jax.vmap(alone, in_axes=-1, out_axes=-1)(own, genes, keys, trial)
         return jax.tree.map(lambda one, result: one.of_bodies(result), observers, found)
     # An argument without effect is dropped from the program.
     keys = None if simulation.noise.silent else keys
