@@ -55,7 +55,7 @@ def keeps(
         valid &= (clearance(world.contact_model, kin) >= -rules.penetration).all(0)
     if rules.overlap is not None and rules.pairs is not None:
         gap = gaps_of_pairs(rules.pairs, kin)
-        deep = (gap < -rules.overlap) & (expand_dims_like(rules.pairs.of_pairs, gap) > 0)
+        deep = (gap < -rules.overlap) & (expand_dims_like(rules.pairs.pair_stiffness, gap) > 0)
         valid &= ~deep.any(0)
     return valid
 

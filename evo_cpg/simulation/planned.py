@@ -539,9 +539,8 @@ def _pairs(common: Pairs | None, tree: Tree, numbers: PlanNumbers) -> Pairs | No
     one, two = (tree.mass[np.array(each)] for each in _every_pair(tree.body_count))
     stiffness = PAIR_STIFFNESS * xp.sqrt(one * two) * numbers.pairs
     points = len(common.stiffness) // len(common.first)
-    stiffness = xp.concatenate([stiffness] * points)
     return dataclasses.replace(
-        common, centre=tree.com, half_extents=numbers.half, stiffness=stiffness
+        common, centre=tree.com, half_extents=numbers.half, stiffness=xp.tile(stiffness, points)
     )
 
 

@@ -8,14 +8,21 @@ import numpy as np
 import pytest
 
 from evo_cpg.native.machine_constants import LANES
+from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.recording import Recorder
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_replay, compile_trials
 from plans import LAND, WATER, plan_experiment, random_genes
 
 # World, bodies, and seconds.
-CASES = {"small": (WATER, 3, 0.25), "water": (WATER, 7, 0.25), "land": (LAND, 7, 0.25)}
+CASES = {
+    "small": (WATER, 3, 0.25),
+    "small land": (LAND, 3, 0.25),
+    "water": (WATER, 7, 0.25),
+    "land": (LAND, 7, 0.25),
+}
 SLOW = pytest.mark.slow
 # Programs of different numbers of bodies do not give equal bits on land, where a plan stays in one.
 DIFFERS = pytest.mark.xfail(strict=True, reason="bits on land depend on the program's bodies")
@@ -64,6 +71,18 @@ def test_a_plan_has_the_same_bits_in_any_population(case):
     assert [bits(run(genes[:, i : i + 1]))[0] for i in range(count)] == together
     many = np.resize(np.arange(count), LANES + 5)
     assert bits(run(genes[:, many])) == [together[i] for i in many]
+
+
+@pytest.mark.parametrize("case", ["small land", pytest.param("land", marks=SLOW)])
+def test_a_recorded_plan_has_the_same_bits(case):
+    """`verify` and films replay what training has evaluated."""
+    simulation, genes = prepared(case)
+    recorded = compile_trials(
+        simulation, population_mesh(1), observers=(JUDGE, Recorder(count=None))
+    )
+    together = bits(runner(case, 1)(genes))
+    for i in range(genes.shape[1]):
+        assert bits(recorded(genes[:, i : i + 1])[0])[0] == together[i]
 
 
 @each_world

@@ -131,8 +131,8 @@ class Pairs(eqx.Module):
         return _of_points(self.first, self.runs), _of_points(self.second, self.runs)
 
     @property
-    def of_pairs(self) -> Float[Numbers, " p"]:
-        """C h of each pair's points, kg. Pairs without it meet only in other creatures."""
+    def pair_stiffness(self) -> Float[Numbers, " p"]:
+        """Stiffness of each pair's points, kg. Pairs without it meet only in other creatures."""
         points = _of_points(tuple(range(len(self.first))), self.runs)
         return self.stiffness[np.unique(points, return_index=True)[1]]
 
