@@ -519,7 +519,9 @@ def histogram_in_packed_loop(x):
     return lax.while_loop(lambda s: s[1] < 1 + jnp.floor(3 * s[0][2]), advance, (x, 0.0))
 
 
-@pytest.mark.parametrize("instructions", INSTRUCTIONS)
+@pytest.mark.parametrize(
+    "instructions", [pytest.param(x, marks=[pytest.mark.slow] * (x == "sse")) for x in INSTRUCTIONS]
+)
 @pytest.mark.parametrize(
     ("function", "rows", "count"),
     [(histogram, 3, 1), (histogram, 3, 37), (chosen, 9, 301), (histogram_in_packed_loop, 3, 301)],

@@ -239,9 +239,8 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
     return worst, saturated
 
 
-@pytest.mark.parametrize(
-    ("number", "law"), [(1, "normal"), pytest.param(4, "isotropic", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "law"), [(1, "normal"), (4, "isotropic")])
 def test_step_solves_its_dense_equation(number, law):
     """Combine drag, current, buoyancy, servos, limits and springs. The tolerance is 1e-9.
 

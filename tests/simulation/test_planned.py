@@ -51,15 +51,15 @@ def differences(plans, genes, frames) -> tuple[float, float]:
     return apart.max(), change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "count", "slow"),
     [
-        pytest.param("water", 3, False, marks=pytest.mark.slow),
-        ("muscles", 1, False),
-        pytest.param("muscles", 3, False, marks=pytest.mark.slow),
-        pytest.param("land", 2, False, marks=pytest.mark.slow),
-        pytest.param("water", 50, True, marks=pytest.mark.slow),
-        pytest.param("land", 50, True, marks=pytest.mark.slow),
+        ("water", 3, False),
+        ("muscles", 3, False),
+        ("land", 2, False),
+        ("water", 50, True),
+        ("land", 50, True),
     ],
 )
 def test_plans_move_as_their_own_creatures(case, count, slow):

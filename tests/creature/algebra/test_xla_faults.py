@@ -17,6 +17,7 @@ assert wrong < 1e-5, wrong
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flags", [None, "--xla_cpu_enable_fast_math=false"])
 def test_thousands_of_products_of_matrices_are_right(flags):
     """Run in a separate process, with the optimisation that users have."""
