@@ -19,14 +19,24 @@ WATER = {"water": {"density": 1000, "form_drag": 1.0, "skin_drag": 0.02, "law": 
 LAND = {"water": None, "ground": {}}
 
 
-def plan_config(world: dict, bodies: int, seconds: float, controller: dict | None = None, **plan):
+LIGHT = {"type": "reach_light", "light": {"distance": 3.0, "bearing_deg": 50.0}}
+
+
+def plan_config(
+    world: dict,
+    bodies: int,
+    seconds: float,
+    controller: dict | None = None,
+    lit: bool = False,
+    **plan,
+):
     """Return the contents of a configuration of plans with settings of their own."""
     return {
         "name": "plans",
         "world": world,
         "simulation": {"control_rate_hz": 60, "substeps": 2, "seconds": seconds},
         "controller": {"type": "limb_oscillators", **(controller or {})},
-        "task": {"type": "distance"},
+        "task": LIGHT if lit else {"type": "distance"},
         "evolution": {
             "type": "plans",
             "population": 4,

@@ -30,6 +30,8 @@ class Observation(NamedTuple):
         custom: readings of the creature's `sensors`, concatenated. None if there are none.
         load: vertical force of the ground on each body in the last control step, as a fraction of
             the animal's weight. None if the controller does not use it.
+        bearing: unit vector from the centre of each body to the light, in the body's own axes. None
+            if the controller does not use it.
     """
 
     light: Float[Array, "l *n"]
@@ -41,6 +43,7 @@ class Observation(NamedTuple):
     depth: Float[Array, "z *n"]
     custom: Float[Array, "c *n"] | None = None
     load: Float[Array, "b *n"] | None = None
+    bearing: Float[Array, "3 b *n"] | None = None
 
 
 class Command(NamedTuple):
@@ -120,6 +123,7 @@ class Controller(eqx.Module):
         binary: whether genes are bits, 0 or 1 (False unless overridden).
         uses_senses: False if commands do not depend on the senses.
         uses_load: whether the controller needs `Observation.load` (False unless overridden).
+        uses_bearing: whether it needs `Observation.bearing` (False unless overridden).
         rhythm_generator: the oscillators that make the rhythm (None unless overridden).
         signal_label: meaning of `Command.signal`, with its unit, for plots.
     """
@@ -129,6 +133,7 @@ class Controller(eqx.Module):
     binary = False
     uses_senses = True
     uses_load = False
+    uses_bearing = False
     rhythm_generator: ClassVar[Oscillators | None] = None
     signal_label = "controller's signal"
 

@@ -46,8 +46,9 @@ from evo_cpg.creature.walked import outwards
 GENES = ("amplitude", "period", "coupling", "steering", "start")
 """Names of the genes of each joint axis."""
 
-# Inhibition between the two neurons of an axis: a of Iwadate 2010, Table 3.
-_PAIR_WEIGHT = 1.070772
+# Inhibition between the two neurons of an axis. A pair alone keeps its rhythm above 1.13
+# (docs/models/controller.md), and the value of Iwadate 2010, 1.07, lets limbs on the root stop.
+_PAIR_WEIGHT = 1.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,16 +170,21 @@ class LimbOscillators(Controller):
     ) -> tuple[LimbState, Command]:
         """Advance the rhythm by one control step, and command motors and muscles."""
         own, x = self.settings, jnp.where(state.started, state.potential, decoded.start)
-        z, count = state.adaptation, self._substeps
-        for _ in range(count):
-            x, z = self._advanced(decoded, x, z, self.control_step / count)
-        moved = LimbState(x, z, jnp.ones_like(state.started))
+        moved = self.advanced(decoded, dataclasses.replace(state, potential=x))
+        x = moved.potential
         signal = output(moved)
         rate = own.rate_gain * signal - own.centring * observation.joint_angle
         active = None
         if self.tree.muscles is not None:
             active = jnp.minimum(jnp.maximum(x, 0.0) * (1.0 / own.max_tonic_input), 1.0)
         return moved, Command(jnp.clip(rate, -own.max_rate, own.max_rate), signal, None, active)
+
+    def advanced(self, decoded: LimbRhythm, state: LimbState) -> LimbState:
+        """Return the neurons after one control step."""
+        x, z, count = state.potential, state.adaptation, self._substeps
+        for _ in range(count):
+            x, z = self._advanced(decoded, x, z, self.control_step / count)
+        return LimbState(x, z, jnp.ones_like(state.started))
 
     @property
     def _times(self) -> tuple[float, float]:

@@ -4,6 +4,8 @@ The functions take one plan, and `jax.vmap` applies them to a population. Every 
 genes are multiples of their steps, its connections point to used nodes, and its root has one.
 """
 
+from typing import Literal
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -83,9 +85,14 @@ def descended(key: Array, ancestor: PlanGraph, layout: GraphLayout, rate: float)
     The mean number of alterations is random, from 0 to ``rate``.
     """
     gene_key, rate_key, alter_key = jax.random.split(key, 3)
-    control = jnp.where(ancestor.used[:, None, None] > 0, _drawn(gene_key, layout).control, 0.0)
     own_rate = rate * jax.random.uniform(rate_key)
-    return mutated(alter_key, ancestor._replace(control=control), layout, own_rate)
+    return mutated(alter_key, with_random_brain(gene_key, ancestor, layout), layout, own_rate)
+
+
+def with_random_brain(key: Array, graph: PlanGraph, layout: GraphLayout) -> PlanGraph:
+    """Return the plan of the same body with random control genes."""
+    used = graph.used[:, None, None] > 0
+    return graph._replace(control=jnp.where(used, _drawn(key, layout).control, 0.0))
 
 
 def _drawn(key: Array, layout: GraphLayout) -> PlanGraph:
@@ -96,12 +103,14 @@ def _drawn(key: Array, layout: GraphLayout) -> PlanGraph:
     """
     uniform, factor = _uniform(key, layout), _uniform(jax.random.fold_in(key, 1), layout)
     uniform["size"] *= jnp.array([1, _THIN, _THIN])[None]
-    factor |= {"control": 1.0, "place": 1.0, "turn": _TURN * factor["turn"]}
+    factor |= {"control": layout.spread, "place": 1.0, "turn": _TURN * factor["turn"]}
     genes = {name: jnp.zeros(shape) for name, shape in layout.shapes.items()}
     for name in FRACTIONS:
         genes[name] = jnp.floor(256 * uniform[name]) / 256
     for name in SIGNED:
         genes[name] = jnp.round((jnp.floor(255 * uniform[name]) - 127) * factor[name]) / 128
+    if layout.centre:
+        genes["control"] += jnp.round(128 * jnp.array(layout.centre)) / 128
     for name, probability in _FLAGS.items():
         genes[name] = (uniform[name] < probability).astype(float)
     x, y, z = jnp.unstack(genes["place"], axis=-1)
@@ -121,7 +130,13 @@ def _uniform(key: Array, layout: GraphLayout) -> dict[str, Array]:
     return layout.unpack(jax.random.uniform(key, (layout.count,)))._asdict()
 
 
-def mutated(key: Array, graph: PlanGraph, layout: GraphLayout, rate: Array | float) -> PlanGraph:
+Altered = Literal["all", "body", "brain"]
+"""Genes that mutations change."""
+
+
+def mutated(
+    key: Array, graph: PlanGraph, layout: GraphLayout, rate: Array | float, altered: Altered = "all"
+) -> PlanGraph:
     """Return a plan with random alterations, as Sims mutates directed graphs.
 
     An alteration changes a gene of a node or connection, moves the pointer of a connection, adds a
@@ -137,15 +152,16 @@ def mutated(key: Array, graph: PlanGraph, layout: GraphLayout, rate: Array | flo
         graph: tidy plan.
         layout: sizes of the plan.
         rate: mean number of alterations, for plans of all sizes.
+        altered: genes that change. Those of the brain are the ``control`` genes.
     """
     gene_key, new_key, to_key, on_key = jax.random.split(key, 4)
     used, on = graph.used > 0, graph.on > 0
     new = (jnp.arange(len(used)) == jnp.argmin(used)) & ~used
-    added, removed = _switched(on_key, used, on, rate)
+    added, removed = _switched(on_key, used, on, 0.0 if altered == "brain" else rate)
     fresh = _drawn(new_key, layout)
     targets = _redirected(to_key, graph.to, used, new).astype(float)
     fresh = fresh._replace(used=jnp.ones_like(fresh.used), on=jnp.ones_like(fresh.on), to=targets)
-    graph = _altered(gene_key, graph, by_owner(graph, used, on), targets, layout, rate)
+    graph = _altered(gene_key, graph, by_owner(graph, used, on), targets, layout, rate, altered)
     graph = jax.tree.map(jnp.where, by_owner(graph, new, added), fresh, graph)
     return tidy(graph._replace(on=jnp.where(removed, 0.0, graph.on)))
 
@@ -180,13 +196,16 @@ def _altered(
     targets: Float[Array, "k c"],
     layout: GraphLayout,
     rate: Array | float,
+    altered: Altered,
 ) -> PlanGraph:
     """Return a graph in which some genes in use have other values."""
     hit_key, choice_key, normal_key = jax.random.split(key, 3)
     chance, choice = _uniform(hit_key, layout), _uniform(choice_key, layout)
     normal = layout.unpack(jax.random.normal(normal_key, (layout.count,)))._asdict()
     genes, masks = graph._asdict(), in_use._asdict()
-    names = [name for name in genes if name not in ("used", "label", "on")]
+    brain, fixed = {"control"}, {"used", "label", "on"}
+    kept = {"all": fixed, "body": fixed | brain, "brain": genes.keys() - brain}[altered]
+    names = [name for name in genes if name not in kept]
     sites = sum(masks[name].sum() for name in names)
     probability = rate * (1 - _ADDED - _REMOVED) / sites
     for name in names:

@@ -6,6 +6,7 @@ last bit. One absent body remains, because sums over bodies are ordered by anoth
 follows.
 """
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -15,11 +16,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
+from evo_cpg.control.body_brain import CHARACTER
 from evo_cpg.creature.algebra.rotation import matrix_to_euler
 from evo_cpg.creature.development import Plan, developed
+from evo_cpg.creature.graph import GraphLayout
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.creature.walk import slot_count
-from evo_cpg.evolution.graphs import descended, random_graph
+from evo_cpg.evolution.graphs import descended, random_graph, with_random_brain
 from evo_cpg.io.ancestor import graph_of_creature
 from evo_cpg.io.build import CommonPlan, build_simulation
 from evo_cpg.io.errors import Key, KeyProblem
@@ -50,6 +53,13 @@ _OF_AXES = (
     "commanded_torque",
 )  # fmt: skip
 
+# Controllers that fit any plan, with the rhythm of bodies that evolve alone: genes of an axis,
+# from -1 to 1. Limb oscillators then have the largest amplitude and make a wave along each limb.
+_CONTROL = {
+    "limb_oscillators": (127 / 128, 0.0, 0.5, 0.0, 0.5),
+    "body_brain": (0.0,) * len(CHARACTER),
+}
+
 # Plans that are developed at a time. A fixed number gives each plan the same bits in any
 # population.
 _WIDTH = 64
@@ -62,11 +72,13 @@ class EvolvedPlans(PlanBuilder):
         config: configuration whose search evolves plans.
     """
 
+    inputs_type: type[PlanInputs] = PlanInputs
+
     def __init__(self, config: ExperimentConfig):
         assert isinstance(config.evolution, PlanEvolutionConfig)
         self.config = config
         self._search, self.section = config.evolution, config.evolution.plan
-        self.layout, self.bounds = self.section.layout, self.section.bounds
+        self.layout, self.bounds = layout_of(config), self.section.bounds
         most = self.section.bodies + 1
         # More programs would waste fewer bodies, but each takes long to compile.
         self.sizes = tuple(sorted({max(most // 3 + 1, 3), max(2 * most // 3 + 1, 3), most}))
@@ -89,15 +101,18 @@ class EvolvedPlans(PlanBuilder):
     def random(self, key: Array, batch: tuple[int, ...], dtype: Any) -> Float[Array, "g *n"]:
         ancestor, rate = self._ancestor, self._search.alterations
 
-        def draw(key: Array) -> Array:
+        def draw(key: Array, own: Array) -> Array:
             graph = random_graph(key, self.layout)
             if ancestor:
                 graph = descended(key, ancestor, self.layout, rate)
+            if self._search.founders:
+                graph = with_random_brain(own, graph, self.layout)
             return self.layout.pack(graph).astype(dtype)
 
-        return functools.reduce(lambda draw, _: jax.vmap(draw, out_axes=-1), batch, draw)(
-            jax.random.split(key, batch)
-        )
+        own = keys = jax.random.split(key, batch)
+        if self._search.founders:
+            keys = keys[..., jnp.arange(batch[-1]) % self._search.founders]
+        return functools.reduce(lambda draw, _: jax.vmap(draw, out_axes=-1), batch, draw)(keys, own)
 
     @override
     def inputs(self, size: int) -> PlanInputs:
@@ -107,7 +122,7 @@ class EvolvedPlans(PlanBuilder):
         _, simulation = build_simulation(config, CommonPlan("complete"))
         audit = self.config.audit
         rules = functools.partial(rules_of, audit.disqualify, audit.limits())
-        self._inputs[size] = PlanInputs(simulation, self.physics, rules)
+        self._inputs[size] = self.inputs_type(simulation, self.physics, rules)
         return self._inputs[size]
 
     @override
@@ -194,6 +209,19 @@ class EvolvedPlans(PlanBuilder):
         return count, padded, numbers._replace(mass=mass)
 
 
+def layout_of(config: ExperimentConfig) -> GraphLayout:
+    """Return the layout of the genome of plans with the configuration's controller."""
+    assert isinstance(config.evolution, PlanEvolutionConfig)
+    controller, rhythm = config.controller, _CONTROL[config.controller.type]
+    fixed = config.evolution.evolve == "body"
+    return dataclasses.replace(
+        config.evolution.plan.layout,
+        control=len(rhythm),
+        centre=rhythm if fixed else (),
+        spread=0.0 if fixed else getattr(controller, "spread", 1.0),
+    )
+
+
 def with_star(config: ExperimentConfig, bodies: int | None = None) -> ExperimentConfig:
     """Return a configuration of plans with the creature that stands for all (`PlanConfig.star`)."""
     assert isinstance(config.evolution, PlanEvolutionConfig)
@@ -216,7 +244,7 @@ def plans_of(config: ExperimentConfig) -> EvolvedPlans:
     uneven = ground and (ground.obstacles or ground.floor != PlaneConfig())
     water = world.water
     refused: list[tuple[Key, Any, str]] = [
-        (("controller", "type"), config.controller.type != "limb_oscillators", "limb_oscillators"),
+        (("controller", "type"), config.controller.type not in _CONTROL, ", ".join(_CONTROL)),
         (("world", "water", "law"), water and water.law is None, "normal, isotropic"),
         (("world", "water", "surface"), water and water.surface is not None, "null"),
         (("world", "forces"), world.forces, "none"),

@@ -20,7 +20,13 @@ from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.noise import disturb_motion, disturb_start, friction_scale_of
-from evo_cpg.simulation.sensors import body_loads, depth_readings, light_readings, pressure_readings
+from evo_cpg.simulation.sensors import (
+    bearings,
+    body_loads,
+    depth_readings,
+    light_readings,
+    pressure_readings,
+)
 from evo_cpg.simulation.simulation import Phenotype, Simulation
 from evo_cpg.simulation.situation import light_places, starting_state
 from evo_cpg.simulation.snapshot import Forces, Snapshot
@@ -215,7 +221,14 @@ def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalSta
             batch_ndim=ndim,
             name="load sensors",
         )
-    seen = strength, animal.pressure, cosine, sine, state.q, state.qd, depth, custom, load
+    bearing = None
+    if simulation.controller.uses_bearing:
+
+        def look(state: State, light: Array | None) -> Array:
+            return bearings(snapshot_of(simulation, constants._replace(light=light), state))
+
+        bearing = fuse(look, state, constants.light, batch_ndim=ndim, name="bearing")
+    seen = strength, animal.pressure, cosine, sine, state.q, state.qd, depth, custom, load, bearing
     return Observation(*seen)
 
 

@@ -200,6 +200,19 @@ def light_readings(
     return strength, cosine, sine
 
 
+def bearings(snapshot: Snapshot) -> Float[Array, "3 b *n"]:
+    """Return the direction from the centre of each body to the light, in the body's own axes.
+
+    They are 0 in the dark.
+    """
+    position = snapshot.position
+    if snapshot.light_position is None:
+        return jnp.zeros_like(position)
+    away = snapshot.light_position[:, None] - position
+    distance = jnp.sqrt(dot(away, away) + _DISTANCE_FLOOR)
+    return matvec_t(snapshot.rotation, away / distance[None])
+
+
 class Sensor(eqx.Module):
     """Readings that the animal senses at the start of every control step.
 

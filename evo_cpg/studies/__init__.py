@@ -15,6 +15,7 @@ _PLACES = {
     "starfish": ("own_animals", "STARFISH"),
     "turtle": ("own_animals", "TURTLE"),
     "animals": ("animals", "STUDY"),
+    "bodies": ("bodies", "STUDY"),
     "search": ("search", "STUDY"),
     "benchmarks": ("benchmarks", "STUDY"),
 }

@@ -26,7 +26,7 @@ LIMBS = {
 }
 STEP = 1 / 240
 # T_r and T_a (Iwadate 2010, Table 3, exchanged), the weight a, and the first x over u_max.
-RISE, ADAPTATION, PAIR, FIRST = 0.153337, 1.181958, 1.070772, 0.1
+RISE, ADAPTATION, PAIR, FIRST = 0.153337, 1.181958, 1.5, 0.1
 
 
 @pytest.fixture(scope="module")

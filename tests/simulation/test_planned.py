@@ -15,6 +15,7 @@ TOLERANCE = 1e-9
 CASES = {
     "water": (WATER, 1.0, {"bodies": 6}),
     "land": (LAND, 0.25, {"bodies": 4, "density": 500.0}),
+    "body brain": (WATER, 1.0, {"bodies": 6, "controller": {"type": "body_brain"}, "lit": True}),
     "muscles": (WATER, 1.0, {"bodies": 4, "joints": ["hinge", "ball"], "actuator": "muscle"}),
 }
 SLOW = {
@@ -57,6 +58,7 @@ def differences(plans, genes, frames) -> tuple[float, float]:
     [
         ("water", 3, False),
         ("muscles", 3, False),
+        ("body brain", 3, False),
         ("land", 2, False),
         ("water", 50, True),
         ("land", 50, True),

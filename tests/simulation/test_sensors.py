@@ -21,6 +21,7 @@ from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.water import Water
 from evo_cpg.simulation.sensors import (
     VelocitySensor,
+    bearings,
     body_loads,
     depth_readings,
     light_readings,
@@ -71,6 +72,22 @@ def test_eyes_see_from_their_place_along_their_axis(x64, light):
         assert float(strength[i]) == pytest.approx(expected, abs=1e-9)
         assert float(cosine[i]) == pytest.approx(axis[2], abs=1e-9)
         assert float(sine[i]) == pytest.approx(np.hypot(axis[0], axis[1]), abs=1e-6)
+
+
+def test_bearings_lead_from_parts_to_the_light(x64):
+    """From the centre of a part, the bearing in the world leads to the light."""
+    tree = build_tree(random_creature(np.random.default_rng(0), ((0, 2), (1, 1), (0, 3))))
+    state, light = random_state(tree, np.random.default_rng(1)), np.array([1.0, -2.0, 0.5])
+
+    def look(state, light):
+        now = Snapshot(World(tree, 9.81), 1 / 60, state, light)
+        return bearings(now), now.rotation, now.position
+
+    found, rotation, position = map(np.asarray, quick_jit(look)(state, light))
+    np.testing.assert_allclose(np.linalg.norm(found, axis=0), 1.0, atol=1e-9)
+    seen, away = np.einsum("ijb,jb->ib", rotation, found), light[:, None] - position
+    np.testing.assert_allclose(seen * np.linalg.norm(away, axis=0), away, atol=1e-8)
+    assert not np.asarray(quick_jit(lambda x: look(x, None)[0])(state)).any()
 
 
 def test_eyes_in_the_dark_feel_only_the_vertical(x64):

@@ -4,6 +4,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 from pydantic import Tag
 
+from evo_cpg.control.body_brain import BodyBrainSettings, build_body_brain
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.limb_oscillators import LimbOscillatorSettings, build_limb_oscillators
@@ -59,6 +60,12 @@ class _LimbOscillatorsSection(_ControllerSection):
         return build_limb_oscillators(tree, self._settings(), control_step)
 
 
+class _BodyBrainSection(_ControllerSection):
+    def build(self, tree: Tree, control_step: float, **_: Any) -> Controller:
+        """Build the controller (see `build_body_brain`)."""
+        return build_body_brain(tree, self._settings(), control_step)
+
+
 BrainCpgConfig = section_of(
     BrainCpgSettings,
     "BrainCpgConfig",
@@ -83,12 +90,22 @@ LimbOscillatorsConfig = section_of(
     max_rate=Annotated[float, RATE],
     rate_gain=Annotated[float, RATE],
 )
+BodyBrainConfig = section_of(
+    BodyBrainSettings,
+    "BodyBrainConfig",
+    __name__,
+    "body_brain",
+    default=True,
+    base=_BodyBrainSection,
+    max_rate=Annotated[float, RATE],
+)
 
 # Pyright cannot follow the two classes that are created at import.
 ControllerConfig: TypeAlias = Annotated[
     Annotated[BrainCpgConfig, Tag("brain_cpg")]  # pyright: ignore[reportInvalidTypeForm]
     | Annotated[PosturesConfig, Tag("postures")]  # pyright: ignore[reportInvalidTypeForm]
     | Annotated[LimbOscillatorsConfig, Tag("limb_oscillators")]  # pyright: ignore[reportInvalidTypeForm]
+    | Annotated[BodyBrainConfig, Tag("body_brain")]  # pyright: ignore[reportInvalidTypeForm]
     | Annotated[CustomConfig, Tag("custom")],
     by_type("brain_cpg"),
 ]

@@ -282,6 +282,11 @@ class PlanEvolutionConfig(MapSection):
         crossed: fraction of the children that mix the parts of two plans.
         grafted: fraction of the children with a part of another plan.
         alterations: mean number of alterations of a child.
+        same_body: fraction of the children that keep a parent's body and alter only its brain.
+        evolve: what may change: ``all``, only the ``body``, whose rhythm is then fixed, or only the
+            ``brain``.
+        founders: number of different bodies in the first generation (default: all differ).
+        protect: whether young bodies compete only with bodies that are not older.
         plan: what body plans may be like.
         islands: sub-populations, to each of which all keys but ``population`` apply
             (default: none).
@@ -295,13 +300,17 @@ class PlanEvolutionConfig(MapSection):
     crossed: Fraction = 0.3
     grafted: Fraction = 0.3
     alterations: NotNegative = 3.0
+    same_body: Fraction = 0.0
+    evolve: Literal["all", "body", "brain"] = "all"
+    founders: Annotated[int, Field(ge=1)] | None = None
+    protect: bool = False
     plan: PlanConfig = PlanConfig()
     islands: IslandsConfig | None = None
 
     def build(self, genome: Genome, population: int) -> PlanGenetics:
         """Build the search (see `MapSection.build`)."""
-        del genome
-        return self.into(PlanGenetics, population=population, layout=self.plan.layout)
+        assert genome.plans is not None
+        return self.into(PlanGenetics, population=population, layout=genome.plans.layout)
 
     @model_validator(mode="after")
     def _check(self) -> "PlanEvolutionConfig":

@@ -30,6 +30,7 @@ derivative of the passes would take three times as many operations, because it a
 the elimination.
 """
 
+import dataclasses
 import functools
 from typing import NamedTuple
 
@@ -38,8 +39,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.algebra.linear import matvec, matvec_t
+from evo_cpg.creature.algebra.numerics import MixedArray
 from evo_cpg.creature.per_body import PerBody, in_dof_order
 from evo_cpg.creature.tree import Tree
+from evo_cpg.creature.walk import TreeWalk
 from evo_cpg.creature.walked import inwards, outwards
 from evo_cpg.native.fuse import self_adjoint
 from evo_cpg.physics.tree import root
@@ -79,6 +82,7 @@ class _Given(NamedTuple):
     bias: Wrench
     torque: Float[Array, "d *n"]
     torque_derivative: Float[Array, "d *#n"]
+    walk: TreeWalk | None
 
 
 def solve(
@@ -110,15 +114,17 @@ def solve(
         change = jax.jvp(residual, primals, tangents)[1]
         return y, self_adjoint(functools.partial(_solve_again, tree, held), given, -change)
 
-    given = _Given(kin.offset, kin.axes, inertia, bias, torque, torque_derivative)
+    # The walk may be traced, and rules of derivatives do not see what their function closes over.
+    walk = jax.tree.map(jnp.asarray, tree.walk, is_leaf=lambda x: isinstance(x, MixedArray))
+    given = _Given(kin.offset, kin.axes, inertia, bias, torque, torque_derivative, walk)
     y = eliminate(given)
     return Accelerations(y[root.ROOT], y[root.JOINTS])
 
 
 def _residual(tree: Tree, kin: Kinematics, y: Array, given: _Given) -> Float[Array, "v *n"]:
     """Return the generalized force that is missing for accelerations y (`solve`)."""
-    offset, axes, inertia, bias, torque, torque_derivative = given
-    kin = kin._replace(offset=offset, axes=axes)
+    offset, axes, inertia, bias, torque, torque_derivative, walk = given
+    kin, tree = kin._replace(offset=offset, axes=axes), dataclasses.replace(tree, walk=walk)
     a = body_accelerations(tree, kin, y)
     moment = matvec(inertia.angular, a.angular) + matvec(inertia.mixed, a.linear)
     force = matvec_t(inertia.mixed, a.angular) + matvec(inertia.linear, a.linear)
@@ -139,8 +145,8 @@ def _solve_again(
 
 def _eliminate(tree: Tree, held: bool, given: _Given) -> Float[Array, "v *n"]:
     """Return the accelerations of `solve` as one vector."""
-    offset, axes, inertia, bias, torque, torque_derivative = given
-    batch_ndim = torque.ndim - 1
+    offset, axes, inertia, bias, torque, torque_derivative, walk = given
+    batch_ndim, tree = torque.ndim - 1, dataclasses.replace(tree, walk=walk)
     I_A, p_A = inwards(tree, inertia, batch_ndim), inwards(tree, bias, batch_ndim)
     joints = [(i, joints_of(i, axes, torque, torque_derivative)) for i in tree.groups]
     eliminated = []

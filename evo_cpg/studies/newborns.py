@@ -1,0 +1,219 @@
+"""One brain for every body: trained on random plans, and tested on plans that it has never seen.
+
+*Evolution* is the strategy of Salimans et al. 2017 ("Evolution strategies as a scalable alternative
+to reinforcement learning"): the mean moves along a gradient that is estimated from pairs of
+opposite random changes of all weights. All pairs drive the same plans to the same lights, so that
+their luck is equal.
+
+*Gradients* pass through brain and physics. They grow a millionfold in a few seconds, because limbs
+hit their limits. So the trials are short, the light is equally close in proportion, and longer
+gradients than the median are scaled down.
+"""
+
+import hashlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+import optax
+from jaxtyping import Float
+
+from evo_cpg.api.progress import Work
+from evo_cpg.control.body_brain import WEIGHTS, BodyBrain
+from evo_cpg.files import make_folder, write_text, write_whole
+from evo_cpg.studies.nursery import AllAlike, Nursery, bearings
+from evo_cpg.studies.study import Table, tabled
+
+if TYPE_CHECKING:
+    from evo_cpg.studies.workshop import Workshop
+
+# Number of plans to train on, and seconds of a trial.
+_PLANS, _SECONDS = 2048, 20.0
+# Pairs of opposite changes, plans that each change drives, size of the changes, and step size.
+_PAIRS, _EACH, _SIGMA, _STEP = 64, 16, 0.1, 0.02
+# Gradients: seconds of a trial, visits in a step, and step size.
+_SHORT, _BATCH, _FINE = 3.0, 256, 0.003
+# Updates between two files.
+_OFTEN = 20
+
+
+class Progress(NamedTuple):
+    """State of a training.
+
+    Attributes:
+        weights: present weights of the brain.
+        adam: state of Adam.
+        updates: number of updates.
+        seconds: duration so far, s.
+    """
+
+    weights: Float[np.ndarray, " w"]
+    adam: Any
+    updates: int
+    seconds: float
+
+
+Direction = Callable[[np.random.Generator, Float[np.ndarray, " w"]], Float[np.ndarray, " w"]]
+"""Function that returns a direction in which the weights get better."""
+
+
+def evolving(nursery: Nursery, sight: float = 1.0) -> Direction:
+    """Return the direction of the evolution strategy."""
+
+    def direction(draw: np.random.Generator, weights: np.ndarray) -> np.ndarray:
+        changes = draw.normal(size=(len(weights), _PAIRS))
+        brains = weights[:, None] + _SIGMA * np.concatenate([changes, -changes], 1)
+        plans, lights = draw.integers(len(nursery.lengths), size=_EACH), bearings(draw, _EACH)
+        count = brains.shape[1]
+        visits = nursery.visits(
+            np.tile(plans, count), np.tile(lights, count), brains.repeat(_EACH, 1), sight
+        )
+        covered = nursery.covered(visits).reshape(count, _EACH).mean(1)
+        better = (covered[:_PAIRS] - covered[_PAIRS:]) / max(covered.std(), 1e-9)
+        return changes @ better / _PAIRS
+
+    return direction
+
+
+def climbing(nursery: Nursery) -> Direction:
+    """Return the direction of gradients through brain and physics."""
+
+    def direction(draw: np.random.Generator, weights: np.ndarray) -> np.ndarray:
+        plans = draw.integers(len(nursery.lengths), size=_BATCH)
+        visits = nursery.visits(plans, bearings(draw, _BATCH), weights[:, None])
+        _, slopes = nursery.gradients(visits)
+        length = np.linalg.norm(slopes, axis=0)
+        finite = np.isfinite(length)
+        most = np.median(length[finite])
+        factor = np.minimum(1.0, most / np.maximum(length[finite], most))
+        return (slopes[:, finite] * factor).mean(1)
+
+    return direction
+
+
+def trained(
+    direction: Direction, step: float, minutes: float, file: Path, work: Work, seed: int = 0
+) -> Float[np.ndarray, " w"]:
+    """Return the weights after some minutes of training from none, by optax's Adam.
+
+    The file keeps the progress. An interrupted training goes on from there.
+    """
+    adam = optax.adam(step, b2=0.99)
+    draw = np.random.default_rng(seed)
+    start = np.concatenate([0.5 * draw.normal(size=WEIGHTS[0]), np.zeros(WEIGHTS[1])])
+    now = Progress(start, adam.init(start), 0, 0.0)
+    if file.is_file():
+        now = _read(file, now)
+    while now.seconds < 60 * minutes:
+        began = time.perf_counter()
+        ahead = direction(np.random.default_rng((seed, now.updates)), now.weights)
+        change, state = adam.update(-ahead, now.adam, now.weights)
+        seconds = now.seconds + time.perf_counter() - began
+        now = Progress(now.weights + np.asarray(change), state, now.updates + 1, seconds)
+        work.reached(int(seconds), int(60 * minutes))
+        if now.updates % _OFTEN == 0:
+            _write(file, now)
+    _write(file, now)
+    return now.weights
+
+
+def _write(file: Path, progress: Progress) -> None:
+    leaves = [np.asarray(x) for x in jax.tree.leaves(progress)]
+    write_whole(file, lambda opened: np.savez(opened, *leaves))
+
+
+def _read(file: Path, like: Progress) -> Progress:
+    with np.load(file) as stored:
+        leaves = [stored[name] for name in stored.files]
+    found: Progress = jax.tree.unflatten(jax.tree.structure(like), leaves)
+    return found._replace(updates=int(found.updates), seconds=float(found.seconds))
+
+
+class Test(NamedTuple):
+    """Result of newborns.
+
+    Attributes:
+        median: median fraction of the distance that is covered.
+        nearer: fraction of the plans that come nearer at all.
+        quartiles: lower and upper quartile of the fraction.
+    """
+
+    median: float
+    nearer: float
+    quartiles: tuple[float, float]
+
+    @property
+    def cells(self) -> dict[str, str]:
+        """Cells of a table."""
+        low, high = (f"{100 * x:.0f}" for x in self.quartiles)
+        return {
+            "distance covered, median": f"{100 * self.median:.0f} %",
+            "quartiles": f"{low} to {high} %",
+            "plans that come nearer": f"{100 * self.nearer:.1f} %",
+        }
+
+
+def tested(
+    nursery: Nursery, weights: Float[np.ndarray, " w"], sight: float = 1.0, seed: int = 1
+) -> Test:
+    """Return the result of a brain in all plans, each with a light at a random bearing.
+
+    Args:
+        nursery: the plans.
+        weights: weights of the brain.
+        sight: factor on the direction of the light: -1 reverses it, and 0 hides the light.
+        seed: seed of the bearings.
+    """
+    count = len(nursery.lengths)
+    lights = bearings(np.random.default_rng(seed), count)
+    covered = nursery.covered(nursery.visits(np.arange(count), lights, weights[:, None], sight))
+    low, median, high = np.percentile(covered, [25, 50, 75]).tolist()
+    return Test(median, float((covered > 0).mean()), (low, high))
+
+
+# Duration of each training, min: the two that are compared, and the one without light.
+_MINUTES, _BLIND_MINUTES, _QUICK_MINUTES = 90.0, 20.0, 0.05
+# Number of plans that the brains have never seen.
+_TESTED, _QUICK_TESTED = 1000, 32
+
+
+def report(workshop: "Workshop") -> list[Table]:
+    """Train brains by evolution and by gradients, and compare them on new plans.
+
+    The file ``newborn.txt`` gets the weights of the better one.
+    """
+    quick, folder = workshop.quick, workshop.folder / "runs" / "newborns"
+    make_folder(folder)
+    minutes, blind = (_QUICK_MINUTES if quick else x for x in (_MINUTES, _BLIND_MINUTES))
+    nursery, short = Nursery(0, _PLANS, _SECONDS), Nursery(0, _PLANS, _SHORT)
+    makers = {
+        "evolution": (evolving(nursery), _STEP, minutes),
+        "gradients": (climbing(short), _FINE, minutes),
+        "evolution, blind": (evolving(nursery, 0.0), _STEP, blind),
+    }
+    brains = {}
+    for name, (direction, step, duration) in makers.items():
+        file = folder / f"{name.replace(', ', '_')}.npz"
+        workshop.work.doing(f"training a brain by {name}")
+        brains[name] = trained(direction, step, duration, file, workshop.work)
+    digest = hashlib.sha256(b"".join(x.tobytes() for x in brains.values())).digest()
+    # The plans depend on the brains, so that no brain can have been trained for them.
+    seed = int.from_bytes(digest[:3])
+    plans = [
+        Nursery(seed, _QUICK_TESTED if quick else _TESTED, _SECONDS, x)
+        for x in (BodyBrain, AllAlike)
+    ]
+    found = {
+        name: tested(plans[0], weights, 0.0 if "blind" in name else 1.0)
+        for name, weights in brains.items()
+    }
+    better = max(("evolution", "gradients"), key=lambda name: found[name].median)
+    own = brains[better]
+    write_text(folder / "newborn.txt", "".join(f"{x:.4f}\n" for x in own))
+    found["untrained"] = tested(plans[0], 0 * own)
+    found[f"{better}, light reversed"] = tested(plans[0], own, -1.0)
+    found[f"{better}, all axes alike"] = tested(plans[1], own)
+    return [tabled([{"brain": name} | test.cells for name, test in found.items()])]

@@ -1,0 +1,207 @@
+"""Random body plans at a distance from a light, any of which any brain may drive.
+
+An individual is a *visit*, a column of numbers (`VISIT`): a plan, the place of its light, how well
+the brain sees, and the brain's weights. All visits run in the few programs of the plans.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from typing_extensions import override
+
+from evo_cpg.control.body_brain import WEIGHTS, BodyBrain
+from evo_cpg.control.controller import Command, Observation
+from evo_cpg.control.limb_oscillators import LimbState
+from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.io.load import complete_config, read_yaml
+from evo_cpg.io.plans import EvolvedPlans
+from evo_cpg.io.shipped import shipped
+from evo_cpg.native.machine_constants import LANES
+from evo_cpg.simulation.backward import Backward
+from evo_cpg.simulation.judge import Scored
+from evo_cpg.simulation.planned import PlanInputs
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.training.devices import Layout, population_mesh, run_in_blocks, sharded
+from evo_cpg.training.evaluate import compile_trials
+
+VISIT = {"plan": 1, "light": 3, "sight": 1, "weights": sum(WEIGHTS)}
+"""Rows of a visit: the number of the plan, the place of the light (m), and the brain's numbers."""
+
+AWAY = 5.0
+"""Distance of the light from the start, in body lengths."""
+
+# Least numbers of bodies and of joint axes of a plan, as in the published comparison.
+_BODIES, _AXES = 4, 3
+# Random plans that are drawn for each plan that is kept.
+_DRAWN = 2
+# Physics steps in a control step. With two the fastest limbs gain speed from rounding alone.
+_SUBSTEPS = 4
+
+
+class Visits(PlanInputs):
+    """Inputs of plans, followed by the rows of a visit after the plan's number."""
+
+    @override
+    def put(self, common: Simulation, values: list[Array]) -> Simulation:
+        (flat,), more = values, sum(VISIT.values()) - VISIT["plan"]
+        numbers, light, sight, weights = jnp.split(flat, [len(flat) - more + i for i in (0, 3, 4)])
+        own = super().put(common, [numbers])
+        controller = dataclasses.replace(own.controller, weights=weights, sight=sight[0])
+        situation = own.situations[0]._replace(light=tuple(light))
+        return dataclasses.replace(own, controller=controller, situations=(situation,))
+
+
+class AllAlike(BodyBrain):
+    """The brain whose axes all get the same command, the mean of their commands."""
+
+    @override
+    def act(
+        self, decoded: Any, state: LimbState, observation: Observation
+    ) -> tuple[LimbState, Command]:
+        moved, command = super().act(decoded, state, observation)
+        assert self.tree.walk is not None
+        present = jnp.abs(expand_dims_like(self.tree.walk.turns, command.target_rate))
+        mean = (present * command.target_rate).sum(0) / present.sum(0)
+        return moved, command._replace(target_rate=jnp.broadcast_to(mean, present.shape))
+
+
+class Nursery(EvolvedPlans):
+    """Random plans of a seed.
+
+    Args:
+        seed: seed of the plans.
+        count: number of plans.
+        seconds: duration of a trial, s.
+        brain: class of the brain.
+
+    Attributes:
+        lengths: longest extent of each plan at rest, m.
+    """
+
+    inputs_type = Visits
+
+    def __init__(
+        self, seed: int, count: int, seconds: float = 20.0, brain: type[BodyBrain] = BodyBrain
+    ):
+        source = shipped("virtual_creatures_water").path
+        changes = {
+            "controller": {"type": "body_brain", "brain": "untrained"},
+            "task": {"type": "reach_light"},
+            "audit": {"disqualify": []},
+        }
+        data = read_yaml(source) | changes
+        data["simulation"] |= {"seconds": seconds, "substeps": _SUBSTEPS}
+        super().__init__(complete_config(data, source))
+        self._brain, self._gradients = brain, {}
+        self._drawn = self._draw(seed, count)
+        self.lengths = self._drawn[2].length
+        simulation = dataclasses.replace(self.inputs(self.sizes[-1]).common, plans=self)
+        self._run = compile_trials(simulation, population_mesh())
+
+    def _draw(self, seed: int, count: int) -> tuple[Any, ...]:
+        """Return the arrays of `EvolvedPlans.developed` of plans with enough bodies and axes."""
+        draw = jax.jit(lambda key: self.random(key, (_DRAWN * count,), float))
+        found = super().developed(np.asarray(draw(jax.random.key(seed))))
+        axes = (np.abs(found[2].walk.turns) > 0).sum(0)
+        kept = np.flatnonzero((found[0] >= _BODIES) & (axes >= _AXES))[:count]
+        return jax.tree.map(lambda x: np.asarray(x)[..., kept], found)
+
+    @override
+    def inputs(self, size: int) -> PlanInputs:
+        found = super().inputs(size)
+        own = found.common.controller
+        fields = {field.name: getattr(own, field.name) for field in dataclasses.fields(own)}
+        task = dataclasses.replace(found.common.task, energy_weight=0.0, light_weight=0.0)
+        brain = self._brain(**fields)
+        found.common = dataclasses.replace(found.common, controller=brain, task=task)
+        return found
+
+    @override
+    def developed(self, genes: Float[np.ndarray, "v n"]) -> tuple[Any, ...]:
+        plans = genes[0].astype(int)
+        return *jax.tree.map(lambda x: x[..., plans], self._drawn), genes[1:]
+
+    @override
+    def given(
+        self, found: tuple[Any, ...], individuals: Int[np.ndarray, " k"], size: int
+    ) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "v k"]]:
+        genes, values = super().given(found[:3], individuals, size)
+        return genes, np.concatenate([values, found[3][:, individuals]])
+
+    def visits(
+        self,
+        plans: Int[np.ndarray, " n"],
+        bearings: Float[np.ndarray, "3 n"],
+        weights: Float[np.ndarray, "w #n"],
+        sight: float = 1.0,
+    ) -> Float[np.ndarray, "v n"]:
+        """Return visits of plans, with lights `AWAY` in the direction of unit vectors."""
+        light, count = AWAY * self.lengths[plans] * bearings, len(plans)
+        weights = np.broadcast_to(weights, (len(weights), count))
+        rows = plans[None], light, np.full((1, count), sight), weights
+        return np.concatenate(rows).astype(np.float32)
+
+    def covered(self, visits: Float[np.ndarray, "v n"]) -> Float[np.ndarray, " n"]:
+        """Return the fraction of the distance to the light that each plan covers.
+
+        It is -1/2 at least, also for a plan that diverged.
+        """
+        outcome = self._run(visits)
+        covered = 1.0 - np.nan_to_num(outcome.terms["distance"], nan=np.inf)
+        return np.maximum(np.where(outcome.alive, covered, -np.inf), -0.5)
+
+    def gradients(
+        self, visits: Float[np.ndarray, "v n"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "w n"]]:
+        """Return the fraction that each plan covers, and its derivative by the weights.
+
+        The visits must fill whole vectors of `LANES`.
+        """
+        found = self.developed(visits)
+        order = np.argsort(found[0], kind="stable")
+        fits = np.searchsorted(self.sizes, found[0][order] + 1)
+        # A vector runs in the program of its largest plan.
+        fits = fits.reshape(-1, LANES).max(1).repeat(LANES)
+        parts = [
+            self._gradients_of(found, order[fits == i], self.sizes[i]) for i in np.unique(fits)
+        ]
+        value, slope = (np.concatenate(x, -1) for x in zip(*parts, strict=True))
+        back = np.argsort(order)
+        return 1.0 + value[back], slope[:, back]
+
+    def _gradients_of(
+        self, found: tuple[Any, ...], own: Int[np.ndarray, " k"], size: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the fitness of visits in one program, and its derivative by the weights."""
+        if size not in self._gradients:
+            self._gradients[size] = sharded(self._gradient(size), population_mesh(), (2, 2))
+        genes, values = (x.astype(np.float32) for x in self.given(found, own, size))
+        spread = Layout(population_mesh(), LANES)
+
+        def pick(numbers: Int[np.ndarray, " block"]) -> tuple[np.ndarray, np.ndarray]:
+            return genes[:, numbers], values[:, numbers]
+
+        value, slope = run_in_blocks(self._gradients[size], spread, len(own), pick)
+        return value, slope[-sum(WEIGHTS) :]
+
+    def _gradient(self, size: int) -> Callable[[Array, Array], tuple[Array, Array]]:
+        inputs = self.inputs(size)
+        scored = Scored({"energy": jnp.float32(1.0)})
+
+        def score(values: Array, genes: Array) -> Array:
+            own = inputs.put(inputs.common, [values])
+            return rollout(own, genes, observers=scored, backward=Backward())
+
+        return jax.vmap(lambda genes, values: jax.value_and_grad(score)(values, genes), -1, -1)
+
+
+def bearings(draw: np.random.Generator, count: int) -> Float[np.ndarray, "3 n"]:
+    """Return directions that are spread evenly over the sphere."""
+    found = draw.normal(size=(3, count))
+    return found / np.linalg.norm(found, axis=0)
