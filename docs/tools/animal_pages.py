@@ -258,6 +258,7 @@ TITLES = {
     "fukui2003_model1_open_es": "Fukui 2003, Model 1, with OpenAI-ES",
     "evolving_swimmer": "Swimmer with evolving proportions",
     "evolving_walker": "Walker with evolving proportions",
+    "follow_the_light": "Virtual creatures that follow a light",
     "virtual_creatures_land": "Virtual creatures on land",
     "virtual_creatures_water": "Virtual creatures in water",
     "iwadate2010_swimmer": "Swimmer of Iwadate 2010",

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax
 from jaxtyping import Float
@@ -129,7 +130,9 @@ def _read(file: Path, like: Progress) -> Progress:
     with np.load(file) as stored:
         leaves = [stored[name] for name in stored.files]
     found: Progress = jax.tree.unflatten(jax.tree.structure(like), leaves)
-    return found._replace(updates=int(found.updates), seconds=float(found.seconds))
+    # NumPy would compute in float64.
+    adam = jax.tree.map(jnp.asarray, found.adam)
+    return Progress(found.weights, adam, int(found.updates), float(found.seconds))
 
 
 class Test(NamedTuple):

@@ -81,6 +81,7 @@ class Nursery(EvolvedPlans):
         brain: class of the brain.
 
     Attributes:
+        genes: genomes of the plans.
         lengths: longest extent of each plan at rest, m.
     """
 
@@ -99,18 +100,19 @@ class Nursery(EvolvedPlans):
         data["simulation"] |= {"seconds": seconds, "substeps": _SUBSTEPS}
         super().__init__(complete_config(data, source))
         self._brain, self._gradients = brain, {}
-        self._drawn = self._draw(seed, count)
+        self.genes, self._drawn = self._draw(seed, count)
         self.lengths = self._drawn[2].length
         simulation = dataclasses.replace(self.inputs(self.sizes[-1]).common, plans=self)
         self._run = compile_trials(simulation, population_mesh())
 
-    def _draw(self, seed: int, count: int) -> tuple[Any, ...]:
-        """Return the arrays of `EvolvedPlans.developed` of plans with enough bodies and axes."""
+    def _draw(self, seed: int, count: int) -> tuple[Float[np.ndarray, "g n"], tuple[Any, ...]]:
+        """Return plans with enough bodies and axes, and their arrays (`EvolvedPlans.developed`)."""
         draw = jax.jit(lambda key: self.random(key, (_DRAWN * count,), float))
-        found = super().developed(np.asarray(draw(jax.random.key(seed))))
+        genes = np.asarray(draw(jax.random.key(seed)))
+        found = super().developed(genes)
         axes = (np.abs(found[2].walk.turns) > 0).sum(0)
         kept = np.flatnonzero((found[0] >= _BODIES) & (axes >= _AXES))[:count]
-        return jax.tree.map(lambda x: np.asarray(x)[..., kept], found)
+        return genes[:, kept], jax.tree.map(lambda x: np.asarray(x)[..., kept], found)
 
     @override
     def inputs(self, size: int) -> PlanInputs:
