@@ -284,4 +284,6 @@ def all_nodes(arrays: Iterable[np.ndarray]) -> tuple[Node, ...]:
 
 def elementwise(make: Callable[..., Node], *arrays: Any) -> np.ndarray:
     """Apply a function of nodes element by element, with broadcasting."""
-    return np.asarray(np.frompyfunc(make, len(arrays), 1)(*arrays), object)
+    # Constants that are not finite are JAX's business, which does not warn of them, either.
+    with np.errstate(all="ignore"):
+        return np.asarray(np.frompyfunc(make, len(arrays), 1)(*arrays), object)
