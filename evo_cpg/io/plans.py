@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, UInt8
 from typing_extensions import override
 
 from evo_cpg.creature.algebra.rotation import matrix_to_euler
@@ -84,6 +84,9 @@ class EvolvedPlans(PlanBuilder):
         self._mesh = population_mesh()
         self._develop = sharded(jax.vmap(self._one, -1, -1), self._mesh, (2,))
         self._grow = jax.jit(lambda x: developed(self.layout.unpack(x), self.layout, self.bounds))
+        self._grow_kept = jax.jit(
+            lambda stored: jax.vmap(self._grow, -1)(self.layout.from_bytes(stored))
+        )
 
     @override
     def random(self, key: Array, batch: tuple[int, ...], dtype: Any) -> Float[Array, "g *n"]:
@@ -131,6 +134,18 @@ class EvolvedPlans(PlanBuilder):
         """Return the plan of one genome, in float64."""
         with jax.enable_x64(True):
             return jax.tree.map(np.asarray, self._grow(jnp.asarray(genes, float)))
+
+    def kept(self, genomes: UInt8[np.ndarray, "n b"]) -> list[Plan]:
+        """Return the plans of genomes of a family tree, without places for absent bodies."""
+        found = []
+        with jax.enable_x64(True):
+            for first in range(0, len(genomes), _WIDTH):
+                block = genomes[first : first + _WIDTH]
+                # The last block is as wide as the others, so that nothing compiles again.
+                full = np.pad(block, ((0, _WIDTH - len(block)), (0, 0)), "edge")
+                plans = jax.tree.map(np.asarray, self._grow_kept(full.T))
+                found += [jax.tree.map(lambda x, i=i: x[i], plans) for i in range(len(block))]
+        return [Plan(*(x[plan.present] for x in plan)) for plan in found]
 
     @override
     def own(self, genes: Float[np.ndarray, " g"]) -> Simulation:
