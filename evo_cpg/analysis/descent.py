@@ -20,9 +20,9 @@ from evo_cpg.training.family import Ancestor
 # Least change that is reported: logarithm of a length, place relative to the parent's half extents,
 # turn (rad), relative joint angle and strength, and gene of the oscillator.
 _LENGTH, _PLACE, _TURN, _REACH, _GENE = 0.04, 0.2, np.radians(8), 0.1, 0.1
-# Weights of a grown or lost part, of other joint axes, and of an oscillator. Others have the size
-# of their change. Weight of the whole gain of fitness.
-_PARTS, _AXES, _RHYTHM, _GAIN = 3.0, 1.5, 0.4, 4.0
+# Weights of a grown or lost part, of other joint axes, of another part in the same place, and of an
+# oscillator. Other changes weigh as much as they change.
+_PARTS, _AXES, _REPLACED, _RHYTHM = 3.0, 1.5, 0.5, 0.4
 # Place on the parent from which a limb is named after a second direction, too.
 _ALSO = 0.6
 # Words for more and less of each of `GENES`.
@@ -31,7 +31,7 @@ _RHYTHMS = dict(
         GENES,
         [
             ("stronger strokes", "weaker strokes"),
-            *(("a new rhythm",) * 2, ("a new timing",) * 2, ("a new bias",) * 2, ("a new start",) * 2),
+            *(("a new rhythm",) * 2, ("a new timing",) * 2, ("a new resting bend",) * 2, ("a new start",) * 2),
         ],
         strict=True,
     )
@@ -67,10 +67,13 @@ def descent(plans: EvolvedPlans, line: Sequence[Ancestor], most: int = 10) -> li
     fitness = np.array([one.record["fitness"] for one in line])
     gain = np.diff(np.where(np.isfinite(fitness), fitness, fitness[np.isfinite(fitness)].min()))
     weights = [sum(weight for weight, _ in changes(*pair)) for pair in itertools.pairwise(grown)]
-    telling = np.minimum(weights, 2 * _PARTS) + _GAIN * gain / max(np.ptp(fitness), 1e-9)
-    middle = np.flatnonzero(np.array(weights[:-1]) > 0)
-    chosen = middle[np.argsort(-telling[middle], kind="stable")[: most - 2]] + 1
-    shown = sorted({0, len(line) - 1, *chosen.tolist()})
+    telling = [np.minimum(weights, _PARTS), gain.clip(0)]
+    telling = sum(part / max(part.sum(), 1e-9) for part in telling)
+    # Each of the others stands for an equal part of all changes, so that no time is left out.
+    turn = np.cumsum(telling) / max(telling.sum(), 1e-9) * (most - 2)
+    turns = [np.flatnonzero((turn > i) & (turn <= i + 1) & (telling > 0)) for i in range(most - 2)]
+    chosen = [int(own[telling[own].argmax()]) + 1 for own in turns if own.size]
+    shown = sorted({0, len(line) - 1, *chosen})
     steps = [Step(line[0], grown[0], np.full(len(grown[0].parent), -1), (), 0.0, 0)]
     for before, i in itertools.pairwise(shown):
         found = changes(grown[before], grown[i])
@@ -80,20 +83,34 @@ def descent(plans: EvolvedPlans, line: Sequence[Ancestor], most: int = 10) -> li
     return steps
 
 
+def told(step: Step, most: int) -> str:
+    """Return a step's most important changes, or the number of parts of the first ancestor."""
+    if not step.births:
+        return f"a body of {len(step.match)} parts"
+    return "; ".join(step.changes[:most]) or "small changes"
+
+
 def matched(before: Plan, after: Plan) -> Int[np.ndarray, " b"]:
     """Return the body of an earlier plan that each body continues, or -1. Roots always match."""
     found, free = [0], set(range(1, len(before.parent)))
     for i in range(1, len(after.parent)):
+        # Another part in the same place continues what it replaces.
         own = [
-            (float(np.abs(before.place[j] - after.place[i]).sum()), j)
+            (other, away, j)
             for j in free
-            if before.parent[j] == found[after.parent[i]]
-            and before.label[j] == after.label[i]
-            and before.mirror[j] == after.mirror[i]
+            if before.parent[j] == found[after.parent[i]] and before.mirror[j] == after.mirror[i]
+            for other, away in [(before.label[j] != after.label[i], _away(before, after, j, i))]
+            if not other or away < _PLACE
         ]
-        found.append(min(own)[1] if own else -1)
+        found.append(min(own)[2] if own else -1)
         free.discard(found[-1])
     return np.array(found)
+
+
+def _away(before: Plan, after: Plan, old: int, new: int) -> float:
+    """Return the distance between the places of two joints, relative to the parents' sizes."""
+    places = (plan.place[i] / plan.half[plan.parent[i]] for plan, i in ((before, old), (after, new)))
+    return float(np.abs(np.subtract(*places)).max())
 
 
 def changes(before: Plan, after: Plan) -> list[tuple[float, str]]:
@@ -116,8 +133,10 @@ def changes(before: Plan, after: Plan) -> list[tuple[float, str]]:
             alike.setdefault(words, []).append(_name(after, kept[own]))
             weights[words] = weights.get(words, 0.0) + weight
     for words, names in alike.items():
-        others = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        found.append((weights[words], f"{names[0]}{others} {words}"))
+        name = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+        if len(names) > 1 and len(names) == len({*after.label[1:]}):
+            name = "all limbs"
+        found.append((weights[words], f"{name} {words}"))
     return sorted(found, key=lambda change: -change[0])
 
 
@@ -137,7 +156,7 @@ def _parts(plan: Plan, new: np.ndarray, of_limb: str, of_part: str) -> Iterator[
             count = "a pair of" if plan.mirror[own].sum() == 0 else len(own) if many else "a"
             verb = of_limb.replace("was", "were") if many and count != "a pair of" else of_limb
             words = f"{count} {_name(plan, own)}{f' of {size}{each}' * (parts > 1)} {verb}"
-        yield _PARTS + 0.3 * parts * len(own), words
+        yield _PARTS + 0.3 * parts * len(own) + (of_part == "grew"), words
 
 
 def _path(plan: Plan, body: int) -> list[int]:
@@ -174,11 +193,13 @@ def _resizing(sizes: np.ndarray) -> Iterator[tuple[float, str]]:
     for change, more, less in words:
         if abs(change) > _LENGTH:
             percent = 100 * abs(np.expm1(change))
-            yield abs(change), f"{more if change > 0 else less} by {percent:.0f} %"
+            yield abs(change), f"{more if change > 0 else less} by {percent:.0f}%"
 
 
 def _others(before: Plan, after: Plan, old: int, new: int) -> Iterator[tuple[float, str]]:
     """Yield changes of a part's joint, place and oscillators."""
+    if new and after.label[new] != before.label[old]:
+        yield _REPLACED, "replaced by another part"
     axes, earlier = after.axes[new], before.axes[old]
     if (axes != earlier).any():
         count = ("no joint axis", "one joint axis", "two joint axes", "three joint axes")[axes.sum()]

@@ -83,6 +83,14 @@ def render(
     ] = None,
     crowd: Crowd = None,
     wall: Wall = None,
+    ancestors: Annotated[
+        bool,
+        typer.Option(
+            "--ancestors",
+            help="Show the champion's line of descent in one shot, in which limbs grow. Only for "
+            "body plans that evolve.",
+        ),
+    ] = False,
     story: Annotated[
         bool,
         typer.Option(
@@ -102,6 +110,7 @@ def render(
     cores: Cores = None,
 ) -> None:
     """Film the champion of a run, or an elite of its map of gaits."""
+    from evo_cpg.api.ancestors import ancestors_panel
     from evo_cpg.api.film import (
         IN_FILM,
         champion_panel,
@@ -124,7 +133,7 @@ def render(
     if story:
         fixed = {
             "--sheet": sheet, "--crowd": crowd is not None, "--wall": wall is not None,
-            "--seconds": seconds,
+            "--seconds": seconds, "--ancestors": ancestors,
             "--camera": camera != View.FOLLOW, "--fps": fps != 30, "--speed": speed != 1,
         }  # fmt: skip
         require_none("--story", alone | fixed)
@@ -137,6 +146,9 @@ def render(
         return
     if lineage is not None:
         require_none("--lineage", {"--cell": cell, "--beside": others, "--title": titles})
+    if ancestors:
+        others_too = {"--crowd": crowd is not None, "--wall": wall is not None, "--title": titles}
+        require_none("--ancestors", alone | others_too)
     if crowd is not None:
         require_none("--crowd", {**alone, "--wall": wall is not None})
     as_page = wall is not None and output is not None and output.suffix == ".html"
@@ -163,7 +175,7 @@ def render(
                 f"--lineage: {len(generations)} generations are too many. Allowed: up to {_MOST}"
             )
     film_of = {
-        "lineage": lineage is not None, f"crowd{crowd}": crowd is not None,
+        "lineage": lineage is not None, f"crowd{crowd}": crowd is not None, "ancestors": ancestors,
         f"wall_{wall}": wall is not None,
     }  # fmt: skip
     name = next((word for word, chosen in film_of.items() if chosen), "champion")
@@ -182,6 +194,8 @@ def render(
         film_path(output or run / name, film, signals)
         if wall is not None:
             panels = [wall_panel(open_champion(run, number, trial), wall, trial, film, IN_FILM)]
+        elif ancestors:
+            panels = [ancestors_panel(open_champion(run, number, trial), trial)]
         elif crowd is not None:
             opened = open_champion(run, number, trial)
             panels = [crowd_panel(opened, crowd, trial, film)]
@@ -220,8 +234,9 @@ def plot(
     trial: Trial = 0,
     cell: Cell = None,
 ) -> None:
-    """Plot fitness, joint signals, path and map."""
+    """Plot fitness, joint signals, path, map and family tree."""
     from evo_cpg.analysis.chains import axis_signs, joint_rows
+    from evo_cpg.api.ancestors import family_pictures
     from evo_cpg.api.runs import motion_of, open_champion, suffix, writing
     from evo_cpg.files import make_folder
     from evo_cpg.io.run import gait_map
@@ -255,6 +270,8 @@ def plot(
             title = experiment.name + (f", run {own}" if experiment.runs > 1 else "")
             figure = map_figure(found.axes, found.fitness, title)
             print(save_figure(figure, place / f"map{suffix(number)}.png"))
+        if opened.experiment.simulation.plans is not None:
+            print(*family_pictures(opened, place), sep="\n")
 
 
 def preview(

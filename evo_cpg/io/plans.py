@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int, UInt8
 from typing_extensions import override
 
 from evo_cpg.creature.algebra.rotation import matrix_to_euler
+from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.development import Plan, developed
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.creature.walk import slot_count
@@ -146,6 +147,14 @@ class EvolvedPlans(PlanBuilder):
                 plans = jax.tree.map(np.asarray, self._grow_kept(full.T))
                 found += [jax.tree.map(lambda x, i=i: x[i], plans) for i in range(len(block))]
         return [Plan(*(x[plan.present] for x in plan)) for plan in found]
+
+    def genes_kept(self, genome: UInt8[np.ndarray, " b"]) -> Float[np.ndarray, " g"]:
+        """Return the genes of a genome of a family tree, in float32."""
+        return np.asarray(self.layout.from_bytes(genome[:, None]), np.float32)[:, 0]
+
+    def creature(self, plan: Plan) -> Creature:
+        """Return a plan as a creature."""
+        return CreatureConfig.model_validate(creature_of(plan, self.section)).build()
 
     @override
     def own(self, genes: Float[np.ndarray, " g"]) -> Simulation:

@@ -252,8 +252,8 @@ def edge_places(
 # Sizes of letters, margin, and distance of lines, in a picture whose shorter side is 1080 pixels.
 _SIZES = {"title": 98.0, "subtitle": 56.0, "caption": 64.0}
 _EDGE, _LINE = 84.0, 1.25
-# Time in which words fade in and out, s.
-_FADE = 0.35
+# Time in which words fade in and out, and time of a title above growing animals, s.
+_FADE, _TITLE = 0.35, 3.0
 # Offset and opacity of the shadow behind letters, in their size.
 _SHADOW, _SHADOW_OPACITY = 0.045, 0.45
 # Height of the letters of a tag and its distance from an animal, as fractions of the shorter side.
@@ -284,6 +284,16 @@ class Words(NamedTuple):
     kind: Literal["title", "subtitle", "caption"]
     start: float
     end: float
+
+
+def growing_words(panel: Panel) -> list[Words]:
+    """Return the title and the captions of an animal whose bodies grow."""
+    growth = panel.growth
+    assert growth is not None
+    ends = [*growth.begins[1:], panel.recording.time[-1] + _FADE]
+    captions = zip(growth.words, growth.begins, ends, strict=True)
+    shown = [Words(text, "caption", begin, end) for text, begin, end in captions]
+    return [Words(panel.title or "", "title", -1.0, _TITLE), *shown]
 
 
 def written(
