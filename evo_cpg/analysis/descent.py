@@ -2,40 +2,46 @@
 
 Parts of two plans are matched from the root outwards. A part continues an earlier part with the
 same label and side, if both hang on parts that match. Copies of a node then keep their places when
-a limb grows in front of them.
+a limb grows in front of them. A part that another part replaces in the same place continues, too.
 """
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
-from evo_cpg.control.limb_oscillators import GENES
 from evo_cpg.creature.development import Plan
 from evo_cpg.io.plans import EvolvedPlans
 from evo_cpg.training.family import Ancestor
 
-# Least change that is reported: logarithm of a length, place relative to the parent's half extents,
-# turn (rad), relative joint angle and strength, and gene of the oscillator.
-_LENGTH, _PLACE, _TURN, _REACH, _GENE = 0.04, 0.2, np.radians(8), 0.1, 0.1
-# Weights of a grown or lost part, of other joint axes, of another part in the same place, and of an
-# oscillator. Other changes weigh as much as they change.
-_PARTS, _AXES, _REPLACED, _RHYTHM = 3.0, 1.5, 0.5, 0.4
-# Place on the parent from which a limb is named after a second direction, too.
-_ALSO = 0.6
-# Words for more and less of each of `GENES`.
-_RHYTHMS = dict(
-    zip(
-        GENES,
-        [
-            ("stronger strokes", "weaker strokes"),
-            *(("a new rhythm",) * 2, ("a new timing",) * 2, ("a new resting bend",) * 2, ("a new start",) * 2),
-        ],
-        strict=True,
-    )
+# Distance of joints, relative to their parents' half extents, up to which a part replaces another
+# one, and distance that is added for another label.
+_NEAR, _OTHER = 0.2, 4.0
+# Weights of a grown or lost part, and of the least change of another kind that is reported.
+_PARTS, _LEAST = 3.0, 0.1
+# Least changes that are reported, and words for more and less: logarithms of lengths, place
+# relative to the parent's half extents, turn and sum of angles (rad), strength, and genes of an
+# oscillator (`evo_cpg.control.limb_oscillators.GENES`).
+_WORDS = (
+    (0.04, "larger by {:.0%}", "smaller by {:.0%}"),
+    (0.04, "longer by {:.0%}", "shorter by {:.0%}"),
+    (0.04, "thicker by {:.0%}", "thinner by {:.0%}"),
+    (0.2, "moved forward", "moved back"),
+    (0.2, "moved up", "moved down"),
+    (0.14, "turned", ""),
+    (0.1, "with more joint axes", "with fewer joint axes"),
+    (0.14, "may bend farther", "may bend less"),
+    (0.1, "stronger", "weaker"),
+    (0.1, "with stronger strokes", "with weaker strokes"),
+    *(
+        (0.1, *(f"with a new {word}",) * 2)
+        for word in ("rhythm", "timing", "resting bend", "start")
+    ),
 )
+# Place on the parent from which on a limb is named after a second direction, too.
+_ALSO = 0.6
 
 
 class Step(NamedTuple):
@@ -43,186 +49,125 @@ class Step(NamedTuple):
 
     Attributes:
         ancestor: the ancestor.
-        plan: its plan.
-        match: body of the plan before that each body continues, or -1. None of the first plan's.
-        changes: changes in words, the most important first.
-        weight: sum of the importance of all changes.
+        plan: its plan, see `evo_cpg.io.plans.EvolvedPlans.kept`.
+        match: body of the plan before that each body continues, or -1.
         births: number of births since the ancestor before.
+        words: changes in words, the most important first.
     """
 
     ancestor: Ancestor
     plan: Plan
     match: Int[np.ndarray, " b"]
-    changes: tuple[str, ...]
-    weight: float
     births: int
+    words: tuple[str, ...]
 
 
 def descent(plans: EvolvedPlans, line: Sequence[Ancestor], most: int = 10) -> list[Step]:
     """Return the most telling ancestors of a line, with the first one and the last one.
 
-    A step tells much if it changes the body or the oscillators much, or gains fitness.
+    A step tells much if it changes the body or the oscillators much, or gains fitness. Each of the
+    others stands for an equal part of all that is told, so that no time is left out.
     """
     grown = plans.kept(np.stack([one.record["genome"] for one in line]))
-    fitness = np.array([one.record["fitness"] for one in line])
-    gain = np.diff(np.where(np.isfinite(fitness), fitness, fitness[np.isfinite(fitness)].min()))
-    weights = [sum(weight for weight, _ in changes(*pair)) for pair in itertools.pairwise(grown)]
-    telling = [np.minimum(weights, _PARTS), gain.clip(0)]
-    telling = sum(part / max(part.sum(), 1e-9) for part in telling)
-    # Each of the others stands for an equal part of all changes, so that no time is left out.
-    turn = np.cumsum(telling) / max(telling.sum(), 1e-9) * (most - 2)
-    turns = [np.flatnonzero((turn > i) & (turn <= i + 1) & (telling > 0)) for i in range(most - 2)]
-    chosen = [int(own[telling[own].argmax()]) + 1 for own in turns if own.size]
-    shown = sorted({0, len(line) - 1, *chosen})
-    steps = [Step(line[0], grown[0], np.full(len(grown[0].parent), -1), (), 0.0, 0)]
-    for before, i in itertools.pairwise(shown):
-        found = changes(grown[before], grown[i])
-        told, weight = tuple(words for _, words in found), sum(weight for weight, _ in found)
-        match = matched(grown[before], grown[i])
-        steps.append(Step(line[i], grown[i], match, told, weight, i - before))
-    return steps
-
-
-def told(step: Step, most: int) -> str:
-    """Return a step's most important changes, or the number of parts of the first ancestor."""
-    if not step.births:
-        return f"a body of {len(step.match)} parts"
-    return "; ".join(step.changes[:most]) or "small changes"
+    gain = np.diff([one.record["fitness"] for one in line])
+    change = [sum(weight for weight, _ in changes(*pair)) for pair in itertools.pairwise(grown)]
+    parts = np.nan_to_num(gain, posinf=0, neginf=0).clip(0), np.minimum(change, _PARTS)
+    telling = np.sum([part / max(part.sum(), 1e-9) for part in parts], axis=0)
+    turn = np.ceil(np.cumsum(telling) / max(telling.sum(), 1e-9) * (most - 2))
+    best = [np.where(turn == i, telling, -1).argmax() for i in np.unique(turn[telling > 0])]
+    # Then the most telling ones of the rest.
+    rest = [i for i in np.argsort(-telling, kind="stable") if telling[i] > 0]
+    chosen = list(dict.fromkeys(map(int, (*best, *rest))))[: most - 2]
+    shown = sorted({0, len(line) - 1, *(i + 1 for i in chosen)})
+    steps = [Step(line[0], grown[0], np.full(len(grown[0].parent), -1), 0, ())]
+    for i, j in itertools.pairwise(shown):
+        words = tuple(words for _, words in changes(grown[i], grown[j])) or ("small changes",)
+        steps.append(Step(line[j], grown[j], matched(grown[i], grown[j]), j - i, words))
+    return [steps[0]._replace(words=(f"a body of {len(grown[0].parent)} parts",)), *steps[1:]]
 
 
 def matched(before: Plan, after: Plan) -> Int[np.ndarray, " b"]:
     """Return the body of an earlier plan that each body continues, or -1. Roots always match."""
-    found, free = [0], set(range(1, len(before.parent)))
+    found, free = [0], {*range(1, len(before.parent))}
+    spots, earlier = (x.place / x.half[x.parent.clip(0)] for x in (after, before))
     for i in range(1, len(after.parent)):
-        # Another part in the same place continues what it replaces.
-        own = [
-            (other, away, j)
-            for j in free
-            if before.parent[j] == found[after.parent[i]] and before.mirror[j] == after.mirror[i]
-            for other, away in [(before.label[j] != after.label[i], _away(before, after, j, i))]
-            if not other or away < _PLACE
-        ]
-        found.append(min(own)[2] if own else -1)
+        siblings = (before.parent == found[after.parent[i]]) & (before.mirror == after.mirror[i])
+        away = np.abs(earlier - spots[i]).max(1) + _OTHER * (before.label != after.label[i])
+        near = [j for j in free if siblings[j] and away[j] < _OTHER + _NEAR]
+        found.append(min(near, key=away.__getitem__, default=-1))
         free.discard(found[-1])
     return np.array(found)
-
-
-def _away(before: Plan, after: Plan, old: int, new: int) -> float:
-    """Return the distance between the places of two joints, relative to the parents' sizes."""
-    places = (plan.place[i] / plan.half[plan.parent[i]] for plan, i in ((before, old), (after, new)))
-    return float(np.abs(np.subtract(*places)).max())
 
 
 def changes(before: Plan, after: Plan) -> list[tuple[float, str]]:
     """Return the changes between two plans with their weights, the most important first."""
     match = matched(before, after)
-    lost = ~np.isin(np.arange(len(before.parent)), match)
-    found = [*_parts(before, lost, "was lost", "lost"), *_parts(after, match < 0, "grew", "grew")]
-    kept = np.flatnonzero(match >= 0)
-    sizes = np.log(after.half[kept] / before.half[match[kept]])
-    if len(kept) > 1 and np.ptp(sizes) < _LENGTH < np.abs(sizes).min():
-        found += [(weight, f"whole body {words}") for weight, words in _resizing(sizes)]
-        sizes = np.zeros_like(sizes)
-    # Names of the parts that changed in the same way.
-    alike: dict[str, list[str]] = {}
-    weights: dict[str, float] = {}
-    for label in dict.fromkeys(after.label[kept].tolist()):
-        own = after.label[kept] == label
-        pair = match[kept[own]][0], kept[own][0]
-        for weight, words in [*_resizing(sizes[own]), *_others(before, after, *pair)]:
-            alike.setdefault(words, []).append(_name(after, kept[own]))
-            weights[words] = weights.get(words, 0.0) + weight
-    for words, names in alike.items():
-        name = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-        if len(names) > 1 and len(names) == len({*after.label[1:]}):
-            name = "all limbs"
-        found.append((weights[words], f"{name} {words}"))
+    lost, kept = ~np.isin(np.arange(len(before.parent)), match), np.flatnonzero(match >= 0)
+    found = [*_parts(after, match < 0, "grew"), *_parts(before, lost, "lost")]
+    labels, alike = dict.fromkeys(after.label[kept].tolist()), {}
+    for own in (kept[after.label[kept] == label] for label in labels):
+        for weight, words in _altered(before, after, match[own], own):
+            alike.setdefault(words, []).append((weight, _name(after, own)))
+    for words, parts in alike.items():
+        name = parts[0][1] + " and others" * (len(parts) > 1)
+        name = "whole body" if 1 < len(labels) == len(parts) else name
+        found.append((sum(weight for weight, _ in parts), f"{name} {words}"))
     return sorted(found, key=lambda change: -change[0])
 
 
-def _parts(plan: Plan, new: np.ndarray, of_limb: str, of_part: str) -> Iterator[tuple[float, str]]:
+def _parts(plan: Plan, new: Bool[np.ndarray, " b"], verb: str) -> Iterator[tuple[float, str]]:
     """Yield changes for parts that grew or were lost, the parts of one label as one change."""
-    tops = [i for i in np.flatnonzero(new) if not new[plan.parent[i]]]
+    tops = np.flatnonzero(new & ~new[plan.parent])
     for label in dict.fromkeys(plan.label[tops].tolist()):
-        own = np.array([i for i in tops if plan.label[i] == label])
-        paths = [_path(plan, i) for i in range(len(new))]
-        parts = sum(own[0] in path for path in paths)
-        many, size = len(own) > 1, f"{parts} part{'s' * (parts > 1)}"
-        each = " each" * many
-        if len(paths[own[0]]) > 1:
-            limbs = np.array([paths[i][-1] for i in own])
-            words = f"{_name(plan, limbs)} {of_part} {size}{each}"
-        else:
-            count = "a pair of" if plan.mirror[own].sum() == 0 else len(own) if many else "a"
-            verb = of_limb.replace("was", "were") if many and count != "a pair of" else of_limb
-            words = f"{count} {_name(plan, own)}{f' of {size}{each}' * (parts > 1)} {verb}"
-        yield _PARTS + 0.3 * parts * len(own) + (of_part == "grew"), words
+        own = tops[plan.label[tops] == label]
+        count = sum(bool({*own} & {*_path(plan, i)}) for i in range(len(new)))
+        limbs = np.unique([_path(plan, i)[-1] for i in own])
+        size = f"{count} part{'s' * (count > 1)}"
+        words = f"{_name(plan, limbs)} {verb} {size}"
+        if plan.parent[own[0]] == 0:
+            words = f"{_name(plan, limbs)}{f' of {size}' * (count > len(own))} {verb}"
+        yield _PARTS + _LEAST * count + (verb == "grew"), words
 
 
-def _path(plan: Plan, body: int) -> list[int]:
+def _path(plan: Plan, body: Any) -> list[int]:
     """Return a body and the bodies between it and the root, without the root."""
-    found = []
-    while body > 0:
-        found.append(body)
-        body = plan.parent[body]
-    return found
+    return [body, *_path(plan, plan.parent[body])] if body else []
 
 
-def _name(plan: Plan, bodies: np.ndarray) -> str:
+def _name(plan: Plan, bodies: Int[np.ndarray, " n"]) -> str:
     """Return the name of the bodies of a node, after the place of their limb on the trunk."""
-    paths = [_path(plan, body) for body in bodies]
-    depth = min(map(len, paths))
+    paths = sorted((_path(plan, body) for body in bodies), key=len)
+    depth = len(paths[0])
     if not depth:
         return "trunk"
-    same = [path for path in paths if len(path) == depth]
-    limb = same[0][-1]
-    x, y, z = plan.place[limb] / plan.half[0]
+    many = sum(len(path) == depth for path in paths) > 1
+    x, y, z = plan.place[paths[0][-1]] / plan.half[0]
     sides = [(abs(x), "front" if x > 0 else "rear"), (abs(z), "upper" if z > 0 else "lower")]
-    sides.append((abs(y), "side" if len(same) > 1 else "left" if y > 0 else "right"))
+    sides.append((abs(y), "side" if many else "left" if y > 0 else "right"))
     where = " ".join(word for part, word in sides if part > _ALSO)
-    level = "" if depth == 1 else f"part {depth} of the "
-    return f"{level}{where} limb{'s' * (len(same) > 1)}"
+    return f"{f'part {depth} of the ' * (depth > 1)}{where} limb{'s' * many}"
 
 
-def _resizing(sizes: np.ndarray) -> Iterator[tuple[float, str]]:
-    """Yield changes of size, from logarithms of the ratios of half extents. Lengths are along x."""
-    along, across = float(sizes[:, 0].mean()), float(sizes[:, 1:].mean())
-    words = [(along, "longer", "shorter"), (across, "thicker", "thinner")]
-    if abs(along - across) < _LENGTH:
-        words = [(float(sizes.mean()), "larger", "smaller")]
-    for change, more, less in words:
-        if abs(change) > _LENGTH:
-            percent = 100 * abs(np.expm1(change))
-            yield abs(change), f"{more if change > 0 else less} by {percent:.0f}%"
-
-
-def _others(before: Plan, after: Plan, old: int, new: int) -> Iterator[tuple[float, str]]:
-    """Yield changes of a part's joint, place and oscillators."""
-    if new and after.label[new] != before.label[old]:
-        yield _REPLACED, "replaced by another part"
-    axes, earlier = after.axes[new], before.axes[old]
-    if (axes != earlier).any():
-        count = ("no joint axis", "one joint axis", "two joint axes", "three joint axes")[axes.sum()]
-        yield _AXES, f"with {'another joint axis' if axes.sum() == earlier.sum() else count}"
-    if new and not after.parent[new]:
-        moved = after.place[new] / after.half[0] - before.place[old] / before.half[0]
-        axis = int(np.abs(moved).argmax())
-        if abs(moved[axis]) > _PLACE:
-            words = (("back", "forward"), ("inward", "outward"), ("down", "up"))[axis]
-            further = moved[axis] * (np.sign(after.place[new][1]) if axis == 1 else 1) > 0
-            yield float(abs(moved[axis])), f"moved {words[int(further)]}"
-    turn = np.arccos(np.clip((np.sum(after.rotation[new] * before.rotation[old]) - 1) / 2, -1, 1))
-    if turn > _TURN:
-        yield float(turn), f"turned by {np.degrees(turn):.0f} degrees"
-    both = axes & earlier
-    wider = np.log(after.limit[new][both] / before.limit[old][both]).sum()
-    if abs(wider) > _REACH:
-        yield 0.5 * float(abs(wider)), f"may bend {'farther' if wider > 0 else 'less far'}"
-    stronger = float(after.strength[new] - before.strength[old])
-    if new and abs(stronger) > _REACH:
-        yield 0.5 * abs(stronger), "stronger" if stronger > 0 else "weaker"
-    genes = (after.control[new] - before.control[old])[both].reshape(-1, len(GENES))
-    if genes.size and np.abs(genes).max() > _GENE:
-        row, gene = np.unravel_index(np.abs(genes).argmax(), genes.shape)
-        words = _RHYTHMS[GENES[gene]][int(genes[row, gene] < 0)]
-        yield _RHYTHM * float(np.abs(genes).max()), f"with {words}"
+def _altered(
+    before: Plan, after: Plan, old: Int[np.ndarray, " n"], new: Int[np.ndarray, " n"]
+) -> Iterator[tuple[float, str]]:
+    """Yield changes of the bodies of a node. Joint, place and oscillators are the first one's."""
+    i, j = old[0], new[0]
+    length, *across = np.log(after.half[new] / before.half[old]).mean(0)
+    thick, alike = np.mean(across), abs(length - np.mean(across)) < _WORDS[0][0]
+    found = [np.mean([length, *across]), 0, 0] if alike else [0, length, thick]
+    if j:
+        moved = after.place[j] / after.half[after.parent[j]]
+        moved = moved - before.place[i] / before.half[before.parent[i]]
+        cosine = (np.sum(after.rotation[j] * before.rotation[i]) - 1) / 2
+        turned = np.arccos(np.clip(cosine, -1, 1))
+        axes = np.sum(after.axes[j], dtype=int) - np.sum(before.axes[i], dtype=int)
+        limit = np.sum(after.limit[j] - before.limit[i])
+        strength = after.strength[j] - before.strength[i]
+        genes = (after.control[j] - before.control[i])[before.axes[i] & after.axes[j]]
+        found += [moved[0], moved[2], turned, axes, limit, strength]
+        found += [*genes[np.abs(genes).max(1).argmax()]] if len(genes) else []
+    for change, (least, more, less) in zip(found, _WORDS, strict=False):
+        if abs(change) >= least:
+            words = (more if change > 0 else less).format(abs(np.expm1(change)))
+            yield _LEAST * float(abs(change)) / least, words

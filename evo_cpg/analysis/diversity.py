@@ -12,7 +12,7 @@ editing distance between trees and related problems"). Children are compared in 
 
 import itertools
 from collections import Counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -47,53 +47,41 @@ class Diversity(NamedTuple):
 
 def topology_of(plan: Plan) -> Topology:
     """Return the tree of a plan's bodies, with sorted children. Equal trees are equal values."""
-    below: list[list[Topology]] = [[] for _ in plan.present]
-    for i in reversed(np.flatnonzero(plan.present)):
-        kind = "".join(itertools.compress("xyz", plan.axes[i]))
-        tree = kind, tuple(sorted(below[i]))
-        if plan.parent[i] >= 0:
-            below[plan.parent[i]].append(tree)
-    return tree
+
+    def tree(body: Any) -> Topology:
+        kind = "".join(itertools.compress("xyz", plan.axes[body]))
+        return kind, tuple(sorted(map(tree, np.flatnonzero(plan.parent == body))))
+
+    return tree(0)
 
 
 def tree_edit_distance(one: Topology, other: Topology) -> int:
     """Return the edit distance of two topologies, where each operation costs 1."""
-    (kinds, first, roots), (others, other_first, other_roots) = _postorder(one), _postorder(other)
+    (kinds, first), (others, second) = (zip(*_postorder(x), strict=True) for x in (one, other))
     whole = [[0] * len(others) for _ in kinds]
-    for i, j in itertools.product(roots, other_roots):
-        # Distances between forests that begin at the first leaves of the subtrees i and j.
-        a, b = first[i], other_first[j]
+    # Roots of subtrees that do not begin at the first leaf of a larger subtree.
+    roots = (sorted({leaf: i for i, leaf in enumerate(x)}.values()) for x in (first, second))
+    for i, j in itertools.product(*roots):
+        # Distances between forests that begin at the first leaves of both subtrees.
+        a, b = first[i], second[j]
         forest = [[p + q for q in range(j - b + 2)] for p in range(i - a + 2)]
         for x, y in itertools.product(range(a, i + 1), range(b, j + 1)):
-            p, q = x - a + 1, y - b + 1
-            trees = first[x] == a and other_first[y] == b
+            p, q, trees = x - a, y - b, first[x] == a and second[y] == b
+            joined = forest[first[x] - a][second[y] - b] + whole[x][y]
             if trees:
-                joined = forest[p - 1][q - 1] + (kinds[x] != others[y])
-            else:
-                joined = forest[first[x] - a][other_first[y] - b] + whole[x][y]
-            forest[p][q] = min(forest[p - 1][q] + 1, forest[p][q - 1] + 1, joined)
-            if trees:
-                whole[x][y] = forest[p][q]
+                joined = forest[p][q] + (kinds[x] != others[y])
+            least = min(forest[p][q + 1] + 1, forest[p + 1][q] + 1, joined)
+            forest[p + 1][q + 1] = least
+            whole[x][y] = least if trees else whole[x][y]
     return whole[-1][-1]
 
 
-def _postorder(tree: Topology) -> tuple[list[str], list[int], list[int]]:
-    """Return the kinds of all nodes, children first, their first leaves, and the key roots.
-
-    A key root is the root of the whole tree, or a node with an earlier sibling.
-    """
-    kinds: list[str] = []
-    first: list[int] = []
-
-    def visit(node: Topology) -> None:
-        begin = len(kinds)
-        for child in node[1]:
-            visit(child)
-        kinds.append(node[0])
-        first.append(begin)
-
-    visit(tree)
-    return kinds, first, sorted({leaf: node for node, leaf in enumerate(first)}.values())
+def _postorder(tree: Topology, start: int = 0) -> list[tuple[str, int]]:
+    """Return the kind and the first leaf of every node, children first."""
+    found: list[tuple[str, int]] = []
+    for child in tree[1]:
+        found += _postorder(child, start + len(found))
+    return [*found, (tree[0], start)]
 
 
 def diversity(
@@ -111,14 +99,15 @@ def diversity(
     rows, known, founder = [], {}, np.arange(family[0].shape[1])
     for number, block in enumerate(block[run] for block in family):
         if number in chosen:
-            new = np.array([x for x in np.unique(block["genome"], axis=0) if x.tobytes() not in known])
-            for genome, plan in zip(new, plans.kept(new), strict=True):
-                known[genome.tobytes()] = topology_of(plan)
+            genomes = {genome.tobytes(): genome for genome in block["genome"]}
+            new = [genome for key, genome in genomes.items() if key not in known]
+            grown = map(topology_of, plans.kept(np.array(new)))
+            known |= zip((genome.tobytes() for genome in new), grown, strict=True)
             found = [known[genome.tobytes()] for genome in block["genome"]]
-            best = [found[i] for i in np.argsort(-block["fitness"], kind="stable")[:BEST]]
+            best = {found[i] for i in np.argsort(-block["fitness"], kind="stable")[:BEST]}
             sample = np.random.default_rng(number).permutation(len(found))[:BEST]
             distance = _mean_distance([found[i] for i in sample])
-            rows.append((number, len({*found}), len({*best}), distance, len({*founder})))
+            rows.append((number, len({*found}), len(best), distance, len({*founder})))
         founder = founder[block["first"]]
     return Diversity(*map(np.array, zip(*rows, strict=True)))
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evo_cpg.analysis.descent import Step, descent, told
+from evo_cpg.analysis.descent import Step, descent
 from evo_cpg.analysis.diversity import diversity
 from evo_cpg.api.progress import working
 from evo_cpg.errors import UsageError
@@ -25,33 +25,35 @@ def ancestors_panel(opened: Run, trial: int) -> Panel:
     All of them meet the noise of the champion's generation.
 
     Raises:
-        UsageError: no body plans evolve in the run.
+        UsageError: no body plans evolve in the run, or its trials are too short.
         RunFolderError: the family tree does not reach the champion.
     """
-    experiment, champion, simulation = opened.experiment, opened.champion, opened.experiment.simulation
+    experiment, champion = opened.experiment, opened.champion
+    plans, simulation = _plans_of(opened), experiment.simulation
+    if simulation.duration < NEEDED:
+        raise UsageError(
+            f"ancestors: a trial of {opened.folder.path} has {simulation.duration:g} s. The film "
+            f"needs {NEEDED:g} s (simulation.seconds)"
+        )
     with working("recording the ancestors"):
-        steps, plans = _descent_of(opened)
-        record = compile_motions(experiment, min(NEEDED, simulation.duration), RATE)
-        genes = np.stack([plans.genes_kept(step.ancestor.record["genome"]) for step in steps], 1)
+        steps = _steps(opened, plans)
+        record = compile_motions(experiment, NEEDED, RATE)
+        genomes = np.stack([step.ancestor.record["genome"] for step in steps], 1)
+        genes = np.asarray(plans.layout.from_bytes(genomes), np.float32)
         places = np.array([step.ancestor.index for step in steps])
         time, found = record(genes, champion.generation, champion.run, places, trial)
-    place, turn = (np.moveaxis(found[x], (-1, -2), (1, 2)) for x in ("position", "rotation"))
-    motions = [
-        CrowdMotion(time, *(x[:, [i], : len(step.match)] for x in (place, turn)), np.full(3, np.nan))
-        for i, step in enumerate(steps)
-    ]
-    union, motion, growth = grown(
-        steps, [each.recording(0, 0) for each in motions], simulation.world.ground is not None
+    position = np.moveaxis(found["position"], (3, 2), (1, 2))
+    rotation = np.moveaxis(found["rotation"], (4, 3), (1, 2))
+    crowd = CrowdMotion(time, position, rotation, np.full(3, np.nan))
+    motions = [crowd.recording(i, 0) for i in range(len(steps))]
+    union, motion, growth = grown(steps, motions, simulation.world.ground is not None)
+    words = (
+        f"Generation {one.generation}, fitness {one.record['fitness']:.3g}: {step.words[0]}"
+        for one, step in ((step.ancestor, step) for step in steps)
     )
-    words = [
-        f"Generation {one.generation} (fitness {one.record['fitness']:.3g}): {told(step, 1)}"
-        for step in steps
-        for one in [step.ancestor]
-    ]
-    panel = panel_of(experiment, motion, "Ancestors of the champion")
-    return panel._replace(
-        creature=plans.creature(union), growth=growth._replace(words=tuple(words))
-    )
+    panel = panel_of(experiment, motion, experiment.name)
+    growth = growth._replace(words=tuple(words))
+    return panel._replace(creature=plans.creature(union), growth=growth)
 
 
 def family_pictures(opened: Run, folder: Path) -> list[Path]:
@@ -61,33 +63,38 @@ def family_pictures(opened: Run, folder: Path) -> list[Path]:
         UsageError: no body plans evolve in the run.
         RunFolderError: the family tree does not reach the champion.
     """
-    name, run = opened.experiment.name, opened.champion.run
+    name, run, plans = opened.experiment.name, opened.champion.run, _plans_of(opened)
     with working("drawing the family tree"):
-        steps, plans = _descent_of(opened)
-        family = read_family(opened.folder.path)
+        steps, family = _steps(opened, plans), read_family(opened.folder.path)
         others = [
-            one and plans.creature(plans.kept(one["genome"][None])[0])
+            None if one is None else plans.creature(plans.kept(one["genome"][None])[0])
             for one in (step.ancestor.other for step in steps)
         ]
-        best = np.array([block["fitness"][run].max() for block in family])
         animals = [plans.creature(step.plan) for step in steps]
-        figure = family_figure(steps, animals, others, best, f"{name}: ancestors of the champion")
+        best = np.array([block["fitness"][run].max() for block in family])
+        title = f"{name}: ancestors of the champion"
+        figure = family_figure(steps, animals, others, best, title)
         made = [save_figure(figure, folder / "family.png")]
-        figure = diversity_figure(diversity(plans, family, run), f"{name}: diversity of body plans")
+        figure = diversity_figure(diversity(plans, family, run), f"{name}: diversity of bodies")
         return [*made, save_figure(figure, folder / "diversity.png")]
 
 
-def _descent_of(opened: Run) -> tuple[list[Step], EvolvedPlans]:
-    champion, plans = opened.champion, opened.experiment.simulation.plans
+def _plans_of(opened: Run) -> EvolvedPlans:
+    plans = opened.experiment.simulation.plans
     if not isinstance(plans, EvolvedPlans):
         raise UsageError(
             f"{opened.folder.path} has no family tree, because its search does not evolve body "
             "plans (evolution.type: plans)"
         )
-    line = line_of(opened.folder.path, champion.generation, champion.index, champion.run)
+    return plans
+
+
+def _steps(opened: Run, plans: EvolvedPlans) -> list[Step]:
+    champion, folder = opened.champion, opened.folder.path
+    line = line_of(folder, champion.generation, champion.index, champion.run)
     if line is None:
         raise RunFolderError(
-            f"{opened.folder.path}: the family tree does not reach generation "
-            f"{champion.generation} of the champion"
+            f"{folder}: the family tree does not reach generation {champion.generation}, in which "
+            "the champion was found"
         )
-    return descent(plans, line), plans
+    return descent(plans, line)

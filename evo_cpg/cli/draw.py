@@ -74,7 +74,8 @@ def render(
         typer.Option(
             metavar="GENERATIONS",
             help="Show the champions of these generations side by side, such as 0,5,20,49, or "
-            "auto for four of them. The first generation is 0.",
+            "auto for four of them. The first generation is 0. If body plans evolve, ancestors "
+            "shows the champion's line of descent in one shot, in which limbs grow.",
         ),
     ] = None,
     beside: Annotated[
@@ -83,14 +84,6 @@ def render(
     ] = None,
     crowd: Crowd = None,
     wall: Wall = None,
-    ancestors: Annotated[
-        bool,
-        typer.Option(
-            "--ancestors",
-            help="Show the champion's line of descent in one shot, in which limbs grow. Only for "
-            "body plans that evolve.",
-        ),
-    ] = False,
     story: Annotated[
         bool,
         typer.Option(
@@ -133,7 +126,7 @@ def render(
     if story:
         fixed = {
             "--sheet": sheet, "--crowd": crowd is not None, "--wall": wall is not None,
-            "--seconds": seconds, "--ancestors": ancestors,
+            "--seconds": seconds,
             "--camera": camera != View.FOLLOW, "--fps": fps != 30, "--speed": speed != 1,
         }  # fmt: skip
         require_none("--story", alone | fixed)
@@ -146,9 +139,6 @@ def render(
         return
     if lineage is not None:
         require_none("--lineage", {"--cell": cell, "--beside": others, "--title": titles})
-    if ancestors:
-        others_too = {"--crowd": crowd is not None, "--wall": wall is not None, "--title": titles}
-        require_none("--ancestors", alone | others_too)
     if crowd is not None:
         require_none("--crowd", {**alone, "--wall": wall is not None})
     as_page = wall is not None and output is not None and output.suffix == ".html"
@@ -160,14 +150,14 @@ def render(
     if len(others) >= _MOST:
         raise UsageError(f"--beside: {len(others) + 1} runs are too many. Allowed: up to {_MOST}")
     moments = None if sheet is None else _pair_of("--sheet", sheet, 2)
-    several = lineage is not None or bool(others) or moments is not None
+    several = lineage not in (None, "ancestors") or bool(others) or moments is not None
     pixels = _pair_of("--size", size or ("640x360" if several else "1280x720"), 9)
     generations = None
-    if lineage not in (None, "auto"):
+    if lineage not in (None, "auto", "ancestors"):
         if not re.fullmatch(r"\d{1,9}(,\d{1,9})*", lineage):
             raise UsageError(
-                f"--lineage: {lineage!r} is neither auto nor a list of generations, such as "
-                "0,5,20,49"
+                f"--lineage: {lineage!r} is neither auto, ancestors nor a list of generations, "
+                "such as 0,5,20,49"
             )
         generations = [int(part) for part in lineage.split(",")]
         if len(generations) > _MOST:
@@ -175,8 +165,8 @@ def render(
                 f"--lineage: {len(generations)} generations are too many. Allowed: up to {_MOST}"
             )
     film_of = {
-        "lineage": lineage is not None, f"crowd{crowd}": crowd is not None, "ancestors": ancestors,
-        f"wall_{wall}": wall is not None,
+        "ancestors": lineage == "ancestors", "lineage": lineage is not None,
+        f"crowd{crowd}": crowd is not None, f"wall_{wall}": wall is not None,
     }  # fmt: skip
     name = next((word for word, chosen in film_of.items() if chosen), "champion")
     name += suffix(number, trial, cell) + "_beside_others" * bool(others)
@@ -194,11 +184,12 @@ def render(
         film_path(output or run / name, film, signals)
         if wall is not None:
             panels = [wall_panel(open_champion(run, number, trial), wall, trial, film, IN_FILM)]
-        elif ancestors:
-            panels = [ancestors_panel(open_champion(run, number, trial), trial)]
         elif crowd is not None:
             opened = open_champion(run, number, trial)
             panels = [crowd_panel(opened, crowd, trial, film)]
+        elif lineage == "ancestors":
+            require_none("--lineage ancestors", {"--signals": signals})
+            panels = [ancestors_panel(open_champion(run, number, trial), trial)]
         elif lineage is not None:
             panels = lineage_panels(run, generations, number, trial, signals)
         else:

@@ -148,10 +148,6 @@ class EvolvedPlans(PlanBuilder):
                 found += [jax.tree.map(lambda x, i=i: x[i], plans) for i in range(len(block))]
         return [Plan(*(x[plan.present] for x in plan)) for plan in found]
 
-    def genes_kept(self, genome: UInt8[np.ndarray, " b"]) -> Float[np.ndarray, " g"]:
-        """Return the genes of a genome of a family tree, in float32."""
-        return np.asarray(self.layout.from_bytes(genome[:, None]), np.float32)[:, 0]
-
     def creature(self, plan: Plan) -> Creature:
         """Return a plan as a creature."""
         return CreatureConfig.model_validate(creature_of(plan, self.section)).build()

@@ -62,10 +62,8 @@ _UNDER_TITLE, _UNTITLED = 0.5, 0.86
 _FARTHEST, _HALVINGS, _SHIFTS = 12.0, 14, 24
 # Two distances are alike if they differ by less than this fraction.
 _ALIKE = 0.02
-# A camera that comes nearer: half-width of its window, s, nearest relative distance, distance at
-# which it begins, relative to that of a camera that keeps its distance, and lower edge of the part
-# of the frame for the animal, above words of two lines.
-_CALM, _NEAREST, _CLOSER, _UNDER_WORDS = 1.2, 0.5, 0.8, 0.6
+# A camera that comes nearer: half-width of its window, s, and nearest relative distance.
+_CALM, _NEAREST = 1.2, 0.5
 # Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
@@ -240,26 +238,17 @@ def overview(
     return best
 
 
-def zoomed(path: CameraPath, bodies: BodyBoxes, rate: float, aspect: float) -> CameraPath:
+def zoomed(path: CameraPath, bodies: BodyBoxes, rate: float) -> CameraPath:
     """Return a camera that comes as much nearer as the animal is smaller than at its largest.
 
     Args:
         path: camera that follows the animal.
         bodies: places and sizes of the bodies in every frame.
         rate: frames per second of recorded time.
-        aspect: width of the picture over its height.
     """
-    points = bodies.corners()
-    large = np.linalg.norm(points - path.focus[:, None], axis=-1).max(1, keepdims=True)
-    factor = smooth(large, _CALM * rate)
-    back = (path.position - path.focus) * np.maximum(factor / factor.max(), _NEAREST)
-    path = path._replace(position=path.focus + _CLOSER * back)
-    low, high = (-_ROOM, -_UNDER_WORDS), (_ROOM, _ABOVE)
-    while True:
-        place = project(path, points, aspect)
-        if ((place > low) & (place < high)).all():
-            return path
-        path = _moved(path, _STEP_BACK, np.zeros(2), aspect)
+    away = np.linalg.norm(bodies.corners() - path.focus[:, None], axis=-1).max(1, keepdims=True)
+    part = smooth(np.maximum(away / away.max(), _NEAREST), _CALM * rate)
+    return path._replace(position=path.focus + part * (path.position - path.focus))
 
 
 def between(

@@ -15,7 +15,7 @@ from PIL import ImageDraw
 from evo_cpg.view.camera import CameraPath, in_camera, project, smooth
 from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import Look
-from evo_cpg.view.scene import Panel, Scene, grid_spacing
+from evo_cpg.view.scene import Growth, Panel, Scene, grid_spacing
 
 # Margin around the captions in a picture 720 pixels high, pixels, and the least factor by which
 # margin and letters shrink in smaller pictures.
@@ -252,8 +252,8 @@ def edge_places(
 # Sizes of letters, margin, and distance of lines, in a picture whose shorter side is 1080 pixels.
 _SIZES = {"title": 98.0, "subtitle": 56.0, "caption": 64.0}
 _EDGE, _LINE = 84.0, 1.25
-# Time in which words fade in and out, and time of a title above growing animals, s.
-_FADE, _TITLE = 0.35, 3.0
+# Time in which words fade in and out, s.
+_FADE = 0.35
 # Offset and opacity of the shadow behind letters, in their size.
 _SHADOW, _SHADOW_OPACITY = 0.045, 0.45
 # Height of the letters of a tag and its distance from an animal, as fractions of the shorter side.
@@ -286,14 +286,20 @@ class Words(NamedTuple):
     end: float
 
 
-def growing_words(panel: Panel) -> list[Words]:
-    """Return the title and the captions of an animal whose bodies grow."""
-    growth = panel.growth
-    assert growth is not None
-    ends = [*growth.begins[1:], panel.recording.time[-1] + _FADE]
-    captions = zip(growth.words, growth.begins, ends, strict=True)
-    shown = [Words(text, "caption", begin, end) for text, begin, end in captions]
-    return [Words(panel.title or "", "title", -1.0, _TITLE), *shown]
+def growth_captions(
+    growth: Growth, look: Look, size: tuple[int, int]
+) -> Callable[[np.ndarray, float, float, float], None]:
+    """Return a function as that of `captions`, which writes what has grown."""
+    spans = zip(growth.words, growth.begins, (*growth.begins[1:], np.inf), strict=True)
+    words = [Words(text, "caption", begin, end) for text, begin, end in spans]
+
+    def write_into(picture: np.ndarray, time: float, distance: float, speed: float) -> None:
+        del distance, speed
+        with lettering(picture) as draw:
+            for each in words:
+                written(draw, each, time, look, size)
+
+    return write_into
 
 
 def written(
