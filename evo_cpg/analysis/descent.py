@@ -62,7 +62,7 @@ class Step(NamedTuple):
     words: tuple[str, ...]
 
 
-def descent(plans: EvolvedPlans, line: Sequence[Ancestor], most: int = 10) -> list[Step]:
+def descent(plans: EvolvedPlans, line: Sequence[Ancestor], most: int) -> list[Step]:
     """Return the most telling ancestors of a line, with the first one and the last one.
 
     A step tells much if it changes the body or the oscillators much, or gains fitness. Each of the
@@ -88,15 +88,21 @@ def descent(plans: EvolvedPlans, line: Sequence[Ancestor], most: int = 10) -> li
 
 def matched(before: Plan, after: Plan) -> Int[np.ndarray, " b"]:
     """Return the body of an earlier plan that each body continues, or -1. Roots always match."""
-    found, free = [0], {*range(1, len(before.parent))}
+    found = np.where(np.arange(len(after.parent)) > 0, -1, 0)
     spots, earlier = (x.place / x.half[x.parent.clip(0)] for x in (after, before))
-    for i in range(1, len(after.parent)):
-        siblings = (before.parent == found[after.parent[i]]) & (before.mirror == after.mirror[i])
-        away = np.abs(earlier - spots[i]).max(1) + _OTHER * (before.label != after.label[i])
-        near = [j for j in free if siblings[j] and away[j] < _OTHER + _NEAR]
-        found.append(min(near, key=away.__getitem__, default=-1))
-        free.discard(found[-1])
-    return np.array(found)
+    for parent in range(len(found)):
+        # The nearest children come first.
+        near, own = [], np.flatnonzero(after.parent == parent)
+        for i, j in itertools.product(own, np.flatnonzero(before.parent == found[parent])):
+            away = np.abs(earlier[j] - spots[i]).max() + _OTHER * (
+                before.label[j] != after.label[i]
+            )
+            if before.mirror[j] == after.mirror[i] and away < _OTHER + _NEAR:
+                near.append((away, i, j))
+        for _, i, j in sorted(near):
+            if found[i] < 0 and j not in found:
+                found[i] = j
+    return found
 
 
 def changes(before: Plan, after: Plan) -> list[tuple[float, str]]:

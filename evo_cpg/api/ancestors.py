@@ -18,6 +18,9 @@ from evo_cpg.view.figure import save_figure
 from evo_cpg.view.growth import NEEDED, RATE, grown
 from evo_cpg.view.scene import Panel, panel_of
 
+# Most ancestors in a film and in a picture.
+_IN_FILM, _IN_PICTURE = 10, 12
+
 
 def ancestors_panel(opened: Run, trial: int) -> Panel:
     """Return a panel in which the champion's ancestors become each other.
@@ -36,7 +39,7 @@ def ancestors_panel(opened: Run, trial: int) -> Panel:
             f"needs {NEEDED:g} s (simulation.seconds)"
         )
     with working("recording the ancestors"):
-        steps = _steps(opened, plans)
+        steps = _steps(opened, plans, _IN_FILM)
         record = compile_motions(experiment, NEEDED, RATE)
         genomes = np.stack([step.ancestor.record["genome"] for step in steps], 1)
         genes = np.asarray(plans.layout.from_bytes(genomes), np.float32)
@@ -44,14 +47,17 @@ def ancestors_panel(opened: Run, trial: int) -> Panel:
         time, found = record(genes, champion.generation, champion.run, places, trial)
     position = np.moveaxis(found["position"], (3, 2), (1, 2))
     rotation = np.moveaxis(found["rotation"], (4, 3), (1, 2))
-    crowd = CrowdMotion(time, position, rotation, np.full(3, np.nan))
-    motions = [crowd.recording(i, 0) for i in range(len(steps))]
+    motions = []
+    for i, step in enumerate(steps):
+        own = np.s_[:, [i], : len(step.match)]
+        motion = CrowdMotion(time, position[own], rotation[own], np.full(3, np.nan))
+        motions.append(motion.recording(0, 0))
     union, motion, growth = grown(steps, motions, simulation.world.ground is not None)
     words = (
-        f"Generation {one.generation}, fitness {one.record['fitness']:.3g}: {step.words[0]}"
+        f"Generation {one.generation}: {step.words[0]} (fitness {one.record['fitness']:.3g})"
         for one, step in ((step.ancestor, step) for step in steps)
     )
-    panel = panel_of(experiment, motion, experiment.name)
+    panel = panel_of(experiment, motion, experiment.name)._replace(numbers=False)
     growth = growth._replace(words=tuple(words))
     return panel._replace(creature=plans.creature(union), growth=growth)
 
@@ -65,7 +71,7 @@ def family_pictures(opened: Run, folder: Path) -> list[Path]:
     """
     name, run, plans = opened.experiment.name, opened.champion.run, _plans_of(opened)
     with working("drawing the family tree"):
-        steps, family = _steps(opened, plans), read_family(opened.folder.path)
+        steps, family = _steps(opened, plans, _IN_PICTURE), read_family(opened.folder.path)
         others = [
             None if one is None else plans.creature(plans.kept(one["genome"][None])[0])
             for one in (step.ancestor.other for step in steps)
@@ -89,7 +95,7 @@ def _plans_of(opened: Run) -> EvolvedPlans:
     return plans
 
 
-def _steps(opened: Run, plans: EvolvedPlans) -> list[Step]:
+def _steps(opened: Run, plans: EvolvedPlans, most: int) -> list[Step]:
     champion, folder = opened.champion, opened.folder.path
     line = line_of(folder, champion.generation, champion.index, champion.run)
     if line is None:
@@ -97,4 +103,4 @@ def _steps(opened: Run, plans: EvolvedPlans) -> list[Step]:
             f"{folder}: the family tree does not reach generation {champion.generation}, in which "
             "the champion was found"
         )
-    return descent(plans, line)
+    return descent(plans, line, most)

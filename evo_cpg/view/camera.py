@@ -62,8 +62,9 @@ _UNDER_TITLE, _UNTITLED = 0.5, 0.86
 _FARTHEST, _HALVINGS, _SHIFTS = 12.0, 14, 24
 # Two distances are alike if they differ by less than this fraction.
 _ALIKE = 0.02
-# A camera that comes nearer: half-width of its window, s, and nearest relative distance.
-_CALM, _NEAREST = 1.2, 0.5
+# A camera that comes nearer: half-width of its window, s, and nearest relative distance. It begins
+# farther away by a factor, because words of two lines need room.
+_CALM, _NEAREST, _FARTHER = 0.8, 0.5, 1.15
 # Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
@@ -246,8 +247,11 @@ def zoomed(path: CameraPath, bodies: BodyBoxes, rate: float) -> CameraPath:
         bodies: places and sizes of the bodies in every frame.
         rate: frames per second of recorded time.
     """
-    away = np.linalg.norm(bodies.corners() - path.focus[:, None], axis=-1).max(1, keepdims=True)
-    part = smooth(np.maximum(away / away.max(), _NEAREST), _CALM * rate)
+    away = np.linalg.norm(bodies.corners() - path.focus[:, None], axis=-1).max(1)
+    # The camera steps back before the animal grows.
+    around = np.pad(away, round(2 * _CALM * rate), "edge")
+    away = np.lib.stride_tricks.sliding_window_view(around, len(around) - len(away) + 1).max(-1)
+    part = _FARTHER * smooth(np.maximum(away / away.max(), _NEAREST)[:, None], _CALM * rate)
     return path._replace(position=path.focus + part * (path.position - path.focus))
 
 

@@ -87,7 +87,7 @@ def _write(axes: Axes, number: int, step: Step, before: float) -> None:
     if ancestor.other is not None:
         origin += f" no. {ancestor.second} (fitness {ancestor.other['fitness']:.3g})"
     if step.births > 1:
-        origin += f"\nafter {step.births - 1} more"
+        origin += f"\n{step.births - 1} birth{'s' * (step.births > 2)} in between"
     gain = f" ({fitness - before:+.2g})" if number else ""
     words = textwrap.fill("; ".join(step.words[:2]), _LETTERS)
     head = f"{number + 1}   generation {ancestor.generation}"
@@ -119,7 +119,7 @@ def portrait(creature: Creature, reach: float, new: np.ndarray) -> UInt8[np.ndar
     centres, rotations = neutral_pose(creature)
     with canvas((_PIXELS, _PIXELS)) as plotter:
         plotter.enable_lightkit()
-        drawn = add_bodies(plotter, creature, 0.2)
+        drawn = add_bodies(plotter, creature, 0.35)
         for actors, place, turn in zip(drawn, centres, rotations, strict=True):
             for actor in actors:
                 actor.user_matrix = placed(turn, place - _extent(creature).mean(0) @ _PLANE)
