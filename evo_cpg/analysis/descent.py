@@ -44,7 +44,7 @@ _WORDS = (
 _ALSO = 0.6
 
 
-class Step(NamedTuple):
+class Milestone(NamedTuple):
     """An ancestor, and what changed since the ancestor that is shown before.
 
     Attributes:
@@ -62,7 +62,7 @@ class Step(NamedTuple):
     words: tuple[str, ...]
 
 
-def descent(plans: EvolvedPlans, line: Sequence[Ancestor], most: int) -> list[Step]:
+def descent(plans: EvolvedPlans, line: Sequence[Ancestor], most: int) -> list[Milestone]:
     """Return the most telling ancestors of a line, with the first one and the last one.
 
     A step tells much if it changes the body or the oscillators much, or gains fitness. Each of the
@@ -79,10 +79,10 @@ def descent(plans: EvolvedPlans, line: Sequence[Ancestor], most: int) -> list[St
     rest = [i for i in np.argsort(-telling, kind="stable") if telling[i] > 0]
     chosen = list(dict.fromkeys(map(int, (*best, *rest))))[: most - 2]
     shown = sorted({0, len(line) - 1, *(i + 1 for i in chosen)})
-    steps = [Step(line[0], grown[0], np.full(len(grown[0].parent), -1), 0, ())]
+    steps = [Milestone(line[0], grown[0], np.full(len(grown[0].parent), -1), 0, ())]
     for i, j in itertools.pairwise(shown):
         words = tuple(words for _, words in changes(grown[i], grown[j])) or ("small changes",)
-        steps.append(Step(line[j], grown[j], matched(grown[i], grown[j]), j - i, words))
+        steps.append(Milestone(line[j], grown[j], matched(grown[i], grown[j]), j - i, words))
     return [steps[0]._replace(words=(f"a body of {len(grown[0].parent)} parts",)), *steps[1:]]
 
 

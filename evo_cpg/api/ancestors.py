@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evo_cpg.analysis.descent import Step, descent
+from evo_cpg.analysis.descent import Milestone, descent
 from evo_cpg.analysis.diversity import diversity
 from evo_cpg.api.progress import working
 from evo_cpg.errors import UsageError
@@ -77,9 +77,8 @@ def family_pictures(opened: Run, folder: Path) -> list[Path]:
             for one in (step.ancestor.other for step in steps)
         ]
         animals = [plans.creature(step.plan) for step in steps]
-        best = np.array([block["fitness"][run].max() for block in family])
         title = f"{name}: ancestors of the champion"
-        figure = family_figure(steps, animals, others, best, title)
+        figure = family_figure(steps, animals, others, title)
         made = [save_figure(figure, folder / "family.png")]
         figure = diversity_figure(diversity(plans, family, run), f"{name}: diversity of bodies")
         return [*made, save_figure(figure, folder / "diversity.png")]
@@ -95,7 +94,7 @@ def _plans_of(opened: Run) -> EvolvedPlans:
     return plans
 
 
-def _steps(opened: Run, plans: EvolvedPlans, most: int) -> list[Step]:
+def _steps(opened: Run, plans: EvolvedPlans, most: int) -> list[Milestone]:
     champion, folder = opened.champion, opened.folder.path
     line = line_of(folder, champion.generation, champion.index, champion.run)
     if line is None:

@@ -8,18 +8,17 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from evo_cpg.analysis.descent import Step
+from evo_cpg.analysis.descent import Milestone
 from evo_cpg.analysis.diversity import BEST, Diversity
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.view.camera import BodyBoxes, level_axes
-from evo_cpg.view.figure import BLUE, GREY, LIGHT_GREY, RED, framed, new_figure
+from evo_cpg.view.figure import BLUE, GREY, RED, framed, new_figure
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas, placed
 
-# Steps in a row, width and height of a step, and height of the curve and of the title, inches.
-_ROW, _WIDE, _HIGH, _CURVE, _TITLE = 4, 3.0, 2.9, 2.0, 0.5
+# Steps in a row, width and height of a step, and height of the title, inches.
+_ROW, _WIDE, _HIGH, _TITLE = 4, 3.0, 2.9, 0.5
 # Pixels along a side of a drawing, margin around the largest animal, and letters in a line.
 _PIXELS, _MARGIN, _LETTERS = 520, 1.05, 44
 # Direction of view, onto the left front, and directions to the right and up in a drawing.
@@ -33,22 +32,20 @@ _KINDS = ("first ancestor", "altered copy", "crossed with", "with a part of")
 
 @framed
 def family_figure(
-    steps: Sequence[Step],
+    steps: Sequence[Milestone],
     animals: Sequence[Creature],
     others: Sequence[Creature | None],
-    best: Float[np.ndarray, " generations"],
     title: str,
 ) -> Figure:
-    """Draw the most telling ancestors of a champion in one scale, and fitness over time.
+    """Draw the most telling ancestors of a champion in one scale.
 
     Args:
         steps: the ancestors, see `evo_cpg.analysis.descent.descent`.
         animals: their bodies. New parts are orange.
         others: bodies of their second parents, or None.
-        best: best fitness of each generation.
         title: text above the figure.
     """
-    height = _TITLE - (-len(steps) // _ROW) * _HIGH + _CURVE
+    height = _TITLE - (-len(steps) // _ROW) * _HIGH
     figure = new_figure(_ROW * _WIDE, height, f"{title} (orange: new parts)")
     figure.set_layout_engine("none")
     every = [*animals, *(other for other in others if other is not None)]
@@ -66,21 +63,10 @@ def family_figure(
         for each in (axes, *axes.child_axes):
             each.set_axis_off()
         _write(axes, number, step, steps[max(number - 1, 0)].ancestor.record["fitness"])
-    axes = figure.add_axes((0.06, 0.45 / height, 0.92, (_CURVE - 0.6) / height))
-    born = [step.ancestor.generation for step in steps]
-    fitness = [step.ancestor.record["fitness"] for step in steps]
-    axes.plot(best, color=LIGHT_GREY, label="best of the generation")
-    axes.plot(born, fitness, "o-", color=BLUE, ms=4, label="ancestors of the champion")
-    for number, place in enumerate(zip(born, fitness, strict=True), 1):
-        axes.annotate(str(number), place, (0, -11), textcoords="offset points", color=RED, size=8)
-    axes.set(xlabel="generation", ylabel="fitness")
-    axes.margins(y=0.2)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-    axes.legend(loc="lower right")
     return figure
 
 
-def _write(axes: Axes, number: int, step: Step, before: float) -> None:
+def _write(axes: Axes, number: int, step: Milestone, before: float) -> None:
     """Write a step's origin above its drawing, and its changes and gain of fitness below."""
     ancestor, fitness = step.ancestor, step.ancestor.record["fitness"]
     origin = _KINDS[ancestor.kind]

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from evo_cpg.analysis.descent import Step
+from evo_cpg.analysis.descent import Milestone
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.creature.development import Plan
 from evo_cpg.simulation.planned import SINK
@@ -44,7 +44,7 @@ _Seen = tuple[Float[np.ndarray, "frames b 3"], Float[np.ndarray, "frames b 3 3"]
 
 
 def grown(
-    steps: Sequence[Step], motions: Sequence[Recording], stands: bool
+    steps: Sequence[Milestone], motions: Sequence[Recording], stands: bool
 ) -> tuple[Plan, Recording, Growth]:
     """Return a plan of all parts of some ancestors, its motion, and its growth.
 
@@ -91,7 +91,7 @@ def grown(
     return union, whole.recording(0, 0), Growth(scale, fresh, (0.0, *begins / RATE))
 
 
-def joined(steps: Sequence[Step]) -> tuple[Plan, list[Int[np.ndarray, " n"]]]:
+def joined(steps: Sequence[Milestone]) -> tuple[Plan, list[Int[np.ndarray, " n"]]]:
     """Return a plan of all parts in their last form, and the places of each ancestor's bodies."""
     last: list[tuple[Plan, int]] = []
     parents: list[int] = []
@@ -118,7 +118,7 @@ def _seen(
 
 
 def _alike(
-    before: _Seen, step: Step, motion: Recording, count: int, stands: bool
+    before: _Seen, step: Milestone, motion: Recording, count: int, stands: bool
 ) -> tuple[float, int, np.ndarray, np.ndarray]:
     """Return the arguments of `_seen` with which an ancestor is nearest to the one before."""
     kept, reach = np.flatnonzero(step.match >= 0), step.plan.half[0].max()

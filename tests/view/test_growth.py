@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.descent import Step, matched
+from evo_cpg.analysis.descent import Milestone, matched
 from evo_cpg.creature.algebra.rotation import euler_to_matrix
 from evo_cpg.simulation.planned import SINK
 from evo_cpg.training.crowd import CrowdMotion
@@ -35,8 +35,8 @@ def motion(plan, heading, speed):
 @pytest.fixture(scope="module")
 def film():
     steps = [
-        Step(None, FIRST, np.array([-1, -1]), 0, ()),
-        Step(None, SECOND, matched(FIRST, SECOND), 1, ()),
+        Milestone(None, FIRST, np.array([-1, -1]), 0, ()),
+        Milestone(None, SECOND, matched(FIRST, SECOND), 1, ()),
     ]
     return grown(steps, [motion(FIRST, 0.4, 0.1), motion(SECOND, -1.0, 0.1)], False)
 
