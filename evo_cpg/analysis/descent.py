@@ -19,8 +19,9 @@ from evo_cpg.training.family import Ancestor
 # Distance of joints, relative to their parents' half extents, up to which a part replaces another
 # one, and distance that is added for another label.
 _NEAR, _OTHER = 0.2, 4.0
-# Weights of a grown or lost part, and of the least change of another kind that is reported.
-_PARTS, _LEAST = 3.0, 0.1
+# Weights of parts that grew or were lost, of each of them, and of the least change of another kind
+# that is reported.
+_PARTS, _EACH, _LEAST = 3.0, 0.4, 0.1
 # Least changes that are reported, and words for more and less: logarithms of lengths, place
 # relative to the parent's half extents, turn and sum of angles (rad), strength, and genes of an
 # oscillator (`evo_cpg.control.limb_oscillators.GENES`).
@@ -132,7 +133,7 @@ def _parts(plan: Plan, new: Bool[np.ndarray, " b"], verb: str) -> Iterator[tuple
         words = f"{_name(plan, limbs)} {verb} {size}"
         if plan.parent[own[0]] == 0:
             words = f"{_name(plan, limbs)}{f' of {size}' * (count > len(own))} {verb}"
-        yield _PARTS + _LEAST * count + (verb == "grew"), words
+        yield _PARTS + _EACH * count + (verb == "grew"), words
 
 
 def _path(plan: Plan, body: Any) -> list[int]:

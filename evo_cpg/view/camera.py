@@ -62,9 +62,8 @@ _UNDER_TITLE, _UNTITLED = 0.5, 0.86
 _FARTHEST, _HALVINGS, _SHIFTS = 12.0, 14, 24
 # Two distances are alike if they differ by less than this fraction.
 _ALIKE = 0.02
-# A camera that comes nearer: half-width of its window, s, and nearest relative distance. It begins
-# farther away by a factor, because words of two lines need room.
-_CALM, _NEAREST, _FARTHER = 0.8, 0.5, 1.15
+# A camera that comes nearer: half-width of its window, s, and nearest relative distance.
+_CALM, _NEAREST = 0.8, 0.5
 # Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
@@ -251,7 +250,7 @@ def zoomed(path: CameraPath, bodies: BodyBoxes, rate: float) -> CameraPath:
     # The camera steps back before the animal grows.
     around = np.pad(away, round(2 * _CALM * rate), "edge")
     away = np.lib.stride_tricks.sliding_window_view(around, len(around) - len(away) + 1).max(-1)
-    part = _FARTHER * smooth(np.maximum(away / away.max(), _NEAREST)[:, None], _CALM * rate)
+    part = smooth(np.maximum(away / away.max(), _NEAREST)[:, None], _CALM * rate)
     return path._replace(position=path.focus + part * (path.position - path.focus))
 
 
