@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from evo_cpg.creature.development import Plan
 from evo_cpg.creature.graph import GraphLayout, PlanGraph
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import check_config
@@ -115,3 +116,24 @@ def plan_graph(layout: GraphLayout, nodes: list[dict], links: list[tuple[int, di
         for name, value in ({"on": 1, "place": (0.5, 0, 0)} | link).items():
             genes[name][i, place] = value
     return PlanGraph(**{name: jnp.asarray(value, float) for name, value in genes.items()})
+
+
+def hand_plan(*bodies: dict) -> Plan:
+    """Return a plan of bodies: boxes of half extents (0.2, 0.1, 0.1), hinges about z."""
+    row = {
+        "present": True, "parent": 0, "half": (0.2, 0.1, 0.1), "place": (0.2, 0, 0),
+        "rotation": np.eye(3), "mirror": 1.0, "axes": (0, 0, 1), "limit": (0, 0, 1.0),
+        "strength": 0.5, "label": 1, "copy": 0, "eye": False,
+        "control": np.zeros((3, 5)), "slot": -1,
+    }  # fmt: skip
+    rows = [row | {"label": i} | body for i, body in enumerate(bodies)]
+    rows[0] |= {"parent": -1, "place": (0, 0, 0), "axes": (0, 0, 0), "limit": (0, 0, 0)}
+    found = {name: np.array([each[name] for each in rows]) for name in row}
+    return Plan(**found | {"axes": found["axes"].astype(bool)})
+
+
+def paired(label: int, place: tuple[float, float, float], **more) -> list[dict]:
+    """Return a pair of limbs of `hand_plan`."""
+    mirrored = place[0], -place[1], place[2]
+    sides = ((place, 1.0), (mirrored, -1.0))
+    return [{"label": label, "place": at, "mirror": side} | more for at, side in sides]

@@ -74,7 +74,8 @@ def render(
         typer.Option(
             metavar="GENERATIONS",
             help="Show the champions of these generations side by side, such as 0,5,20,49, or "
-            "auto for four of them. The first generation is 0.",
+            "auto for four of them. The first generation is 0. If body plans evolve, ancestors "
+            "shows the champion's line of descent in one shot, in which limbs grow.",
         ),
     ] = None,
     beside: Annotated[
@@ -102,6 +103,7 @@ def render(
     cores: Cores = None,
 ) -> None:
     """Film the champion of a run, or an elite of its map of gaits."""
+    from evo_cpg.api.ancestors import ancestors_panel
     from evo_cpg.api.film import (
         IN_FILM,
         champion_panel,
@@ -148,14 +150,14 @@ def render(
     if len(others) >= _MOST:
         raise UsageError(f"--beside: {len(others) + 1} runs are too many. Allowed: up to {_MOST}")
     moments = None if sheet is None else _pair_of("--sheet", sheet, 2)
-    several = lineage is not None or bool(others) or moments is not None
+    several = lineage not in (None, "ancestors") or bool(others) or moments is not None
     pixels = _pair_of("--size", size or ("640x360" if several else "1280x720"), 9)
     generations = None
-    if lineage not in (None, "auto"):
+    if lineage not in (None, "auto", "ancestors"):
         if not re.fullmatch(r"\d{1,9}(,\d{1,9})*", lineage):
             raise UsageError(
-                f"--lineage: {lineage!r} is neither auto nor a list of generations, such as "
-                "0,5,20,49"
+                f"--lineage: {lineage!r} is neither auto, ancestors nor a list of generations, "
+                "such as 0,5,20,49"
             )
         generations = [int(part) for part in lineage.split(",")]
         if len(generations) > _MOST:
@@ -163,8 +165,8 @@ def render(
                 f"--lineage: {len(generations)} generations are too many. Allowed: up to {_MOST}"
             )
     film_of = {
-        "lineage": lineage is not None, f"crowd{crowd}": crowd is not None,
-        f"wall_{wall}": wall is not None,
+        "ancestors": lineage == "ancestors", "lineage": lineage is not None,
+        f"crowd{crowd}": crowd is not None, f"wall_{wall}": wall is not None,
     }  # fmt: skip
     name = next((word for word, chosen in film_of.items() if chosen), "champion")
     name += suffix(number, trial, cell) + "_beside_others" * bool(others)
@@ -185,6 +187,9 @@ def render(
         elif crowd is not None:
             opened = open_champion(run, number, trial)
             panels = [crowd_panel(opened, crowd, trial, film)]
+        elif lineage == "ancestors":
+            require_none("--lineage ancestors", {"--signals": signals})
+            panels = [ancestors_panel(open_champion(run, number, trial), trial)]
         elif lineage is not None:
             panels = lineage_panels(run, generations, number, trial, signals)
         else:
@@ -220,8 +225,9 @@ def plot(
     trial: Trial = 0,
     cell: Cell = None,
 ) -> None:
-    """Plot fitness, joint signals, path and map."""
+    """Plot fitness, joint signals, path, map and family tree."""
     from evo_cpg.analysis.chains import axis_signs, joint_rows
+    from evo_cpg.api.ancestors import family_pictures
     from evo_cpg.api.runs import motion_of, open_champion, suffix, writing
     from evo_cpg.files import make_folder
     from evo_cpg.io.run import gait_map
@@ -255,6 +261,8 @@ def plot(
             title = experiment.name + (f", run {own}" if experiment.runs > 1 else "")
             figure = map_figure(found.axes, found.fitness, title)
             print(save_figure(figure, place / f"map{suffix(number)}.png"))
+        if opened.experiment.simulation.plans is not None:
+            print(*family_pictures(opened, place), sep="\n")
 
 
 def preview(

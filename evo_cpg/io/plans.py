@@ -13,11 +13,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, UInt8
 from typing_extensions import override
 
 from evo_cpg.control.body_brain import CHARACTER
 from evo_cpg.creature.algebra.rotation import matrix_to_euler
+from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.development import Plan, developed
 from evo_cpg.creature.graph import GraphLayout
 from evo_cpg.creature.tree import build_tree
@@ -96,6 +97,9 @@ class EvolvedPlans(PlanBuilder):
         self._mesh = population_mesh()
         self._develop = sharded(jax.vmap(self._one, -1, -1), self._mesh, (2,))
         self._grow = jax.jit(lambda x: developed(self.layout.unpack(x), self.layout, self.bounds))
+        self._grow_kept = jax.jit(
+            lambda stored: jax.vmap(self._grow, -1)(self.layout.from_bytes(stored))
+        )
 
     @override
     def random(self, key: Array, batch: tuple[int, ...], dtype: Any) -> Float[Array, "g *n"]:
@@ -146,6 +150,22 @@ class EvolvedPlans(PlanBuilder):
         """Return the plan of one genome, in float64."""
         with jax.enable_x64(True):
             return jax.tree.map(np.asarray, self._grow(jnp.asarray(genes, float)))
+
+    def kept(self, genomes: UInt8[np.ndarray, "n b"]) -> list[Plan]:
+        """Return the plans of genomes of a family tree, without places for absent bodies."""
+        found = []
+        with jax.enable_x64(True):
+            for first in range(0, len(genomes), _WIDTH):
+                block = genomes[first : first + _WIDTH]
+                # The last block is as wide as the others, so that nothing compiles again.
+                full = np.pad(block, ((0, _WIDTH - len(block)), (0, 0)), "edge")
+                plans = jax.tree.map(np.asarray, self._grow_kept(full.T))
+                found += [jax.tree.map(lambda x, i=i: x[i], plans) for i in range(len(block))]
+        return [Plan(*(x[plan.present] for x in plan)) for plan in found]
+
+    def creature(self, plan: Plan) -> Creature:
+        """Return a plan as a creature."""
+        return CreatureConfig.model_validate(creature_of(plan, self.section)).build()
 
     @override
     def own(self, genes: Float[np.ndarray, " g"]) -> Simulation:

@@ -12,7 +12,7 @@ import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -121,3 +121,42 @@ def founders(
             return number + 1, found
         found = older
     return 0, found
+
+
+class Ancestor(NamedTuple):
+    """An individual on a line of descent.
+
+    Attributes:
+        generation: generation in which the individual was born.
+        index: place of the individual in its population.
+        kind: 1 for an altered copy, 2 for a cross, 3 for a graft, 0 in generation 0.
+        record: fitness and genome, see `record_of`.
+        second: place of the second parent in the generation before, or -1.
+        other: fitness and genome of the second parent, or None.
+    """
+
+    generation: int
+    index: int
+    kind: int
+    record: np.void
+    second: int
+    other: np.void | None
+
+
+def line_of(folder: Path | str, generation: int, index: int, run: int = 0) -> list[Ancestor] | None:
+    """Return the line of first parents that ends at an individual, the oldest first.
+
+    An individual that survived several generations is there once, in the generation of its birth.
+    Returns None without a family tree up to the generation.
+    """
+    family, line = [block[run] for block in read_family(folder)[: generation + 1]], []
+    if len(family) <= generation:
+        return None
+    for born in reversed(range(1, generation + 1)):
+        before, own = family[born - 1], family[born - 1][index]
+        if own["kind"]:
+            other = before[own["second"]] if own["second"] >= 0 else None
+            origin = int(own["kind"]), family[born][index], int(own["second"]), other
+            line.append(Ancestor(born, index, *origin))
+        index = int(own["first"])
+    return [Ancestor(0, index, 0, family[0][index], -1, None), *reversed(line)]

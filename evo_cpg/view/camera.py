@@ -62,6 +62,8 @@ _UNDER_TITLE, _UNTITLED = 0.5, 0.86
 _FARTHEST, _HALVINGS, _SHIFTS = 12.0, 14, 24
 # Two distances are alike if they differ by less than this fraction.
 _ALIKE = 0.02
+# A camera that comes nearer: half-width of its window, s, and nearest relative distance.
+_CALM, _NEAREST = 0.8, 0.5
 # Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
@@ -234,6 +236,22 @@ def overview(
             near = half
     assert best is not None
     return best
+
+
+def zoomed(path: CameraPath, bodies: BodyBoxes, rate: float) -> CameraPath:
+    """Return a camera that comes as much nearer as the animal is smaller than at its largest.
+
+    Args:
+        path: camera that follows the animal.
+        bodies: places and sizes of the bodies in every frame.
+        rate: frames per second of recorded time.
+    """
+    away = np.linalg.norm(bodies.corners() - path.focus[:, None], axis=-1).max(1)
+    # The camera steps back before the animal grows.
+    around = np.pad(away, round(2 * _CALM * rate), "edge")
+    away = np.lib.stride_tricks.sliding_window_view(around, len(around) - len(away) + 1).max(-1)
+    part = smooth(np.maximum(away / away.max(), _NEAREST)[:, None], _CALM * rate)
+    return path._replace(position=path.focus + part * (path.position - path.focus))
 
 
 def between(

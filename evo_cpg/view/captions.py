@@ -15,7 +15,7 @@ from PIL import ImageDraw
 from evo_cpg.view.camera import CameraPath, in_camera, project, smooth
 from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import Look
-from evo_cpg.view.scene import Panel, Scene, grid_spacing
+from evo_cpg.view.scene import Growth, Panel, Scene, grid_spacing
 
 # Margin around the captions in a picture 720 pixels high, pixels, and the least factor by which
 # margin and letters shrink in smaller pictures.
@@ -284,6 +284,22 @@ class Words(NamedTuple):
     kind: Literal["title", "subtitle", "caption"]
     start: float
     end: float
+
+
+def growth_captions(
+    growth: Growth, look: Look, size: tuple[int, int]
+) -> Callable[[np.ndarray, float, float, float], None]:
+    """Return a function as that of `captions`, which writes what has grown."""
+    spans = zip(growth.words, growth.begins, (*growth.begins[1:], np.inf), strict=True)
+    words = [Words(text, "caption", begin, end) for text, begin, end in spans]
+
+    def write_into(picture: np.ndarray, time: float, distance: float, speed: float) -> None:
+        del distance, speed
+        with lettering(picture) as draw:
+            for each in words:
+                written(draw, each, time, look, size)
+
+    return write_into
 
 
 def written(

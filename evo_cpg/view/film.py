@@ -25,8 +25,8 @@ import numpy as np
 from PIL import Image
 
 from evo_cpg.files import OutputError, in_one_piece
-from evo_cpg.view.camera import aspect_of
-from evo_cpg.view.captions import captions, pointer, wall_captions
+from evo_cpg.view.camera import BodyBoxes, aspect_of, zoomed
+from evo_cpg.view.captions import captions, growth_captions, pointer, wall_captions
 from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.legible import lettering, write
 from evo_cpg.view.meshes import add_bodies
@@ -58,6 +58,9 @@ _STILL_OVERSAMPLING = 3.0
 _GUTTER, _HEAD, _GAP = 4, 40, 24
 # Height of a heading's letters, as a fraction of its line.
 _HEADING = 0.6
+# Growing animals: light and elevation of the camera, rad, and colour of new parts.
+_GROWING = {"ambient": 0.5, "side_elevation": math.radians(35)}
+_FRESH = np.array([1.0, 0.9, 0.25])
 # Columns by number of animals. For more animals it is the square root, rounded up.
 _COLUMNS = (1, 1, 2, 3, 2)
 
@@ -183,8 +186,13 @@ class Frames:
         if panel.exhibits:
             yield from self._wall(panel, clip)
             return
-        scene, film, scale = scene_of(panel, clip), self._film, self._scale
+        growth, film, scale = panel.growth, self._film, self._scale
         (width, height), above = self._one, self._one[1]
+        if growth is not None:
+            now = np.searchsorted(panel.recording.time, clip.time).clip(max=len(growth.fresh) - 1)
+            # Whatever moves points of a body by its rotation also gives it its size.
+            clip = clip._replace(rotation=clip.rotation * growth.scale[now][..., None, :])
+        scene = scene_of(panel, clip)
         strip, strip_height = None, 0
         if panel.signals is not None:
             above -= max(round(FRACTION * height), LOWEST)
@@ -196,16 +204,28 @@ class Frames:
             filter(None, [panel.note, f"grid {scene.marks.spacing / CELLS:g} m{pace}"])
         )
         caption = captions(scene.look, title, scene.measured, note, (width, above), scale)
+        if growth is not None:
+            # From above, limbs on both sides are seen.
+            scene = scene._replace(look=dataclasses.replace(scene.look, **_GROWING))
+            rendered = round(width * scale), round(height * scale)
+            caption = growth_captions(growth, scene.look, rendered)
         with canvas((round(width * scale), round(height * scale) - strip_height)) as plotter:
             camera = camera_path(scene, film.camera, width / above)
+            if growth is not None:
+                boxes = BodyBoxes(clip.position, clip.rotation, scene.half_extents)
+                camera = zoomed(camera, boxes, clip.rate)
             stage = Stage(plotter, scene, camera, scale)
             point = pointer(
                 camera, scene.goal, scene.look, (round(width * scale), round(above * scale))
             )
             bodies = add_bodies(plotter, panel.creature, scene.look.ambient)
-            show = set_scene(stage, bodies)
+            show = set_scene(stage, bodies, skins=growth is None)
+            skins = [(own[0].prop, np.array(own[0].prop.color.float_rgb)) for own in bodies]
 
             def draw(instant: int) -> np.ndarray:
+                if growth is not None:
+                    for (skin, color), new in zip(skins, growth.fresh[now[instant]], strict=True):
+                        skin.color = color + new * (_FRESH - color)
                 seen, time = show(instant), clip.time[instant]
                 point(seen, instant)
                 caption(seen, time - clip.time[0], clip.distance[instant], clip.speed[instant])

@@ -126,6 +126,22 @@ class Exhibit(NamedTuple):
     founder: int | None = None
 
 
+class Growth(NamedTuple):
+    """Sizes and colours of bodies that grow, at the instants of a recording.
+
+    Attributes:
+        scale: size of each body along its axes, relative to that of the creature.
+        fresh: part of the colour of new parts in that of each body, 0 to 1.
+        begins: instants at which the body begins to change, and 0 for the first body, s.
+        words: words for each body.
+    """
+
+    scale: Float[np.ndarray, "t b 3"]
+    fresh: Float[np.ndarray, "t b"]
+    begins: tuple[float, ...]
+    words: tuple[str, ...] = ()
+
+
 class Panel(NamedTuple):
     """An animal that a film shows.
 
@@ -142,6 +158,7 @@ class Panel(NamedTuple):
         numbers: whether distances are painted on the ground.
         staging: arrangement of a race, or None.
         exhibits: animals on a wall, the fittest first, instead of the only animal. None if empty.
+        growth: growth of the animal's bodies, or None for an animal that keeps its shape.
     """
 
     creature: Creature
@@ -156,6 +173,7 @@ class Panel(NamedTuple):
     numbers: bool = True
     staging: "Staging | None" = None
     exhibits: tuple[Exhibit, ...] = ()
+    growth: Growth | None = None
 
 
 class Track(NamedTuple):

@@ -98,3 +98,15 @@ def test_animals_of_a_wall_are_own_creatures(run):
                                       (parent, body.joint.parent_anchor))
                 ]  # fmt: skip
                 np.testing.assert_allclose(*ends, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_ancestors_are_drawn_and_filmed(cli, run, tmp_path, monkeypatch):
+    made, _ = cli.passes("plot", run, "--output", tmp_path)
+    assert "family.png" in made and "diversity.png" in made
+    assert "needs" in cli.refuses("render", run, "--lineage", "ancestors", *SMALL)
+    monkeypatch.setattr("evo_cpg.api.ancestors.NEEDED", 0.5)
+    place = tmp_path / "ancestors.png"
+    cli.passes("render", run, "--lineage", "ancestors", *SMALL, "--sheet", "2x2", "-o", place)
+    with Image.open(place) as picture:
+        assert picture.size == (324, 184)
