@@ -46,8 +46,9 @@ from evo_cpg.creature.walked import outwards
 GENES = ("amplitude", "period", "coupling", "steering", "start")
 """Names of the genes of each joint axis."""
 
-# Inhibition between the two neurons of an axis: a of Iwadate 2010, Table 3.
-_PAIR_WEIGHT = 1.070772
+# Inhibition between the two neurons of an axis. A pair alone keeps its rhythm above 1.13
+# (docs/models/controller.md), and the value of Iwadate 2010, 1.07, lets limbs on the root stop.
+_PAIR_WEIGHT = 1.5
 
 
 @dataclasses.dataclass(frozen=True)

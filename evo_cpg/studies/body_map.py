@@ -1,0 +1,235 @@
+"""Map of bodies: the best fitness of each body in a grid, each with a rhythm of its own.
+
+The bodies are plans (`evo_cpg.creature.graph`) in water. All have the same trunk and tail, and a
+pair of limbs of two parts that differs in the three genes of `GENES`. All joint axes of a body have
+the same five genes of their oscillator (`evo_cpg.control.limb_oscillators`), so a brain is five
+numbers without senses. CMA-ES trains the rhythms of many bodies side by side.
+
+The fitness is the distance from the start (m). It does not reward size alone, because the trunk and
+the tail, which make most of the body, are the same for all.
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from evo_cpg.control import limb_oscillators
+from evo_cpg.creature.graph import GraphLayout, PlanGraph
+from evo_cpg.evolution import cma
+from evo_cpg.files import write_whole
+from evo_cpg.io.build import build_experiment
+from evo_cpg.io.load import load_config
+from evo_cpg.io.plans import EvolvedPlans
+from evo_cpg.io.shipped import shipped
+from evo_cpg.simulation.planned import SINK
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.evaluate import compile_plan_trials
+from evo_cpg.training.run_folder import RunFolderError
+
+RHYTHM = len(limb_oscillators.GENES)
+"""Number of genes of a rhythm."""
+
+_BODIES = 7
+_CONFIG = "virtual_creatures_water"
+_OVERRIDES = (
+    f"evolution.plan.bodies={_BODIES}",
+    "evolution.plan.parts=3",
+    "evolution.plan.connections=2",
+    "evolution.plan.joints=[hinge]",
+    # Rhythms of 1 to 3 Hz and strong motors, so that a body swims several strokes in a trial.
+    "controller.time_scale=0.33",
+    "controller.rate_gain=15",
+    "controller.max_rate=10",
+)
+
+# Half extents of the trunk, and of parts of the tail and the limbs across, m. The lengths of these
+# parts have a constant sum, m, so that the longest body is not the best.
+_TRUNK, _ACROSS, _LENGTHS = (0.16, 0.05, 0.05), (0.03, 0.06), 0.46
+_STRENGTH = 0.5
+# Half extents that the genes of sizes span, m.
+_HALF = 0.03, 0.2
+# Largest value of a signed gene. A limb further along the trunk would sit on its front or rear.
+_MOST, _ALONG = 127 / 128, 120 / 128
+
+# Rhythms in a generation, and the first step size. The period's and the amplitude's best genes are
+# often near the edge of the cube, and a small step would reach them late.
+_CHILDREN, _FIRST_STEP = 20, 0.5
+_SEED = 0
+
+
+class Gene(NamedTuple):
+    """A gene of the bodies.
+
+    Attributes:
+        name: name with the unit.
+        low: value at 0.
+        high: value at 1.
+        words: descriptions of the values 0 and 1.
+    """
+
+    name: str
+    low: float
+    high: float
+    words: tuple[str, str]
+
+    def value(self, gene: float) -> float:
+        """Return the value of a gene from 0 to 1."""
+        return self.low + (self.high - self.low) * gene
+
+
+GENES = (
+    Gene("length of a limb's part (m)", 0.06, 0.4, ("long tail", "long limbs")),
+    Gene("place along the trunk", -_ALONG, _ALONG, ("limbs at the rear", "limbs at the front")),
+    Gene("sweep (degrees)", -60.0, 60.0, ("swept forwards", "swept backwards")),
+)
+"""Genes of the bodies. Place is -1 at the rear of the trunk and 1 at its front."""
+
+
+def grid(cells: int) -> Float[np.ndarray, "n 3"]:
+    """Return the genes of all bodies of a grid, the last gene changing fastest."""
+    return np.array(list(itertools.product(np.linspace(0, 1, cells), repeat=3)))
+
+
+class Family:
+    """Bodies of a grid, ready for trials.
+
+    Args:
+        cells: number of values of each gene.
+        seconds: duration of a trial, s.
+        substeps: number of physical steps in a control step.
+
+    Attributes:
+        genes: genes of the bodies.
+        plans: builder of the bodies.
+    """
+
+    def __init__(self, cells: int, seconds: float = 5.0, substeps: int = 2):
+        self.cells, self.genes = cells, grid(cells)
+        settings = (f"simulation.seconds={seconds}", f"simulation.substeps={substeps}")
+        source = shipped(_CONFIG).path
+        simulation = build_experiment(load_config(source, [*_OVERRIDES, *settings]), source).simulation
+        assert isinstance(simulation.plans, EvolvedPlans)
+        self.plans = simulation.plans
+        self._axes = _BODIES * len(self.plans.section.axes)
+        genomes = np.stack([genome(self.plans.layout, each) for each in self.genes], -1)
+        found = self.plans.developed(genomes)
+        numbers = self.plans.given(found, np.arange(len(self.genes)), _BODIES + 1)[1]
+        self._numbers = numbers.astype(np.float32)
+        self._run = compile_plan_trials(simulation, _BODIES + 1, population_mesh())
+
+    def fitness(
+        self, bodies: Int[np.ndarray, " n"], rhythms: Float[np.ndarray, "n k 5"]
+    ) -> Float[np.ndarray, "n k"]:
+        """Return the fitness of bodies with several rhythms, 0 for a trial that broke a rule."""
+        flat = rhythms.reshape(-1, RHYTHM).T.astype(np.float32)
+        numbers = self._numbers[:, np.repeat(bodies, rhythms.shape[1])]
+        outcome = self._run(np.repeat(flat, self._axes, 0), None, None, 1, (numbers,))
+        distance = np.where(outcome.alive, outcome.terms["distance"], 0.0)
+        return np.nan_to_num(distance).reshape(rhythms.shape[:2])
+
+
+def genome(layout: GraphLayout, genes: Float[np.ndarray, "3"]) -> Float[np.ndarray, " g"]:
+    """Return the plan of a body."""
+    length, along, sweep = (gene.value(x) for gene, x in zip(GENES, genes, strict=True))
+    graph = {name: np.zeros(shape) for name, shape in layout.shapes.items()}
+    sizes = _TRUNK, ((_LENGTHS - length) / 2, *_ACROSS), (length / 2, *_ACROSS)
+    graph["used"][:], graph["limits"][:], graph["strength"][:] = 1, 1, _STRENGTH
+    graph["label"][:], graph["recursion"][:] = (1, 2, 3), (1, 2, 2)
+    low, high = _HALF
+    graph["size"][:] = np.round(256 * np.log(np.array(sizes) / low) / np.log(high / low)) / 256
+    front, rear, side = [_MOST, 0, 0], [-_MOST, 0, 0], [along, _MOST, 0]
+    for node, link, to, place in ((0, 0, 1, rear), (0, 1, 2, side), (1, 0, 1, front), (2, 0, 2, front)):
+        graph["on"][node, link], graph["to"][node, link] = 1, to
+        graph["place"][node, link] = np.round(np.array(place) * 128) / 128
+    graph["reflect"][0, 1] = 1
+    graph["turn"][0, 1, 0] = np.clip(np.round(sweep / 60 * 128), -127, 127) / 128
+    return np.asarray(layout.pack(PlanGraph(**{name: jnp.asarray(x) for name, x in graph.items()})))
+
+
+def outline(family: Family, body: int) -> Float[np.ndarray, "b 4 2"]:
+    """Return the corners of each part of a body in its neutral pose, seen from above (m)."""
+    plan = family.plans.plan(genome(family.plans.layout, family.genes[body]))
+    centres, turns, corners = [], [], []
+    for i in np.flatnonzero(plan.present):
+        joint, turn, parent = SINK * plan.place[i], plan.rotation[i], plan.parent[i]
+        centre = np.zeros(3)
+        if parent >= 0:
+            turn = turns[parent] @ turn
+            centre = centres[parent] + turns[parent] @ joint + SINK * plan.half[i, 0] * turn[:, 0]
+        centres.append(centre)
+        turns.append(turn)
+        flat = np.array([[1, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, 1, 0]]) * plan.half[i]
+        corners.append((centre + flat @ turn.T)[:, :2])
+    return np.array(corners)
+
+
+class Map(NamedTuple):
+    """Best fitness and rhythm of bodies. Bodies that are not trained yet have NaN.
+
+    Attributes:
+        genes: genes of the bodies.
+        fitness: best fitness, m.
+        rhythm: rhythm with the best fitness.
+    """
+
+    genes: Float[np.ndarray, "n 3"]
+    fitness: Float[np.ndarray, " n"]
+    rhythm: Float[np.ndarray, "n 5"]
+
+
+def trained(
+    family: Family, bodies: Int[np.ndarray, " n"], generations: int, seed: Sequence[int]
+) -> Map:
+    """Return the bodies with the best rhythms that CMA-ES finds for each."""
+    draw, rows = np.random.default_rng(seed), np.arange(len(bodies))
+    searches = cma.begun(np.full((len(bodies), RHYTHM), 0.5), _FIRST_STEP)
+    best, rhythm = np.full(len(bodies), -np.inf), np.zeros((len(bodies), RHYTHM))
+    for _ in range(generations):
+        points = cma.children(searches, draw.standard_normal((len(bodies), _CHILDREN, RHYTHM)))
+        fitness = family.fitness(bodies, points)
+        searches = cma.updated(searches, points, fitness)
+        first, better = fitness.argmax(1), fitness.max(1) > best
+        best = np.where(better, fitness.max(1), best)
+        rhythm = np.where(better[:, None], points[rows, first], rhythm)
+    return Map(family.genes[bodies], best, rhythm)
+
+
+def made_map(
+    path: Path, family: Family, generations: int, reached: Callable[[int, int], None]
+) -> Map:
+    """Return the map of all bodies, and keep it in a file after each block of bodies.
+
+    A block has all bodies with one value of the first gene, and random numbers of its own. So an
+    interrupted map continues to the same file.
+    """
+    size, count = family.cells**2, len(family.genes)
+    found = read_map(path, family)
+    for start in range(0, count, size):
+        block = slice(start, start + size)
+        if np.isnan(found.fitness[block]).any():
+            own = trained(family, np.arange(count)[block], generations, (_SEED, start))
+            found.fitness[block], found.rhythm[block] = own.fitness, own.rhythm
+            write_whole(path, lambda file: np.savez(file, **found._asdict()))
+        reached(start + size, count)
+    return found
+
+
+def read_map(path: Path, family: Family) -> Map:
+    """Return the map in a file, without any trained body if there is no file.
+
+    Raises:
+        RunFolderError: the file has other bodies.
+    """
+    count = len(family.genes)
+    found = Map(family.genes, np.full(count, np.nan), np.full((count, RHYTHM), np.nan))
+    if path.is_file():
+        with np.load(path) as stored:
+            found = Map(**stored)
+        if not np.array_equal(found.genes, family.genes):
+            raise RunFolderError(f"{path} is a map of other bodies. Delete it, or choose another --out")
+    return found
