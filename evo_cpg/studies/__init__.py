@@ -16,6 +16,7 @@ _PLACES = {
     "turtle": ("own_animals", "TURTLE"),
     "animals": ("animals", "STUDY"),
     "search": ("search", "STUDY"),
+    "bodies": ("bodies", "STUDY"),
     "benchmarks": ("benchmarks", "STUDY"),
 }
 NAMES = tuple(_PLACES)

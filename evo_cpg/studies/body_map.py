@@ -12,7 +12,7 @@ the tail, which make most of the body, are the same for all.
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -41,8 +41,11 @@ _OVERRIDES = (
     "evolution.plan.parts=3",
     "evolution.plan.connections=2",
     "evolution.plan.joints=[hinge]",
-    # Rhythms of 1 to 3 Hz and strong motors, so that a body swims several strokes in a trial.
-    "controller.time_scale=0.33",
+    # A body swims several strokes in a trial, because any rhythm has 0.8 to 2 Hz. Weaker adaptation
+    # or more steering may end the rhythm, and then a search repeats worse.
+    "controller.time_scale=0.5",
+    "controller.min_adaptation_gain=2",
+    "controller.steering_range=0.25",
     "controller.rate_gain=15",
     "controller.max_rate=10",
 )
@@ -56,9 +59,9 @@ _HALF = 0.03, 0.2
 # Largest value of a signed gene. A limb further along the trunk would sit on its front or rear.
 _MOST, _ALONG = 127 / 128, 120 / 128
 
-# Rhythms in a generation, and the first step size. The period's and the amplitude's best genes are
-# often near the edge of the cube, and a small step would reach them late.
-_CHILDREN, _FIRST_STEP = 20, 0.5
+# Rhythms in a generation, and the first step size. The best genes of amplitude and period are often
+# at the edge of the cube, which a smaller step finds less reliably.
+_CHILDREN, _FIRST_STEP = 20, 0.8
 _SEED = 0
 
 
@@ -104,15 +107,17 @@ class Family:
         substeps: number of physical steps in a control step.
 
     Attributes:
+        settings: settings of the bodies and the trials, as text.
         genes: genes of the bodies.
         plans: builder of the bodies.
     """
 
     def __init__(self, cells: int, seconds: float = 5.0, substeps: int = 2):
         self.cells, self.genes = cells, grid(cells)
-        settings = (f"simulation.seconds={seconds}", f"simulation.substeps={substeps}")
-        source = shipped(_CONFIG).path
-        simulation = build_experiment(load_config(source, [*_OVERRIDES, *settings]), source).simulation
+        trial = (f"simulation.seconds={seconds}", f"simulation.substeps={substeps}")
+        overrides, source = [*_OVERRIDES, *trial], shipped(_CONFIG).path
+        self.settings = " ".join([*overrides, f"{cells=}"])
+        simulation = build_experiment(load_config(source, overrides), source).simulation
         assert isinstance(simulation.plans, EvolvedPlans)
         self.plans = simulation.plans
         self._axes = _BODIES * len(self.plans.section.axes)
@@ -121,6 +126,11 @@ class Family:
         numbers = self.plans.given(found, np.arange(len(self.genes)), _BODIES + 1)[1]
         self._numbers = numbers.astype(np.float32)
         self._run = compile_plan_trials(simulation, _BODIES + 1, population_mesh())
+
+    def nearest(self, genes: Float[np.ndarray, "*n 3"]) -> Int[np.ndarray, " *n"]:
+        """Return the bodies of the grid that are nearest to some genes."""
+        places = np.round(genes * (self.cells - 1)).astype(int)
+        return np.ravel_multi_index(tuple(np.moveaxis(places, -1, 0)), (self.cells,) * 3)
 
     def fitness(
         self, bodies: Int[np.ndarray, " n"], rhythms: Float[np.ndarray, "n k 5"]
@@ -143,7 +153,12 @@ def genome(layout: GraphLayout, genes: Float[np.ndarray, "3"]) -> Float[np.ndarr
     low, high = _HALF
     graph["size"][:] = np.round(256 * np.log(np.array(sizes) / low) / np.log(high / low)) / 256
     front, rear, side = [_MOST, 0, 0], [-_MOST, 0, 0], [along, _MOST, 0]
-    for node, link, to, place in ((0, 0, 1, rear), (0, 1, 2, side), (1, 0, 1, front), (2, 0, 2, front)):
+    for node, link, to, place in (
+        (0, 0, 1, rear),
+        (0, 1, 2, side),
+        (1, 0, 1, front),
+        (2, 0, 2, front),
+    ):
         graph["on"][node, link], graph["to"][node, link] = 1, to
         graph["place"][node, link] = np.round(np.array(place) * 128) / 128
     graph["reflect"][0, 1] = 1
@@ -172,11 +187,13 @@ class Map(NamedTuple):
     """Best fitness and rhythm of bodies. Bodies that are not trained yet have NaN.
 
     Attributes:
+        settings: what the map was made of, as text.
         genes: genes of the bodies.
         fitness: best fitness, m.
         rhythm: rhythm with the best fitness.
     """
 
+    settings: Any
     genes: Float[np.ndarray, "n 3"]
     fitness: Float[np.ndarray, " n"]
     rhythm: Float[np.ndarray, "n 5"]
@@ -184,8 +201,8 @@ class Map(NamedTuple):
 
 def trained(
     family: Family, bodies: Int[np.ndarray, " n"], generations: int, seed: Sequence[int]
-) -> Map:
-    """Return the bodies with the best rhythms that CMA-ES finds for each."""
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 5"]]:
+    """Return the best fitness and rhythm of each body that CMA-ES finds."""
     draw, rows = np.random.default_rng(seed), np.arange(len(bodies))
     searches = cma.begun(np.full((len(bodies), RHYTHM), 0.5), _FIRST_STEP)
     best, rhythm = np.full(len(bodies), -np.inf), np.zeros((len(bodies), RHYTHM))
@@ -193,10 +210,10 @@ def trained(
         points = cma.children(searches, draw.standard_normal((len(bodies), _CHILDREN, RHYTHM)))
         fitness = family.fitness(bodies, points)
         searches = cma.updated(searches, points, fitness)
-        first, better = fitness.argmax(1), fitness.max(1) > best
-        best = np.where(better, fitness.max(1), best)
-        rhythm = np.where(better[:, None], points[rows, first], rhythm)
-    return Map(family.genes[bodies], best, rhythm)
+        better = fitness.max(1) > best
+        rhythm = np.where(better[:, None], points[rows, fitness.argmax(1)], rhythm)
+        best = np.maximum(best, fitness.max(1))
+    return best, rhythm
 
 
 def made_map(
@@ -206,30 +223,30 @@ def made_map(
 
     A block has all bodies with one value of the first gene, and random numbers of its own. So an
     interrupted map continues to the same file.
+
+    Raises:
+        RunFolderError: the file is a map of other bodies, trials or generations.
     """
+    found = _read(path, f"{family.settings} {generations=}", family)
     size, count = family.cells**2, len(family.genes)
-    found = read_map(path, family)
     for start in range(0, count, size):
         block = slice(start, start + size)
         if np.isnan(found.fitness[block]).any():
             own = trained(family, np.arange(count)[block], generations, (_SEED, start))
-            found.fitness[block], found.rhythm[block] = own.fitness, own.rhythm
+            found.fitness[block], found.rhythm[block] = own
             write_whole(path, lambda file: np.savez(file, **found._asdict()))
         reached(start + size, count)
     return found
 
 
-def read_map(path: Path, family: Family) -> Map:
-    """Return the map in a file, without any trained body if there is no file.
-
-    Raises:
-        RunFolderError: the file has other bodies.
-    """
+def _read(path: Path, settings: str, family: Family) -> Map:
+    """Return the map in a file, or a map without trained bodies if there is no file."""
     count = len(family.genes)
-    found = Map(family.genes, np.full(count, np.nan), np.full((count, RHYTHM), np.nan))
-    if path.is_file():
-        with np.load(path) as stored:
-            found = Map(**stored)
-        if not np.array_equal(found.genes, family.genes):
-            raise RunFolderError(f"{path} is a map of other bodies. Delete it, or choose another --out")
+    unknown = np.full(count, np.nan), np.full((count, RHYTHM), np.nan)
+    if not path.is_file():
+        return Map(settings, family.genes, *unknown)
+    with np.load(path) as stored:
+        found = Map(**stored)
+    if str(found.settings) != settings:
+        raise RunFolderError(f"{path} is a map of other settings. Use --fresh, or another --out")
     return found
