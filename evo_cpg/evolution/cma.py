@@ -1,8 +1,9 @@
-"""CMA-ES of many independent searches at once (Hansen 2016, "The CMA evolution strategy: a
-tutorial", arXiv 1604.00772, Fig. 6 without negative weights).
+"""CMA-ES of many independent searches at once.
 
-All searches have equally many parents and children, so that a generation of all of them is a few
-NumPy operations. Points lie in the unit cube: a child outside moves to the nearest point inside.
+The equations are those of Hansen 2016 ("The CMA evolution strategy: a tutorial", arXiv 1604.00772,
+Fig. 6) without negative weights. All searches have equally many children, so that a generation of
+all searches is a few NumPy operations. Points lie in the unit cube: a child outside moves to the
+nearest point inside.
 """
 
 import math

@@ -1,12 +1,12 @@
 """Map of bodies: the best fitness of each body in a grid, each with a rhythm of its own.
 
-The bodies are plans (`evo_cpg.creature.graph`) in water. All have the same trunk and tail, and a
-pair of limbs of two parts that differs in the three genes of `GENES`. All joint axes of a body have
-the same five genes of their oscillator (`evo_cpg.control.limb_oscillators`), so a brain is five
-numbers without senses. CMA-ES trains the rhythms of many bodies side by side.
+The bodies are plans (`evo_cpg.creature.graph`) in water. All have a trunk, a tail and a pair of
+limbs, each of two parts, and they differ in the three genes of `GENES`. All joint axes of a body
+have the same five genes of their oscillator (`evo_cpg.control.limb_oscillators`), so a brain is
+five numbers without senses. CMA-ES trains the rhythms of many bodies side by side.
 
-The fitness is the distance from the start (m). It does not reward size alone, because the trunk and
-the tail, which make most of the body, are the same for all.
+The fitness is the distance from the start (m). It does not reward size alone, because a body with
+longer limbs has a shorter tail.
 """
 
 import itertools
@@ -50,8 +50,8 @@ _OVERRIDES = (
     "controller.max_rate=10",
 )
 
-# Half extents of the trunk, and of parts of the tail and the limbs across, m. The lengths of these
-# parts have a constant sum, m, so that the longest body is not the best.
+# Half extents of the trunk, and those across a part of the tail or of a limb, m. A part of the tail
+# and a part of a limb together have a constant length, m, so that longer limbs are no free gain.
 _TRUNK, _ACROSS, _LENGTHS = (0.16, 0.05, 0.05), (0.03, 0.06), 0.46
 _STRENGTH = 0.5
 # Half extents that the genes of sizes span, m.
@@ -69,13 +69,15 @@ class Gene(NamedTuple):
     """A gene of the bodies.
 
     Attributes:
-        name: name with the unit.
+        name: name in pictures.
+        unit: unit or meaning of the values.
         low: value at 0.
         high: value at 1.
         words: descriptions of the values 0 and 1.
     """
 
     name: str
+    unit: str
     low: float
     high: float
     words: tuple[str, str]
@@ -86,11 +88,17 @@ class Gene(NamedTuple):
 
 
 GENES = (
-    Gene("length of a limb's part (m)", 0.06, 0.4, ("long tail", "long limbs")),
-    Gene("place along the trunk", -_ALONG, _ALONG, ("limbs at the rear", "limbs at the front")),
-    Gene("sweep (degrees)", -60.0, 60.0, ("swept forwards", "swept backwards")),
+    Gene("length of a limb's part", "m", 0.06, 0.4, ("long tail", "long limbs")),
+    Gene(
+        "limbs' place along the trunk",
+        "-1: rear, 1: front",
+        -_ALONG,
+        _ALONG,
+        ("limbs at the rear", "limbs at the front"),
+    ),
+    Gene("sweep", "degrees", -60.0, 60.0, ("swept forwards", "swept backwards")),
 )
-"""Genes of the bodies. Place is -1 at the rear of the trunk and 1 at its front."""
+"""Genes of the bodies, in the order of the grid."""
 
 
 def grid(cells: int) -> Float[np.ndarray, "n 3"]:
@@ -130,7 +138,7 @@ class Family:
     def nearest(self, genes: Float[np.ndarray, "*n 3"]) -> Int[np.ndarray, " *n"]:
         """Return the bodies of the grid that are nearest to some genes."""
         places = np.round(genes * (self.cells - 1)).astype(int)
-        return np.ravel_multi_index(tuple(np.moveaxis(places, -1, 0)), (self.cells,) * 3)
+        return places @ self.cells ** np.array([2, 1, 0])
 
     def fitness(
         self, bodies: Int[np.ndarray, " n"], rhythms: Float[np.ndarray, "n k 5"]
@@ -153,12 +161,8 @@ def genome(layout: GraphLayout, genes: Float[np.ndarray, "3"]) -> Float[np.ndarr
     low, high = _HALF
     graph["size"][:] = np.round(256 * np.log(np.array(sizes) / low) / np.log(high / low)) / 256
     front, rear, side = [_MOST, 0, 0], [-_MOST, 0, 0], [along, _MOST, 0]
-    for node, link, to, place in (
-        (0, 0, 1, rear),
-        (0, 1, 2, side),
-        (1, 0, 1, front),
-        (2, 0, 2, front),
-    ):
+    links = (0, 0, 1, rear), (0, 1, 2, side), (1, 0, 1, front), (2, 0, 2, front)
+    for node, link, to, place in links:
         graph["on"][node, link], graph["to"][node, link] = 1, to
         graph["place"][node, link] = np.round(np.array(place) * 128) / 128
     graph["reflect"][0, 1] = 1

@@ -11,7 +11,7 @@ at most 1 % better bodies. The searches differ in three switches, and all have e
 - *Random.* All individuals are random.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -78,79 +78,62 @@ def final_bodies(
         trials: number of trials in a run.
         seed: seed of the runs.
     """
-    draw = np.random.default_rng(seed)
-    found = _random(draw, family, scheme, (runs, size))
+    search = _Search(family, scheme, (runs, size), np.random.default_rng(seed))
+    found = search.random()
     for _ in range(trials // (size * scheme.trials) - 1):
-        new = _random if scheme.random else _children
-        other = new(draw, family, scheme, (runs, size), found)
+        other = search.random() if scheme.random else search.children(found)
         both = Population(*(np.concatenate(x, 1) for x in zip(found, other, strict=True)))
-        found = _survivors(both._replace(age=both.age + 1), size, scheme.protects)
+        found = survivors(both._replace(age=both.age + 1), size, scheme.protects)
     best = found.fitness.argmax(1)[:, None]
     body = np.take_along_axis(found.body, best[..., None], 1)[:, 0]
     return family.nearest(body), np.take_along_axis(found.fitness, best, 1)[:, 0]
 
 
-def _random(
-    draw: np.random.Generator, family: Family, scheme: Scheme, shape: tuple[int, int], *_: Any
-) -> Population:
-    """Return random individuals."""
-    body, rhythm = draw.random((*shape, 3)), draw.random((*shape, RHYTHM))
-    return _tried(draw, family, scheme, body, rhythm, np.zeros(shape, int))
+class _Search(NamedTuple):
+    """Several runs of a search side by side, with their shape ``(runs, individuals)``."""
+
+    family: Family
+    scheme: Scheme
+    shape: tuple[int, int]
+    draw: np.random.Generator
+
+    def random(self) -> Population:
+        """Return random individuals."""
+        body, rhythm = self.draw.random((*self.shape, 3)), self.draw.random((*self.shape, RHYTHM))
+        return self._tried(body, rhythm, np.zeros(self.shape, int))
+
+    def children(self, parents: Population) -> Population:
+        """Return a mutated child of each individual. Only a new body learns."""
+        changes = (self.draw.random(self.shape) < _NEW_BODY) | (self.scheme.trials > 1)
+        body = np.where(changes[..., None], self._mutated(parents.body), parents.body)
+        age = np.where(changes, 0, parents.age)
+        return self._tried(body, self._mutated(parents.rhythm), age)
+
+    def _mutated(self, genes: np.ndarray) -> np.ndarray:
+        return np.clip(genes + _CHANGE * self.draw.standard_normal(genes.shape), 0, 1)
+
+    def _tried(self, body: np.ndarray, rhythm: np.ndarray, age: np.ndarray) -> Population:
+        """Return individuals after their trials, a climb of the rhythm by mutations."""
+        bodies = self.family.nearest(body).reshape(-1)
+        learned, best = rhythm, np.full(self.shape, -np.inf)
+        for number in range(self.scheme.trials):
+            new = self._mutated(learned) if number else rhythm
+            fitness = self.family.fitness(bodies, new.reshape(-1, 1, RHYTHM)).reshape(self.shape)
+            learned = np.where((fitness > best)[..., None], new, learned)
+            best = np.maximum(fitness, best)
+        return Population(body, learned if self.scheme.inherits else rhythm, best, age)
 
 
-def _children(
-    draw: np.random.Generator,
-    family: Family,
-    scheme: Scheme,
-    shape: tuple[int, int],
-    parents: Population,
-) -> Population:
-    """Return a mutated child of each individual."""
-    changes = (draw.random(shape) < _NEW_BODY) | (scheme.trials > 1)
-    body = np.where(changes[..., None], _mutated(draw, parents.body), parents.body)
-    age = np.where(changes, 0, parents.age)
-    return _tried(draw, family, scheme, body, _mutated(draw, parents.rhythm), age)
+def survivors(both: Population, size: int, protects: bool) -> Population:
+    """Return the individuals that fewest others dominate, and the fittest of these.
 
-
-def _mutated(draw: np.random.Generator, genes: np.ndarray) -> np.ndarray:
-    return np.clip(genes + _CHANGE * draw.standard_normal(genes.shape), 0, 1)
-
-
-def _tried(
-    draw: np.random.Generator,
-    family: Family,
-    scheme: Scheme,
-    body: Float[np.ndarray, "r p 3"],
-    rhythm: Float[np.ndarray, "r p 5"],
-    age: Int[np.ndarray, "r p"],
-) -> Population:
-    """Return individuals after their trials: a climb of the rhythm by mutations."""
-    bodies = family.nearest(body).reshape(-1)
-
-    def fitness_of(rhythm: np.ndarray) -> np.ndarray:
-        return family.fitness(bodies, rhythm.reshape(-1, 1, RHYTHM)).reshape(age.shape)
-
-    learned, fitness = rhythm, fitness_of(rhythm)
-    for _ in range(scheme.trials - 1):
-        other = _mutated(draw, learned)
-        found = fitness_of(other)
-        learned = np.where((found > fitness)[..., None], other, learned)
-        fitness = np.maximum(found, fitness)
-    return Population(body, learned if scheme.inherits else rhythm, fitness, age)
-
-
-def _survivors(both: Population, size: int, protects: bool) -> Population:
-    """Return the individuals with the least better ones: fitter, and younger if protected."""
-    fitter = both.fitness[:, None] > both.fitness[..., None]
-    better = fitter
-    if protects:
-        younger, older = (
-            both.age[:, None] < both.age[..., None],
-            both.age[:, None] > both.age[..., None],
-        )
-        equal = both.fitness[:, None] == both.fitness[..., None]
-        better = (fitter & ~older) | (equal & younger)
-    order = np.lexsort((-both.fitness, better.sum(-1)), axis=-1)[:, :size]
-    return Population(
-        *(np.take_along_axis(x, order.reshape(*order.shape, *(1,) * (x.ndim - 2)), 1) for x in both)
-    )
+    An individual dominates another one if it is fitter and not older, or as fit and younger. The
+    age does not count without protection.
+    """
+    age, fitness = both.age * protects, both.fitness
+    fitter = fitness[:, None] > fitness[..., None]
+    tied = (fitness[:, None] == fitness[..., None]) & (age[:, None] < age[..., None])
+    dominated = ((fitter & (age[:, None] <= age[..., None])) | tied).sum(-1)
+    kept = np.lexsort((-fitness, dominated), axis=-1)[:, :size]
+    runs = np.arange(len(kept))[:, None]
+    return Population(*(values[runs, kept] for values in both))

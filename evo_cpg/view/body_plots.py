@@ -9,14 +9,16 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
 
-from evo_cpg.view.figure import BLUE, INK, framed, new_figure
+from evo_cpg.view.figure import BLUE, INK, RED, framed, new_figure
 
-_MOST_PANELS, _COLOURS = 6, "viridis"
+# Panels, and least width that a drawing's caption needs (m in the drawing).
+_MOST_PANELS, _ACROSS, _LEAST = 9, 3, 0.95
+_COLOURS = "viridis"
 
 
 @framed
 def bodies_figure(
-    axes: Sequence[tuple[str, float, float]],
+    axes: Sequence[tuple[str, str, float, float]],
     fitness: Float[np.ndarray, "a b c"],
     near: float,
     label: str,
@@ -25,32 +27,34 @@ def bodies_figure(
     """Draw the map of three genes, in panels for some values of the third.
 
     Args:
-        axes: name, least and largest value of each gene.
+        axes: name, unit, least and largest value of each gene.
         fitness: best fitness of each body.
         near: fraction of the bodies that are outlined as the best.
         label: name of the fitness, with its unit.
         drawn: corners of the parts of some bodies from above (m), by their captions.
     """
-    figure = new_figure(10.5, 9.2)
-    above, below = figure.subfigures(2, 1, height_ratios=(3, 1))
+    title = f"{fitness.size:,} bodies, each with its best rhythm (red: the best {100 * near:g} %)"
+    figure = new_figure(10.5, 11, title)
+    above, below = figure.subfigures(2, 1, height_ratios=(4, 1), squeeze=False)[:, 0]
     best = fitness >= np.quantile(fitness, 1 - near)
     scale = Normalize(fitness.min(), fitness.max())
     count = min(fitness.shape[2], _MOST_PANELS)
     shown = np.round(np.linspace(0, fitness.shape[2] - 1, count)).astype(int)
-    panels = above.subplots(-(-count // 3), min(count, 3), sharex=True, sharey=True, squeeze=False)
+    panels = above.subplots(
+        -(-count // _ACROSS), min(count, _ACROSS), sharex=True, sharey=True, squeeze=False
+    )
     across, upwards, values = (
         low + (high - low) * (np.arange(n + 1) - 0.5) / (n - 1)
-        for (_, low, high), n in zip(axes, fitness.shape, strict=True)
+        for (_, _, low, high), n in zip(axes, fitness.shape, strict=True)
     )
     for panel, slice_ in zip(panels.flat, shown, strict=True):
         own, mask = fitness[..., slice_].T, best[..., slice_]
         panel.pcolormesh(across, upwards, own, cmap=_COLOURS, norm=scale)
-        panel.add_collection(LineCollection(_border(mask, across, upwards), colors="white", lw=1.4))
+        panel.add_collection(LineCollection(_border(mask, across, upwards), colors=RED, lw=1.8))
         value = (values[slice_] + values[slice_ + 1]) / 2
-        panel.set_title(f"{axes[2][0].partition(' (')[0]} {value:.0f} degrees", fontsize=10)
-    above.supxlabel(axes[0][0], fontsize=10)
-    above.supylabel(axes[1][0], fontsize=10)
-    label = f"{label}, white outline: best {near:.0%} of bodies"
+        panel.set_title(f"{axes[2][0]} {value:.0f} {axes[2][1]}", fontsize=9.5)
+    for draw, (name, unit, *_) in zip((above.supxlabel, above.supylabel), axes[:2], strict=True):
+        draw(f"{name} ({unit})", fontsize=10)
     bar = above.colorbar(ScalarMappable(scale, _COLOURS), ax=panels, label=label, shrink=0.8)
     bar.outline.set_visible(False)
     _draw_bodies(below, drawn)
@@ -71,13 +75,14 @@ def _border(
 
 def _draw_bodies(figure: SubFigure, drawn: Mapping[str, Float[np.ndarray, "parts 4 2"]]) -> None:
     """Draw bodies side by side to one scale, with the trunk's front upwards."""
-    every = np.concatenate([*drawn.values()]).reshape(-1, 2)
-    low, high = every.min(0), every.max(0)
-    for panel, (name, corners) in zip(figure.subplots(1, len(drawn)), drawn.items(), strict=True):
-        # From above, the left side (y) is to the left of the front (x).
-        turned = np.stack([-corners[..., 1], corners[..., 0]], -1)
+    # From above, the left side (y) is to the left of the front (x).
+    turned = [np.stack([-corners[..., 1], corners[..., 0]], -1) for corners in drawn.values()]
+    halves = [max(np.abs(corners[..., 0]).max(), _LEAST / 2) for corners in turned]
+    heights = np.concatenate(turned)[..., 1]
+    panels = figure.subplots(1, len(drawn), width_ratios=halves, squeeze=False)
+    for panel, name, corners, half in zip(panels.flat, drawn, turned, halves, strict=True):
         colors = [INK, *[BLUE] * (len(corners) - 1)]
-        panel.add_collection(PolyCollection(list(turned), facecolors=colors, edgecolors="white"))
-        panel.set(xlim=(-high[1], -low[1]), ylim=(low[0], high[0]), aspect="equal")
+        panel.add_collection(PolyCollection(list(corners), facecolors=colors, edgecolors="white"))
+        panel.set(xlim=(-half, half), ylim=(heights.min(), heights.max()), aspect="equal")
         panel.set_title(name, fontsize=9)
         panel.set_axis_off()
