@@ -82,7 +82,7 @@ class Gene(NamedTuple):
     high: float
     words: tuple[str, str]
 
-    def value(self, gene: float) -> float:
+    def value(self, gene: Any) -> Any:
         """Return the value of a gene from 0 to 1."""
         return self.low + (self.high - self.low) * gene
 
@@ -129,8 +129,7 @@ class Family:
         assert isinstance(simulation.plans, EvolvedPlans)
         self.plans = simulation.plans
         self._axes = _BODIES * len(self.plans.section.axes)
-        genomes = np.stack([genome(self.plans.layout, each) for each in self.genes], -1)
-        found = self.plans.developed(genomes)
+        found = self.plans.developed(genomes(self.plans.layout, self.genes))
         numbers = self.plans.given(found, np.arange(len(self.genes)), _BODIES + 1)[1]
         self._numbers = numbers.astype(np.float32)
         self._run = compile_plan_trials(simulation, _BODIES + 1, population_mesh())
@@ -151,28 +150,30 @@ class Family:
         return np.nan_to_num(distance).reshape(rhythms.shape[:2])
 
 
-def genome(layout: GraphLayout, genes: Float[np.ndarray, "3"]) -> Float[np.ndarray, " g"]:
-    """Return the plan of a body."""
-    length, along, sweep = (gene.value(x) for gene, x in zip(GENES, genes, strict=True))
-    graph = {name: np.zeros(shape) for name, shape in layout.shapes.items()}
-    sizes = _TRUNK, ((_LENGTHS - length) / 2, *_ACROSS), (length / 2, *_ACROSS)
+def genomes(layout: GraphLayout, genes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "g n"]:
+    """Return the plans of bodies."""
+    length, along, sweep = (gene.value(x) for gene, x in zip(GENES, genes.T, strict=True))
+    graph = {name: np.zeros((*shape, len(genes))) for name, shape in layout.shapes.items()}
     graph["used"][:], graph["limits"][:], graph["strength"][:] = 1, 1, _STRENGTH
-    graph["label"][:], graph["recursion"][:] = (1, 2, 3), (1, 2, 2)
-    low, high = _HALF
-    graph["size"][:] = np.round(256 * np.log(np.array(sizes) / low) / np.log(high / low)) / 256
-    front, rear, side = [_MOST, 0, 0], [-_MOST, 0, 0], [along, _MOST, 0]
-    links = (0, 0, 1, rear), (0, 1, 2, side), (1, 0, 1, front), (2, 0, 2, front)
+    graph["label"][:], graph["recursion"][:] = np.array([[1, 1], [2, 2], [3, 2]]).T[..., None]
+    (low, high), sizes = _HALF, np.empty_like(graph["size"])
+    sizes[0], sizes[1:, 1:] = np.array(_TRUNK)[:, None], np.array(_ACROSS)[:, None]
+    sizes[1, 0], sizes[2, 0] = (_LENGTHS - length) / 2, length / 2
+    graph["size"][:] = np.round(256 * np.log(sizes / low) / np.log(high / low)) / 256
+    ahead, side = (_MOST, 0), (along, _MOST)
+    links = (0, 0, 1, (-_MOST, 0)), (0, 1, 2, side), (1, 0, 1, ahead), (2, 0, 2, ahead)
     for node, link, to, place in links:
         graph["on"][node, link], graph["to"][node, link] = 1, to
-        graph["place"][node, link] = np.round(np.array(place) * 128) / 128
+        for axis, value in enumerate(place):
+            graph["place"][node, link, axis] = np.round(128 * value) / 128
     graph["reflect"][0, 1] = 1
-    graph["turn"][0, 1, 0] = np.clip(np.round(sweep / 60 * 128), -127, 127) / 128
+    graph["turn"][0, 1, 0] = np.clip(np.round(128 / GENES[2].high * sweep), -127, 127) / 128
     return np.asarray(layout.pack(PlanGraph(**{name: jnp.asarray(x) for name, x in graph.items()})))
 
 
 def outline(family: Family, body: int) -> Float[np.ndarray, "b 4 2"]:
     """Return the corners of each part of a body in its neutral pose, seen from above (m)."""
-    plan = family.plans.plan(genome(family.plans.layout, family.genes[body]))
+    plan = family.plans.plan(genomes(family.plans.layout, family.genes[[body]])[:, 0])
     centres, turns, corners = [], [], []
     for i in np.flatnonzero(plan.present):
         joint, turn, parent = SINK * plan.place[i], plan.rotation[i], plan.parent[i]
