@@ -68,7 +68,11 @@ class Gene(NamedTuple):
 GENES = (
     Gene("length of a limb's part", "m", 0.06, 0.4, ("long tail", "long limbs")),
     Gene(
-        "place along the trunk", "1: front", -_ALONG, _ALONG, ("limbs at the rear", "at the front")
+        "place along the trunk",
+        "-1 rear, 1 front",
+        -_ALONG,
+        _ALONG,
+        ("limbs behind", "limbs ahead"),
     ),
     Gene("sweep", "degrees", -_SWEEP, _SWEEP, ("swept forwards", "swept backwards")),
 )

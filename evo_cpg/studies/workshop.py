@@ -2,6 +2,7 @@
 
     runs/NAME/         run folder for each of the study's runs
     runs/KEY.json      measurements of finished runs
+    runs/PART.npz      map of bodies of a part
     PART.md            tables
     PART*.png          pictures
     provenance.json    provenance of each part

@@ -26,16 +26,18 @@ def bodies_figure(
     label: str,
     drawn: Mapping[str, Creature],
 ) -> Figure:
-    """Draw the map of three genes, in panels for some values of the third.
+    """Draw the map of three genes, in panels for some values of the third, with the best framed.
 
     Args:
         axes: name, unit, least and largest value of each gene.
         fitness: best fitness of each body.
-        near: fraction of the bodies that are outlined as the best.
+        near: fraction of the bodies that are framed as the best.
         label: name of the fitness, with its unit.
         drawn: creatures of boxes by their captions.
     """
-    title = f"{fitness.size:,} bodies, each with its best rhythm (red: the best {100 * near:g} %)"
+    title = (
+        f"{fitness.size:,} bodies, each with its best rhythm (framed: the best {100 * near:g} %)"
+    )
     above, below = new_figure(10.5, 11, title).subfigures(2, 1, height_ratios=(4, 1), squeeze=False)
     best, cells = fitness >= np.quantile(fitness, 1 - near), len(fitness)
     scale, rows = Normalize(fitness.min(), fitness.max()), min(cells, _PANELS) // _IN_A_ROW
@@ -44,8 +46,9 @@ def bodies_figure(
     for panel, k in zip(panels.flat, np.linspace(0, cells - 1, panels.size).round(), strict=True):
         own = np.s_[..., int(k)]
         panel.pcolormesh(x, y, fitness[own].T, cmap=_COLOURS, norm=scale)
-        if best[own].any():
-            panel.contour(x, y, best[own].T, [0.5], colors=RED, linewidths=1.8)
+        frames = np.stack([x, y], -1)[np.array(np.nonzero(best[own])).T, [0, 1]]
+        frames = frames[:, None] + _CORNERS[None, :, :2] * [(x[1] - x[0]) / 2, (y[1] - y[0]) / 2]
+        panel.add_collection(PolyCollection(frames, facecolors="none", edgecolors=RED, lw=1.2))
         panel.set_title(f"{axes[2][0]} {values[int(k)]:.0f} {axes[2][1]}", fontsize=9.5)
     above[0].supxlabel("{} ({})".format(*axes[0]), fontsize=10)
     above[0].supylabel("{} ({})".format(*axes[1]), fontsize=10)
@@ -71,7 +74,7 @@ def _draw_bodies(figure: SubFigure, drawn: Mapping[str, Creature]) -> None:
 
 def _outlines(creature: Creature) -> Float[np.ndarray, "b 4 2"]:
     """Return the corners of each box (m). The left side (y) is to the left of the front (x)."""
-    sizes = np.array([body.shape.size for body in creature.bodies], float)
+    halves = np.array([body.shape.half_extents for body in creature.bodies], float)
     centres, turns = map(np.asarray, neutral_pose(creature))
-    corners = centres[:, None] + (sizes / 2)[:, None] * _CORNERS[None] @ np.swapaxes(turns, 1, 2)
+    corners = centres[:, None] + halves[:, None] * _CORNERS[None] @ np.swapaxes(turns, 1, 2)
     return np.stack([-corners[..., 1], corners[..., 0]], -1)
