@@ -91,16 +91,14 @@ def _map(workshop: Workshop) -> tuple[_Sizes, Family, Map]:
 
 def _drawn(family: Family, found: Map) -> dict[str, Creature]:
     """Return creatures by caption: each gene at its ends, the others in the middle; the best."""
-    bodies = {"best body\n": int(found.fitness.argmax())}
-    for number, gene in reversed([*enumerate(GENES)]):
-        for end, word in ((1, gene.words[1]), (0, gene.words[0])):
+    bodies = {}
+    for number, gene in enumerate(GENES):
+        for end, word in enumerate(gene.words):
             genes = np.where(np.arange(len(GENES)) == number, end, 0.5)
-            bodies[f"{word}\n({gene[2 + end]:.2g})"] = int(family.nearest(genes))
-    alone = family.plans.alone
-    return {
-        caption: alone(family.genomes[:, body])[0].creature.build()
-        for caption, body in reversed(bodies.items())
-    }
+            bodies[f"{word}\n({gene[2 + end]:.2g})"] = family.nearest(genes)
+    bodies["best body\n"] = found.fitness.argmax()
+    genomes = ((name, family.genomes[:, body]) for name, body in bodies.items())
+    return {name: family.plans.alone(own)[0].creature.build() for name, own in genomes}
 
 
 def peaks(fitness: Float[np.ndarray, "a b c"]) -> int:
@@ -112,10 +110,8 @@ def peaks(fitness: Float[np.ndarray, "a b c"]) -> int:
     return int(peak.sum())
 
 
-_TITLES = "best rhythm of each of 19,683 bodies", "searches that end near the best bodies"
-STUDY = Study(
-    "bodies",
-    "Map of bodies, and searches on it",
-    {},
-    {"map": Part(_TITLES[0], (), report_map), "searches": Part(_TITLES[1], (), report_searches)},
-)
+_PARTS = {
+    "map": Part("best rhythm of each of 19,683 bodies", (), report_map),
+    "searches": Part("searches that end near the best bodies", (), report_searches),
+}
+STUDY = Study("bodies", "Map of bodies, and searches on it", {}, _PARTS)

@@ -102,7 +102,7 @@ def test_protection_keeps_the_best_of_each_age():
     assert survivors(both, 3, False).body[0, :, 0].tolist() == [0, 4, 3]
 
 
-def testpeaks_are_better_than_all_neighbours():
+def test_peaks_are_better_than_all_neighbours():
     fitness = np.zeros((3, 3, 3))
     fitness[0, 0, 0], fitness[1, 1, 1], fitness[1, 1, 2] = 1, 2, 3
     assert peaks(fitness) == 2
