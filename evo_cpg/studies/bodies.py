@@ -95,7 +95,7 @@ def _drawn(family: Family, found: Map) -> dict[str, Creature]:
     for number, gene in enumerate(GENES):
         for end, word in enumerate(gene.words):
             genes = np.where(np.arange(len(GENES)) == number, end, 0.5)
-            bodies[f"{word}\n({gene[2 + end]:.2g})"] = family.nearest(genes)
+            bodies[f"{word}\n({gene[2 + end]:.2g})"] = family.nearest(genes[None])[0]
     bodies["best body\n"] = found.fitness.argmax()
     genomes = ((name, family.genomes[:, body]) for name, body in bodies.items())
     return {name: family.plans.alone(own)[0].creature.build() for name, own in genomes}

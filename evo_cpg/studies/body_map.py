@@ -113,7 +113,7 @@ class Family:
         self._numbers, self._axes = numbers.astype(np.float32), len(control) // RHYTHM
         self._run = compile_plan_trials(simulation, _BODIES + 1, population_mesh())
 
-    def nearest(self, genes: Float[np.ndarray, "*n 3"]) -> Int[np.ndarray, " *n"]:
+    def nearest(self, genes: Float[np.ndarray, "*n 3"]) -> Int[np.ndarray, "*n"]:
         """Return the bodies of the grid that are nearest to some genes."""
         return np.round(genes * (self.cells - 1)).astype(int) @ self.cells ** np.array([2, 1, 0])
 

@@ -103,7 +103,7 @@ class _Search(NamedTuple):
         return self._tried(body, rhythm, np.zeros(self.shape, int))
 
     def children(self, parents: Population) -> Population:
-        """Return a mutated child of each individual. Only a new body learns."""
+        """Return a mutated child of each individual. A child that learns always has a new body."""
         changes = (self.draw.random(self.shape) < _NEW_BODY) | (self.scheme.trials > 1)
         body = np.where(changes[..., None], self._mutated(parents.body), parents.body)
         age = np.where(changes, 0, parents.age)
