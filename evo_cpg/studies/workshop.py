@@ -2,6 +2,7 @@
 
     runs/NAME/         run folder for each of the study's runs
     runs/KEY.json      measurements of finished runs
+    runs/PART.npz      map of bodies of a part
     PART.md            tables
     PART*.png          pictures
     provenance.json    provenance of each part
@@ -94,11 +95,16 @@ class Workshop:
         make_folder(self.folder / "runs")
 
     def forget(self, part: str) -> None:
-        """Delete the runs of a part, to evolve them again."""
+        """Delete the runs and the map of a part, to make them again."""
+        self.map_file(part).unlink(missing_ok=True)
         for name in self.study.parts[part].runs:
             self._members.pop(name, None)
             self._loaded.pop(name, None)
             shutil.rmtree(self._run(name).path, ignore_errors=True)
+
+    def map_file(self, part: str) -> Path:
+        """Return the path of the map of bodies that a part makes, if it does."""
+        return self.folder / "runs" / f"{part}.npz"
 
     def make(self, part: str) -> list[Path]:
         """Make a part: evolve its unfinished runs, and write its files.

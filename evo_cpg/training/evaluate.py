@@ -149,6 +149,25 @@ def compile_trials(
     return run
 
 
+def compile_plan_trials(
+    simulation: Simulation,
+    size: int,
+    mesh: Mesh,
+    width: int | None = None,
+    observers: Observers = JUDGE,
+    ahead: tuple | None = None,
+) -> Callable[..., Any]:
+    """Return the function of `compile_trials` for plans in the program for some bodies.
+
+    The function takes the controller's genes and the inputs of `PlanBuilder.given`.
+    """
+    assert simulation.plans is not None
+    inputs = simulation.plans.inputs(size)
+    common = {name: getattr(simulation, name) for name in _OF_TRIALS}
+    star = dataclasses.replace(inputs.common, **common)
+    return compile_trials(star, mesh, width, inputs, observers, ahead)
+
+
 def _compile_trials_of_plans(
     simulation: Simulation, mesh: Mesh, width: int | None, observers: Observers
 ) -> Callable[..., Any]:
@@ -161,13 +180,10 @@ def _compile_trials_of_plans(
     plans, programs = simulation.plans, {}
     assert plans is not None
     recorded = any(one.every_step for one in jax.tree.leaves(observers))
-    common = {name: getattr(simulation, name) for name in _OF_TRIALS}
 
     def program(size: int, given: tuple) -> None:
-        own = plans.inputs(size)
-        star = dataclasses.replace(own.common, **common)
         chunk = width if recorded and width else LANES
-        programs[size] = compile_trials(star, mesh, chunk, own, observers, given)
+        programs[size] = compile_plan_trials(simulation, size, mesh, chunk, observers, given)
 
     def run(
         genes: Float[np.ndarray, "g individuals"],
