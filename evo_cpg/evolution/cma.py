@@ -36,7 +36,7 @@ class Searches(NamedTuple):
     generation: int
 
 
-def begun(mean: Float[np.ndarray, "n d"], step: float) -> Searches:
+def started(mean: Float[np.ndarray, "n d"], step: float) -> Searches:
     """Return searches around given centres."""
     count, size = mean.shape
     none, eye = np.zeros_like(mean), np.tile(np.eye(size), (count, 1, 1))
