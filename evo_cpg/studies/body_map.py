@@ -163,7 +163,7 @@ def trained(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 5"]]:
     """Return the best fitness and rhythm of each body that CMA-ES finds."""
     draw, count = np.random.default_rng(seed), len(bodies)
-    searches = cma.begun(np.full((count, RHYTHM), 0.5), _FIRST_STEP)
+    searches = cma.started(np.full((count, RHYTHM), 0.5), _FIRST_STEP)
     best, rhythm = np.full(count, -np.inf), np.zeros((count, RHYTHM))
     for _ in range(generations):
         points = cma.children(searches, draw.standard_normal((count, _CHILDREN, RHYTHM)))

@@ -7,7 +7,7 @@ from evo_cpg.evolution import cma
 
 def searched(fitness_of, count, size, generations, children=20, seed=0):
     """Return the searches after some generations, from the middle of the cube."""
-    draw, searches = np.random.default_rng(seed), cma.begun(np.full((count, size), 0.5), 0.3)
+    draw, searches = np.random.default_rng(seed), cma.started(np.full((count, size), 0.5), 0.3)
     for _ in range(generations):
         points = cma.children(searches, draw.standard_normal((count, children, size)))
         searches = cma.updated(searches, points, fitness_of(points))
@@ -37,7 +37,7 @@ def test_searches_do_not_depend_on_each_other():
     numbers, optima = draw.standard_normal((30, 3, 8, 2)), draw.random((3, 1, 2))
 
     def run(chosen):
-        searches = cma.begun(np.full((len(chosen), 2), 0.5), 0.3)
+        searches = cma.started(np.full((len(chosen), 2), 0.5), 0.3)
         for normal in numbers:
             points = cma.children(searches, normal[chosen])
             searches = cma.updated(searches, points, -np.abs(points - optima[chosen]).sum(-1))
