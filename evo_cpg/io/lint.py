@@ -369,7 +369,7 @@ def light_unseen(case: Case) -> Found:
             f"a controller of type {config.controller.type!r} senses nothing, so the animal cannot "
             f"steer towards the light. Choose a controller with senses (brain_cpg), or {instead}",
         )
-    elif not config.creature.light_sensors and not any(
+    elif not (config.creature.light_sensors or config.controller.type == "body_brain") and not any(
         isinstance(sensor, CustomConfig) for sensor in config.creature.sensors
     ):
         root = next(body.name for body in case.creature.bodies if body.joint is None)

@@ -9,6 +9,8 @@ from scipy.stats import rankdata
 from evo_cpg.creature.creature import Creature
 from evo_cpg.studies.body_map import GENES, Family, Map, made_map, trained
 from evo_cpg.studies.body_searches import SCHEMES, final_bodies
+from evo_cpg.studies.controls import PART as CONTROLS
+from evo_cpg.studies.controls import RUNS
 from evo_cpg.studies.newborns import report as report_newborns
 from evo_cpg.studies.study import Part, Study, Table, middle, percent
 from evo_cpg.studies.workshop import Workshop
@@ -112,8 +114,9 @@ def peaks(fitness: Float[np.ndarray, "a b c"]) -> int:
 
 
 _PARTS = {
+    "controls": CONTROLS,
     "newborns": Part("one brain drives bodies that it has never seen", (), report_newborns),
     "map": Part("best rhythm of each of 19,683 bodies", (), report_map),
     "searches": Part("searches that end near the best bodies", (), report_searches),
 }
-STUDY = Study("bodies", "Bodies that evolve, and brains that fit them", {}, _PARTS)
+STUDY = Study("bodies", "Bodies that evolve, and brains that fit them", RUNS, _PARTS)

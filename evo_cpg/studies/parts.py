@@ -45,16 +45,34 @@ def audit_part(title: str, shown: Mapping[str, str], *, medians: bool = False) -
     return Part(title, tuple(shown.values()), report)
 
 
-def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
-    """Return a row for the audit of each champion of a run, or only of the first if quick."""
+def audited(workshop: "Workshop", name: str, best: int | None = None) -> list[dict[str, Any]]:
+    """Return a row for the audit of each champion of a run, or only of the first if quick.
+
+    Args:
+        workshop: maker of the study.
+        name: name of the run.
+        best: number of the fittest champions to audit, or None for all in order of seeds.
+    """
 
     def measure() -> list[dict[str, Any]]:
         from evo_cpg.api.audit import audits
+        from evo_cpg.io.run import open_run
 
         member = workshop.member(name)
-        champions = workshop.champions(name)[: 1 if workshop.quick else None]
+        champions = workshop.champions(name)
+        if best:
+            champions = sorted(champions, key=lambda each: -each.fitness)[:best]
+        champions = champions[: 1 if workshop.quick else None]
         config, source = member.config, member.source
-        made = audits(member.experiment, champions, config.audit.limits(), config, source)
+        if member.experiment.simulation.has_own_bodies:
+            run = open_run(member.folder.path)
+            own = [run.of_body(champion) for champion in champions]
+            made = [
+                audits(one.experiment, [one.champion], config.audit.limits(), one.config, source)[0]
+                for one in own
+            ]
+        else:
+            made = audits(member.experiment, champions, config.audit.limits(), config, source)
         return [
             {
                 "seed": member.experiment.seed + champion.run,

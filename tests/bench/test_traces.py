@@ -33,7 +33,9 @@ def test_animal_moves_as_stored(animal):
 
 
 def test_every_shipped_configuration_has_a_trace():
-    evolving = {path.stem for path in CONFIGS if path.stem.startswith(("evolving_", "virtual_"))}
+    evolving = {
+        path.stem for path in CONFIGS if path.stem.startswith(("evolving_", "virtual_", "follow_"))
+    }
     assert sorted(name for each in ANIMALS for name in each.names) == sorted(
         {path.stem for path in CONFIGS} - evolving
     )

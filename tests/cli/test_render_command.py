@@ -109,7 +109,7 @@ def test_a_replay_with_another_fitness_is_a_warning(film, two_runs, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--lineage", "first"), "neither auto nor a list"),
+        (("--lineage", "first"), "neither auto, ancestors nor a list"),
         (("--lineage", "0,1,2,3,4,5,6,7,8,9"), "10 generations are too many"),
         (("--lineage", "auto", "--cell", "0"), "--lineage and --cell exclude"),
         (("--lineage", "auto", "--beside"), "--lineage and --beside exclude"),

@@ -1,0 +1,70 @@
+"""Controls of bodies that evolve: what does it take away if only bodies, or only brains, evolve?"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from evo_cpg.studies.parts import audit_table, audited
+from evo_cpg.studies.study import Part, Runs, Table, beside, middle, tabled
+
+if TYPE_CHECKING:
+    from evo_cpg.studies.workshop import Workshop
+
+_CONFIG, _SEEDS = "virtual_creatures_water", 20
+# Name in tables, and changes to the configuration, of each arm by its run.
+_ARMS = {
+    "both": ("body and brain", ()),
+    "brain": ("brain alone", ("evolution.evolve=brain", "evolution.founders=1")),
+    "body": ("body alone, fixed rhythm", ("evolution.evolve=body",)),
+    "random": ("random plans, evolved brains", ("evolution.evolve=brain",)),
+    "protected": (
+        "body and brain, young bodies protected",
+        ("evolution.protect=true", "evolution.same_body=0.5"),
+    ),
+}
+_RANDOM = "random plans, evolved brains"
+# Champions of each arm that are audited.
+_AUDITED = 3
+
+
+def report(workshop: "Workshop") -> list[Table]:
+    """Compare the arms, count their topologies, and audit their best champions."""
+    fitness = {
+        words: [champion.fitness for champion in workshop.champions(name)]
+        for name, (words, _) in _ARMS.items()
+    }
+    tests = beside(fitness, _RANDOM)
+    rows = []
+    for name, (words, _) in _ARMS.items():
+        best, every, apart = workshop.kept(
+            f"diversity_{name}", [name], lambda name=name: _counted(workshop, name)
+        )
+        rows.append(
+            {
+                "evolves": words,
+                "distance, m": middle(fitness[words]),
+                f"beside {_RANDOM}": tests[words],
+                "topologies of the best 30": middle(best, 0),
+                "of all": middle(every, 0),
+                "edit distance": middle(apart, 1),
+            }
+        )
+    audits = {words: audited(workshop, name, _AUDITED) for name, (words, _) in _ARMS.items()}
+    return [tabled(rows, "After 100 generations:"), audit_table("The best champions:", audits)]
+
+
+def _counted(workshop: "Workshop", name: str) -> list[list[float]]:
+    """Return diversity in the last generation of each run: of the best, of all, and distances."""
+    from evo_cpg.analysis.diversity import diversity
+    from evo_cpg.io.plans import plans_of
+    from evo_cpg.training.family import read_family
+
+    member = workshop.member(name)
+    plans, last = plans_of(member.config), read_family(member.folder.path)[-1:]
+    found = [diversity(plans, last, run) for run in range(member.experiment.runs)]
+    rows = [(each.best[0], each.topologies[0], each.distance[0]) for each in found]
+    return np.array(rows, float).T.tolist()
+
+
+RUNS = {name: Runs(_CONFIG, changes, _SEEDS) for name, (_, changes) in _ARMS.items()}
+PART = Part("bodies and brains that evolve, beside those that do not", tuple(RUNS), report)
