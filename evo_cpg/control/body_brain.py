@@ -16,8 +16,8 @@ where a is 1 if the part points at the light, and v times a constant is the comm
 part moves fast away from the light and slowly back (c > 0). Drag grows with the square of the
 speed, and the body is pushed to the light, whatever its attitude. No limb has to know the others.
 
-All equations are odd: an axis that is turned the other way round commands the opposite rate. So the
-two limbs of a pair mirror each other, and no axis has a preferred side.
+All equations are odd but for the start of the oscillator: an axis that is turned the other way
+round commands the opposite rate. So the two limbs of a pair mirror each other.
 """
 
 import dataclasses
@@ -155,7 +155,7 @@ class BodyBrain(Controller):
     def decode(self, genes: Float[Array, "g *n"]) -> Character:
         changes = 2.0 * jnp.clip(genes, 0.0, 1.0).reshape(len(CHARACTER), -1, *genes.shape[1:]) - 1
         first, largest = (expand_dims_like(x, changes) for x in np.array([*CHARACTER.values()]).T)
-        numbers = first + self._thought(changes) + largest * changes
+        numbers = first + self._network(changes) + largest * changes
         adaptation, coupling, start = numbers[0], numbers[1], jax.nn.sigmoid(numbers[2])
         own = self.oscillators.settings
         tonic, span = own.max_tonic_input, own.max_adaptation_gain - own.min_adaptation_gain
@@ -167,8 +167,8 @@ class BodyBrain(Controller):
         )
         return Character(rhythm, numbers[3:])
 
-    def _thought(self, like: Float[Array, "c d *n"]) -> Float[Array, "c d *n"]:
-        """Return the network's numbers for all axes."""
+    def _network(self, like: Float[Array, "c d *n"]) -> Float[Array, "c d *n"]:
+        """Return the network's output for all axes."""
         inner, outer = jnp.split(jnp.asarray(self.weights, like.dtype), [WEIGHTS[0]])
         place = expand_dims_like(places(self.tree), like)
         values = jnp.broadcast_to(place, (len(place), *like.shape[1:]))

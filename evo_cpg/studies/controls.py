@@ -50,7 +50,7 @@ def report(workshop: "Workshop") -> list[Table]:
             }
         )
     audits = {words: audited(workshop, name, _AUDITED) for name, (words, _) in _ARMS.items()}
-    return [tabled(rows, "After 100 generations:"), audit_table("The best champions:", audits)]
+    return [tabled(rows, "In the last generation:"), audit_table("The best champions:", audits)]
 
 
 def _counted(workshop: "Workshop", name: str) -> list[list[float]]:

@@ -40,7 +40,7 @@ AWAY = 5.0
 _BODIES, _AXES = 4, 3
 # Random plans that are drawn for each plan that is kept.
 _DRAWN = 2
-# Physics steps in a control step. With two the fastest limbs gain speed from rounding alone.
+# Physics steps in a control step. Trainings exploit the error of longer steps.
 _SUBSTEPS = 4
 
 

@@ -73,7 +73,8 @@ def test_bearings_have_no_preferred_side():
 
 @pytest.fixture(scope="module")
 def nursery():
-    return Nursery(3, 32, seconds=2.0)
+    """Trials are short, because the chaos of strokes enlarges rounding."""
+    return Nursery(3, 32, seconds=0.5)
 
 
 @pytest.mark.slow
@@ -82,7 +83,7 @@ def test_visits_are_trials_of_own_animals(nursery):
     lights = bearings(np.random.default_rng(0), 32)
     visits = nursery.visits(np.arange(32), lights, newborn_weights()[:, None])
     covered = nursery.covered(visits)
-    assert np.median(covered) > 0.02
+    assert np.median(covered) > 1e-3
     for i in (0, 7):
         config, genes = nursery.alone(nursery.genes[:, i])
         x, y, z = lights[:, i]
@@ -96,7 +97,7 @@ def test_visits_are_trials_of_own_animals(nursery):
         own = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation
         even = np.full((len(genes), 1), 0.5, np.float32)
         outcome = quick_jit(lambda genes, own=own: rollout(own, genes))(even)
-        assert 1 - float(outcome.terms["distance"][0]) == pytest.approx(covered[i], abs=2e-3)
+        assert 1 - float(outcome.terms["distance"][0]) == pytest.approx(covered[i], abs=1e-4)
 
 
 @pytest.mark.slow
