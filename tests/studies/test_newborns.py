@@ -112,7 +112,8 @@ def test_gradients_of_visits_agree_with_differences():
 
     value, slopes = nursery.gradients(visits(0.0))
     high, low = (nursery.covered(visits(step)) for step in (0.02, -0.02))
-    np.testing.assert_allclose(value, nursery.covered(visits(0.0)), atol=1e-6)
+    # Distances near 1 are sums of 30 numbers of float32.
+    np.testing.assert_allclose(value, nursery.covered(visits(0.0)), atol=1e-5)
     expected, found = (high - low) / 0.04, (slopes * direction).sum(0)
     assert np.abs(found - expected).max() < 0.05 * np.abs(expected).max()
 
