@@ -134,6 +134,8 @@ class Nursery(EvolvedPlans):
         self, found: tuple[Any, ...], individuals: Int[np.ndarray, " k"], size: int
     ) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "v k"]]:
         genes, values = super().given(found[:3], individuals, size)
+        # The brain is the network's, without changes by genes.
+        genes = np.full_like(genes, 0.5)
         return genes, np.concatenate([values, found[3][:, individuals]])
 
     def visits(
