@@ -65,7 +65,8 @@ def places(tree: Tree) -> Float[Numbers, "p d"]:
     own, part = directions(tree), tree.volume[bodies]
     total, centre = tree.volume.sum(), tree.centre
     size = (total + _TINY**3) ** (1 / 3)
-    squares = (centre * centre).sum(0)
+    # The square root of 0 has no derivative.
+    squares = (centre * centre).sum(0) + _TINY**2
     extent = _extents(tree)[:, bodies] / size
     limb, moved = above.T @ tree.volume, above.T @ tree.mass
     inertia = moved * (squares + _TINY)

@@ -48,7 +48,7 @@ class Progress(NamedTuple):
         weights: present weights of the brain.
         adam: state of Adam.
         updates: number of updates.
-        seconds: duration so far, s.
+        seconds: processor time so far, s.
     """
 
     weights: Float[np.ndarray, " w"]
@@ -100,7 +100,8 @@ def trained(
 ) -> Float[np.ndarray, " w"]:
     """Return the weights after some minutes of training from none, by optax's Adam.
 
-    The file keeps the progress. An interrupted training goes on from there.
+    The minutes are processor time, so that other work on the machine costs a training nothing. The
+    file keeps the progress. An interrupted training goes on from there.
     """
     adam = optax.adam(step, b2=0.99)
     draw = np.random.default_rng(seed)
@@ -109,10 +110,10 @@ def trained(
     if file.is_file():
         now = _read(file, now)
     while now.seconds < 60 * minutes:
-        began = time.perf_counter()
+        began = time.process_time()
         ahead = direction(np.random.default_rng((seed, now.updates)), now.weights)
         change, state = adam.update(-ahead, now.adam, now.weights)
-        seconds = now.seconds + time.perf_counter() - began
+        seconds = now.seconds + time.process_time() - began
         now = Progress(now.weights + np.asarray(change), state, now.updates + 1, seconds)
         work.reached(int(seconds), int(60 * minutes))
         if now.updates % _OFTEN == 0:

@@ -37,7 +37,7 @@ def test_training_goes_on_after_an_interruption(tmp_path):
 
     clock = iter(range(10**6))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("evo_cpg.studies.newborns.time.perf_counter", lambda: float(next(clock)))
+        patch.setattr("evo_cpg.studies.newborns.time.process_time", lambda: float(next(clock)))
         expected = trained(uphill, 0.1, 2.0, whole, Work())
         with pytest.raises(KeyboardInterrupt):
             trained(counted, 0.1, 2.0, parts, Work())
