@@ -1,8 +1,4 @@
-"""Diversity of body plans over the generations of a run.
-
-The *topology* of a plan is its tree of bodies with the axes of their joints. It has no labels,
-sizes or places, and the order of children does not count. So two plans have one topology if and
-only if one can be drawn over the other, joint by joint.
+"""Diversity of body plans over the generations of a run (`evo_cpg.creature.topology`).
 
 The edit distance of two topologies is the least number of bodies that are added, removed or given
 other joint axes to make one from the other (Zhang and Shasha 1989, "Simple fast algorithms for the

@@ -32,6 +32,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.control.couplings import UnfitError
 from evo_cpg.control.limb_oscillators import (
     LimbOscillators,
     LimbOscillatorSettings,
@@ -44,6 +45,7 @@ from evo_cpg.control.places import PLACE, directions, places
 from evo_cpg.creature.algebra.linear import expand_dims_like, matmul
 from evo_cpg.creature.algebra.numerics import Number, Numbers
 from evo_cpg.creature.tree import Tree
+from evo_cpg.errors import nearest
 
 CHARACTER = {
     "adaptation": (0.0, 3.0),
@@ -86,6 +88,8 @@ class BodyBrainSettings:
         time_scale: factor on the time constants of the oscillators, more than 0.
         max_rate: largest commanded rate of a motor, rad/s, more than 0.
         spread: largest change by the first genes, as a fraction of all changes, 0 to 1.
+        eyes: names of bodies with eyes, or None if each part senses the light. A part senses it if
+            it has an eye or hangs on a part that senses it.
 
     Raises:
         ValueError: a value is outside its range.
@@ -95,6 +99,7 @@ class BodyBrainSettings:
     time_scale: float = 0.4
     max_rate: float = 30.0
     spread: float = 0.1
+    eyes: tuple[str, ...] | None = None
 
     def __post_init__(self):
         for name in ("time_scale", "max_rate"):
@@ -127,7 +132,7 @@ class BodyBrain(Controller):
         tree: the creature.
         weights: weights of the network, layer by layer, row by row, biases last.
         spread: largest change by the first genes, as a fraction of all changes.
-        sight: factor on the direction of the light: 0 makes the brain blind.
+        sight: factor on the direction of the light for each body, or one for all: 0 is blind.
     """
 
     oscillators: LimbOscillators
@@ -135,7 +140,7 @@ class BodyBrain(Controller):
     weights: Float[Numbers, " w"]
     gene_count: int = eqx.field(static=True)
     spread: float = eqx.field(static=True)
-    sight: Number = 1.0
+    sight: Float[Numbers, " b"] | Number = 1.0
 
     uses_bearing = True
     signal_label = "CPG output (no unit)"
@@ -202,9 +207,8 @@ class BodyBrain(Controller):
         """Return lure, direction along the part, and angle of each axis, all from -1 to 1."""
         assert observation.bearing is not None
         own, angle = directions(self.tree), observation.joint_angle
-        bearing = self.sight * jnp.stack(
-            [observation.bearing[:, i] for i in self.tree.dof_bodies], 1
-        )
+        sight = jnp.broadcast_to(jnp.asarray(self.sight, angle.dtype), (self.tree.body_count,))
+        bearing = jnp.stack([sight[i] * observation.bearing[:, i] for i in self.tree.dof_bodies], 1)
         sweep, along = (expand_dims_like(x, bearing) for x in (own.sweep, own.along))
         middle, half = (expand_dims_like(x, angle) for x in (own.middle, own.half))
         return (sweep * bearing).sum(0), (along * bearing).sum(0), (angle - middle) / half
@@ -228,6 +232,7 @@ def build_body_brain(tree: Tree, settings: BodyBrainSettings, control_step: floa
 
     Raises:
         ValueError: the creature has no joint.
+        UnfitError: the creature lacks a body with an eye.
     """
     own = LimbOscillatorSettings(time_scale=settings.time_scale, max_rate=settings.max_rate)
     weights = np.zeros(sum(WEIGHTS)) if settings.brain == "untrained" else newborn_weights()
@@ -237,7 +242,20 @@ def build_body_brain(tree: Tree, settings: BodyBrainSettings, control_step: floa
         weights=weights,
         gene_count=len(CHARACTER) * tree.dof_count,
         spread=settings.spread,
+        sight=1.0 if settings.eyes is None else _sight(tree, settings.eyes),
     )
+
+
+def _sight(tree: Tree, eyes: tuple[str, ...]) -> Float[np.ndarray, " b"]:
+    """Return 1 for each body with an eye on it or on an ancestor, otherwise 0."""
+    for i, name in enumerate(eyes):
+        if name not in tree.names:
+            problem = f"unknown body {name!r}: {nearest(name, tree.names)}"
+            raise UnfitError(problem, ("eyes", i), unknown_name=True)
+    own = np.isin(tree.names, eyes)
+    for body, parent in enumerate(tree.parents):
+        own[body] |= parent >= 0 and own[parent]
+    return own.astype(float)
 
 
 def newborn_weights() -> Float[np.ndarray, " w"]:

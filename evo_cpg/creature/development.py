@@ -14,6 +14,10 @@ The root part is the first body. Bodies grow breadth-first along the connections
   bodies than there is room for. Nothing hangs on a body that did not grow.
 - If the volume of all bodies is too large, all lengths shrink by the same factor.
 
+Growth is a choice of bodies and has no derivative. The bodies that grew have derivatives by sizes,
+places, strengths, limits and control genes. These take no notice of rounding and of the limit of
+the volume.
+
 Frames are at the centres of the boxes. Every body but the root has its joint at the centre of its
 near end face, ``(-half_x, 0, 0)`` in its own frame. The root faces +x, and z is up.
 
@@ -32,7 +36,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.linear import matmul, matvec, matvec_t, t_matmul
-from evo_cpg.creature.graph import JOINT_AXES, MOST_RECURSION, GraphLayout, PlanGraph
+from evo_cpg.creature.graph import JOINT_AXES, MOST_RECURSION, GraphLayout, PlanGraph, infinitesimal
 from evo_cpg.creature.walk import walk_order
 
 # Numbers of the growth are whole, so that the compiler cannot round them in different ways. Then a
@@ -165,14 +169,18 @@ def _geometry(
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b 3"], Float[Array, "b 3 3"]]:
     """Return half extents, joint places (m) and rotations of bodies in their final order."""
     lengths = jnp.asarray(_lengths(bounds), float)[bodies.size]
+    span = math.log(bounds.half[1] / bounds.half[0])
+    change = jnp.exp(span * infinitesimal(graph.size.T)[:, bodies.node])
     # A sum of whole numbers below 2^24 is exact, so its order does not matter.
     unit = 2.0 ** math.ceil(math.log2(8 * bounds.half[1] ** 3 * bounds.bodies)) / 2**23
     x, y, z = 2 * lengths
     volumes = jnp.where(present, jnp.round(x * y * z / unit), 0.0)
-    half = lengths * _shrunk(volumes.sum() * unit, bounds)
+    half = lengths * _shrunk(volumes.sum() * unit, bounds) * change
     sides = _sides(bodies.mirror)
     place, depth = _places(graph)
-    face = (place / depth[None]).reshape(3, -1)[:, bodies.via]
+    moved = 128 * infinitesimal(jnp.moveaxis(graph.place, -1, 0))
+    beyond = (moved * jnp.sign(place) * (jnp.abs(place) == depth[None])).sum(0)
+    face = ((place + moved) / (depth + beyond)[None]).reshape(3, -1)[:, bodies.via]
     rotation = _rotations(graph, bounds, lambda x: jnp.asarray(x, float), _float_product)
     rotation = rotation.reshape(3, 3, -1)[..., bodies.via] * sides[:, None] * sides[None]
     root = jnp.arange(len(parent)) == 0

@@ -5,16 +5,14 @@ connections may point to one node, so that a node may appear as several bodies. 
 chain of bodies. `evo_cpg.creature.development` turns a graph into bodies, and
 `evo_cpg.evolution.graphs` draws, mutates and crosses graphs.
 
-A graph is also a vector of numbers, as every genome. The last number is the *age* of the body, the
-number of generations since it changed. Each number is stored exactly in one byte, and a label in
-three:
+A graph is also a vector of numbers, as every genome. Each number is stored exactly in one byte, and
+a label in three:
 
 ====================  =============================  =======================
 genes                 values                         multiples of
 ====================  =============================  =======================
 flags, choices        whole numbers                  1
 label                 whole numbers below 2^24       1
-age                   whole numbers up to 255        1
 fractions             0 <= gene < 1                  1/256
 signed fractions      -1 < gene < 1                  1/128
 ====================  =============================  =======================
@@ -35,8 +33,6 @@ LINKS = ("on", "to", "place", "turn", "scale", "reflect", "terminal")
 """Names of the genes of connections. The other genes belong to nodes."""
 
 MOST_RECURSION = 4
-OLDEST = 255
-"""Largest age that is counted, generations."""
 
 LABELS = 2**24
 """Labels are smaller, so that float32 holds them exactly."""
@@ -124,26 +120,26 @@ class GraphLayout:
     @property
     def count(self) -> int:
         """Number of genes."""
-        return sum(map(prod, self.shapes.values())) + 1
+        return sum(map(prod, self.shapes.values()))
 
-    def pack(self, graph: PlanGraph, age: Any = 0.0) -> Float[Array, "g *n"]:
-        """Return the genes as a vector, the age of the body last."""
+    def pack(self, graph: PlanGraph) -> Float[Array, "g *n"]:
+        """Return the genes as a vector."""
         shapes = self.shapes.values()
         parts = [x.reshape(prod(s), *x.shape[len(s) :]) for x, s in zip(graph, shapes, strict=True)]
-        return jnp.concatenate([*parts, age + jnp.zeros_like(parts[0][:1])])
+        return jnp.concatenate(parts)
 
     def unpack(self, genes: Float[Any, "g *n"]) -> PlanGraph:
-        """Return the graph of a vector, without the age."""
+        """Return the graph of a vector."""
         shapes = self.shapes.values()
-        ends = np.cumsum([prod(shape) for shape in shapes])
-        parts = zip(jnp.split(jnp.asarray(genes), ends)[:-1], shapes, strict=True)
+        ends = np.cumsum([prod(shape) for shape in shapes])[:-1]
+        parts = zip(jnp.split(jnp.asarray(genes), ends), shapes, strict=True)
         return PlanGraph(*(part.reshape(*shape, *genes.shape[1:]) for part, shape in parts))
 
     @property
     def is_control(self) -> Bool[np.ndarray, " g"]:
         """Whether each gene is a control gene."""
         counts = [prod(shape) for shape in self.shapes.values()]
-        return np.repeat([*(name == "control" for name in _NAMES), False], [*counts, 1])
+        return np.repeat([name == "control" for name in _NAMES], counts)
 
     def as_bytes(self, genes: Float[Any, "g *n"]) -> UInt8[Array, "b *n"]:
         """Return the genes as bytes, three for a label and one for any other number."""
@@ -151,8 +147,15 @@ class GraphLayout:
         whole = [jnp.round(_in_steps(name, value)).astype(int) for name, value in graph.items()]
         label = whole[_LABEL]
         whole[_LABEL] = jnp.concatenate([label // 2**16, label // 2**8 % 2**8, label % 2**8])
-        whole.append(jnp.round(genes[-1:]).astype(int))
         return jnp.concatenate([x.reshape(-1, *genes.shape[1:]) for x in whole]).astype(jnp.uint8)
+
+    def nearest(self, genes: Float[Any, "g *n"]) -> Float[Array, "g *n"]:
+        """Return the nearest genes in their ranges and steps."""
+        found = self.unpack(genes)._asdict()
+        for name in (*FRACTIONS, *SIGNED):
+            least, steps = int(name in SIGNED), jnp.round(_in_steps(name, found[name]))
+            found[name] = _from_steps(name, jnp.clip(steps, least, 255))
+        return self.pack(PlanGraph(**found))
 
     def from_bytes(self, stored: UInt8[Any, "b *n"]) -> Float[Array, "g *n"]:
         """Return the genes of `as_bytes`."""
@@ -162,7 +165,12 @@ class GraphLayout:
         steps = jnp.concatenate([stored[:k].astype(int), label, stored[4 * k :].astype(int)])
         graph = self.unpack(steps.astype(float))._asdict()
         found = PlanGraph(**{name: _from_steps(name, x) for name, x in graph.items()})
-        return self.pack(found, steps[-1:].astype(float))
+        return self.pack(found)
+
+
+def infinitesimal(gene: Any) -> Array:
+    """Return 0 with the derivative of a gene, for genes that are rounded."""
+    return gene - jax.lax.stop_gradient(gene)
 
 
 _NAMES = PlanGraph._fields

@@ -4,20 +4,22 @@ The best plans survive. The others are replaced by children: copies with alterat
 plans, and plans with a grafted part of another plan. Crossed and grafted plans are altered, too, at
 a lower rate.
 
-A new body moves badly with its parent's brain, so it would lose against old bodies whose brain had
-time to fit. *Protection* gives young bodies that time (Cheney et al. 2018, "Scalable
-co-optimization of morphology and control in embodied machines"): an individual only competes with
-bodies that are not older. The age of a body is the number of generations since it changed. Plans
-are ranked by the number of plans that are fitter and not older, then by fitness.
+A new topology moves badly with its parent's brain, so it would lose against old ones whose brain
+had time to fit. *Protection* gives it that time, by speciation (Stanley and Miikkulainen 2002,
+"Evolving neural networks through augmenting topologies"): a plan first competes with plans of its
+own topology. Here the species are the topologies (`evo_cpg.creature.topology`), and the best plan
+of each ranks before all others. So nearly all elites and parents have different topologies.
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 from typing_extensions import override
 
-from evo_cpg.creature.graph import OLDEST, GraphLayout
+from evo_cpg.creature.development import PlanBounds, developed
+from evo_cpg.creature.graph import GraphLayout
+from evo_cpg.creature.topology import topology_number
 from evo_cpg.evolution.genetics import Genetics, keep_elites
 from evo_cpg.evolution.graphs import Altered, crossed, grafted, mutated
 from evo_cpg.evolution.operators import draw_parents, linear_rank_probabilities
@@ -38,9 +40,9 @@ class PlanGenetics(Genetics):
         crossed: fraction of the children that have two parents.
         grafted: fraction of the children with a grafted part.
         alterations: mean number of alterations of a copied plan.
-        same_body: fraction of the children that keep a parent's body and alter only its brain.
         evolve: genes that may change.
-        protect: whether young bodies are protected.
+        bounds: limits of the plans.
+        protect: whether new topologies are protected.
     """
 
     population: int = eqx.field(static=True)
@@ -50,8 +52,8 @@ class PlanGenetics(Genetics):
     crossed: float
     grafted: float
     alterations: float
-    same_body: float = 0.0
     evolve: Altered = eqx.field(static=True, default="all")
+    bounds: PlanBounds = eqx.field(static=True, default=PlanBounds())
     protect: bool = eqx.field(static=True, default=False)
 
     @override
@@ -63,14 +65,13 @@ class PlanGenetics(Genetics):
         first, second, keys = self._drawn(key, standing)
         every = jax.vmap(self._child, (0, 0, -1, -1), -1)
         children = every(*keys, genes[:, first], genes[:, second])
-        older = genes.at[-1].set(jnp.minimum(genes[-1] + 1, OLDEST))
-        return keep_elites(older, standing, children, self.elites)
+        return keep_elites(genes, standing, children, self.elites)
 
     @override
     def births(self, key: Array, genes: Float[Array, "g n"], evaluation: Evaluation) -> Births:
         standing = self._standing(genes, evaluation)
         first, second, (kind_keys, _) = self._drawn(key, standing)
-        crosses, grafts, _ = jax.vmap(self._kind)(kind_keys)
+        crosses, grafts = jax.vmap(self._kind)(kind_keys)
         kind = jnp.where(crosses, 2, jnp.where(grafts, 3, 1))
         born = jnp.stack([first, jnp.where(crosses | grafts, second, -1), kind])
         number = jnp.arange(self.population)
@@ -80,14 +81,20 @@ class PlanGenetics(Genetics):
 
     def _standing(self, genes: Float[Array, "g n"], evaluation: Evaluation) -> Float[Array, " n"]:
         """Return the number by which individuals are ranked, or -inf if they diverged."""
-        fitness, age = evaluation.fitness, genes[-1]
-        if not self.protect:
+        fitness = evaluation.fitness
+        if not self.protect or self.evolve == "brain":
             return fitness
-        fitter, younger = fitness[None] - fitness[:, None], age[:, None] - age[None]
-        ahead = (fitter >= 0) & (younger >= 0) & ((fitter > 0) | (younger > 0))
-        order = jnp.lexsort((-fitness, ahead.sum(1)))
+        topology = jax.vmap(self._topology, -1)(genes)
+        ahead = fitness[None] > fitness[:, None]
+        # The first of equals is the best.
+        ahead |= (fitness[None] == fitness[:, None]) & jnp.tri(len(fitness), k=-1, dtype=bool)
+        beaten = (ahead & (topology[None] == topology[:, None])).any(1)
+        order = jnp.lexsort((-fitness, beaten))
         standing = -jnp.argsort(order).astype(fitness.dtype)
         return jnp.where(jnp.isfinite(fitness), standing, -jnp.inf)
+
+    def _topology(self, genes: Float[Array, " g"]) -> UInt32[Array, ""]:
+        return topology_number(developed(self.layout.unpack(genes), self.layout, self.bounds))
 
     def _drawn(
         self, key: Array, standing: Float[Array, " n"]
@@ -100,14 +107,13 @@ class PlanGenetics(Genetics):
         kinds, children = (jax.random.split(x, self.population) for x in (kind_key, child_key))
         return first, second, (kinds, children)
 
-    def _kind(self, key: Array) -> tuple[Bool[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
-        """Return whether a child is crossed, has a graft, and keeps the body of its parent."""
-        kind_key, same_key = jax.random.split(key)
-        if self.evolve == "brain":
-            return jnp.array(False), jnp.array(False), jnp.array(True)
-        kind, same = jax.random.uniform(kind_key), jax.random.uniform(same_key) < self.same_body
-        crosses = ~same & (kind < self.crossed)
-        return crosses, ~same & ~crosses & (kind < self.crossed + self.grafted), same
+    def _kind(self, key: Array) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
+        """Return whether a child is crossed, and whether it has a graft."""
+        kind = jax.random.uniform(key)
+        crosses = kind < self.crossed
+        grafts = ~crosses & (kind < self.crossed + self.grafted)
+        may = self.evolve != "brain"
+        return crosses & may, grafts & may
 
     @override
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
@@ -121,24 +127,12 @@ class PlanGenetics(Genetics):
         """Return a child of two plans, of which most children use the first only."""
         join_key, alter_key = jax.random.split(key)
         both, layout = (self.layout.unpack(one), self.layout.unpack(other)), self.layout
-        crosses, grafts, same = self._kind(kind_key)
+        crosses, grafts = self._kind(kind_key)
         cross, graft = (layout.pack(join(join_key, *both)) for join in (crossed, grafted))
         joined = jnp.where(crosses, cross, jnp.where(grafts, graft, one))
         rate = self.alterations * jnp.where(crosses | grafts, _FEWER, 1.0)
-        child = self._altered(alter_key, joined, rate)
-        if self.same_body or self.evolve == "brain":
-            child = jnp.where(same, self._altered(alter_key, joined, rate, "brain"), child)
-        is_body = jnp.arange(len(one)) < len(one) - 1
-        changed = ((child != one) & is_body & ~layout.is_control).any()
-        return child.at[-1].set(jnp.where(changed, 0.0, jnp.minimum(one[-1] + 1, OLDEST)))
+        return self._altered(alter_key, joined, rate)
 
-    def _altered(
-        self,
-        key: Array,
-        genes: Float[Array, " g"],
-        rate: Array | float,
-        altered: Altered | None = None,
-    ) -> Array:
-        graph = self.layout.unpack(genes)
-        graph = mutated(key, graph, self.layout, rate, altered or self.evolve)
-        return self.layout.pack(graph, genes[-1]).astype(genes.dtype)
+    def _altered(self, key: Array, genes: Float[Array, " g"], rate: Array | float) -> Array:
+        graph = mutated(key, self.layout.unpack(genes), self.layout, rate, self.evolve)
+        return self.layout.pack(graph).astype(genes.dtype)

@@ -42,7 +42,7 @@ from evo_cpg.simulation.task import Task, term_names
 from evo_cpg.system import resolved
 from evo_cpg.training.experiment import ExperimentParts, Learning
 
-# Default number of elites that learn: a full vector on one core.
+# Default number of individuals that learn: a full vector on one core.
 _LEARNERS = 16
 
 
@@ -112,9 +112,9 @@ def build_experiment(
             if mapped:
                 strategy = Mapped(given.population, given.build_axes(), strategy)
         learning = None
-        if isinstance(given, RealEvolutionConfig) and given.learning:
-            learners = given.learning.elites or min(_LEARNERS, given.elites)
-            learning = given.learning.into(Learning, elites=learners)
+        if isinstance(given, (RealEvolutionConfig, PlanEvolutionConfig)) and given.learning:
+            learners = given.learning.learners or min(_LEARNERS, given.elites)
+            learning = given.learning.into(Learning, learners=learners)
         return ExperimentParts(
             name=config.name,
             creature=creature,

@@ -8,6 +8,7 @@ follows.
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -17,6 +18,7 @@ from jaxtyping import Array, Float, Int, UInt8
 from typing_extensions import override
 
 from evo_cpg.control.body_brain import CHARACTER
+from evo_cpg.creature.algebra.numerics import xp
 from evo_cpg.creature.algebra.rotation import matrix_to_euler
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.development import Plan, developed
@@ -96,6 +98,7 @@ class EvolvedPlans(PlanBuilder):
         self._inputs: dict[int, PlanInputs] = {}
         self._mesh = population_mesh()
         self._develop = sharded(jax.vmap(self._one, -1, -1), self._mesh, (2,))
+        self._pull_back: Callable[..., Any] | None = None
         self._grow = jax.jit(lambda x: developed(self.layout.unpack(x), self.layout, self.bounds))
         self._grow_kept = jax.jit(
             lambda stored: jax.vmap(self._grow, -1)(self.layout.from_bytes(stored))
@@ -140,11 +143,29 @@ class EvolvedPlans(PlanBuilder):
         self, found: tuple[Any, ...], individuals: Int[np.ndarray, " k"], size: int
     ) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "v k"]]:
         _, control, numbers = found
-        axes = len(self.section.axes)
-        genes = control[:, : (size - 1) * axes, individuals].reshape(-1, len(individuals))
+        axes, one = len(self.section.axes), (-1, len(individuals))
+        genes = control[:, : (size - 1) * axes, individuals].reshape(one)
         cut = _cut(numbers, size, axes)
-        rows = [x[..., individuals].reshape(-1, len(individuals)) for x in jax.tree.leaves(cut)]
-        return genes, np.concatenate(rows)
+        return genes, xp.concatenate(
+            [x[..., individuals].reshape(one) for x in jax.tree.leaves(cut)]
+        )
+
+    @override
+    def pulled_back(
+        self, genes: Float[np.ndarray, "g n"], slopes: tuple[Any, ...]
+    ) -> Float[np.ndarray, "g n"]:
+        spread, given = Layout(self._mesh, _WIDTH), (genes.astype(float), slopes)
+        ranks = jax.tree.map(np.ndim, given)
+        self._pull_back = self._pull_back or sharded(
+            jax.vmap(self._slope, -1, -1), self._mesh, ranks
+        )
+        with jax.enable_x64(True):
+            return run_in_blocks(
+                self._pull_back,
+                spread,
+                genes.shape[1],
+                lambda own: jax.tree.map(lambda x: x[..., own], given),
+            )
 
     def plan(self, genes: Float[np.ndarray, " g"]) -> Plan:
         """Return the plan of one genome, in float64."""
@@ -182,6 +203,8 @@ class EvolvedPlans(PlanBuilder):
         given = self._search
         kept = {"generations": given.generations, "population": given.population}
         data["evolution"] = {"type": "real", "elites": given.elites, **kept}
+        if self.section.eyes:
+            data["controller"]["eyes"] = [f"part{i}" for i in np.flatnonzero(plan.eye)]
         if plan.present.sum() < 2:
             # Without joints there are no oscillators.
             data["controller"] = {"type": "evo_cpg.control.commanded:Commanded"}
@@ -228,6 +251,11 @@ class EvolvedPlans(PlanBuilder):
         mass = jnp.where(count > 1, numbers.mass, jnp.nan)
         return count, padded, numbers._replace(mass=mass)
 
+    def _slope(self, genes: Float[Array, " g"], slopes: tuple[Any, ...]) -> Float[Array, " g"]:
+        """Return the derivative by the genes of one plan, see `pulled_back`."""
+        _, pull_back = jax.vjp(lambda genes: self._one(genes)[1:], genes)
+        return pull_back(slopes)[0]
+
 
 def layout_of(config: ExperimentConfig) -> GraphLayout:
     """Return the layout of the genome of plans with the configuration's controller."""
@@ -265,6 +293,12 @@ def plans_of(config: ExperimentConfig) -> EvolvedPlans:
     water = world.water
     refused: list[tuple[Key, Any, str]] = [
         (("controller", "type"), config.controller.type not in _CONTROL, ", ".join(_CONTROL)),
+        (
+            ("evolution", "plan", "eyes"),
+            config.evolution.plan.eyes and config.controller.type != "body_brain",
+            "true with the controller body_brain",
+        ),
+        (("controller", "eyes"), getattr(config.controller, "eyes", None), "null"),
         (("world", "water", "law"), water and water.law is None, "normal, isotropic"),
         (("world", "water", "surface"), water and water.surface is not None, "null"),
         (("world", "forces"), world.forces, "none"),
@@ -297,6 +331,7 @@ def _cut(numbers: PlanNumbers, size: int, axes: int) -> PlanNumbers:
         mass=numbers.mass[:size],
         form=numbers.form[:, :size],
         skin=numbers.skin[:, :size],
+        sight=numbers.sight[:size],
         laws=numbers.laws[:, :dofs],
         pairs=numbers.pairs[((first < size) & (second < size))[: len(numbers.pairs)]],
         walk=type(walk)(

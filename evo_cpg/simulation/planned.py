@@ -59,6 +59,7 @@ class PlanPhysics:
         clearance: height of the lowest point at the start on ground, m.
         axes: axes (0 x, 1 y, 2 z) that any joint may have.
         meet: whether limbs must not pass through each other.
+        eyes: whether only parts with an eye, and what hangs on them, sense the light.
     """
 
     density: float = 1000.0
@@ -70,6 +71,7 @@ class PlanPhysics:
     clearance: float = 0.0
     axes: tuple[int, ...] = (0, 1, 2)
     meet: bool = True
+    eyes: bool = False
 
     def actuator(self, strength: Any, half: Any, size: Any) -> Actuator | Muscle:
         """Return the motor, or the muscles, about an axis of a joint.
@@ -107,6 +109,7 @@ class PlanNumbers(NamedTuple):
         pairs: 1 for each two bodies that must not pass through each other, else 0.
         lowest: height of the lowest point in the neutral pose over the root's centre, m.
         length: largest extent in the neutral pose, m.
+        sight: 1 for each body that senses the light, else 0. It is empty if all do.
         walk: parents of the bodies.
     """
 
@@ -121,6 +124,7 @@ class PlanNumbers(NamedTuple):
     pairs: Float[Array, " k"]
     lowest: Float[Array, ""]
     length: Float[Array, ""]
+    sight: Float[Array, " b"]
     walk: TreeWalk
 
 
@@ -172,6 +176,7 @@ def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
         _separate(plan, half, pose) if physics.meet else half[:0, 0],
         -low[2],
         (low + high).max(),
+        (walk.above @ plan.eye > 0).astype(half.dtype) if physics.eyes else half[:0, 0],
         walk,
     )
 
@@ -306,6 +311,15 @@ class PlanBuilder(abc.ABC):
         """Return the controller's genes and the inputs of some individuals, for one program."""
 
     @abc.abstractmethod
+    def pulled_back(
+        self, genes: Float[np.ndarray, "g n"], slopes: tuple[Any, ...]
+    ) -> Float[np.ndarray, "g n"]:
+        """Return derivatives by the genes, given those by the arrays of `developed` but the first.
+
+        See `evo_cpg.creature.development`.
+        """
+
+    @abc.abstractmethod
     def own(self, genes: Float[np.ndarray, " g"]) -> Simulation:
         """Return the simulation of a plan's own creature, with all numbers known."""
 
@@ -392,7 +406,8 @@ class PlanInputs:
                 each._replace(start_position=(*each.start_position[:2], height))
                 for each in situations
             )
-        controller = dataclasses.replace(common.controller, tree=tree)
+        seeing = {"sight": numbers.sight} if self.physics.eyes else {}
+        controller = dataclasses.replace(common.controller, tree=tree, **seeing)
         return {"world": world, "controller": controller, "situations": situations}
 
     def _find_varying(self) -> "_Varying":

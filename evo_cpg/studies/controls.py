@@ -17,10 +17,7 @@ _ARMS = {
     "brain": ("brain alone", ("evolution.evolve=brain", "evolution.founders=1")),
     "body": ("body alone, fixed rhythm", ("evolution.evolve=body",)),
     "random": ("random plans, evolved brains", ("evolution.evolve=brain",)),
-    "protected": (
-        "body and brain, young bodies protected",
-        ("evolution.protect=true", "evolution.same_body=0.5"),
-    ),
+    "unprotected": ("body and brain, without protection", ("evolution.protect=false",)),
 }
 _RANDOM = "random plans, evolved brains"
 # Champions of each arm that are audited.

@@ -5,7 +5,6 @@ the brain sees, and the brain's weights. All visits run in the few programs of t
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -22,13 +21,11 @@ from evo_cpg.io.load import complete_config, read_yaml
 from evo_cpg.io.plans import EvolvedPlans
 from evo_cpg.io.shipped import shipped
 from evo_cpg.native.machine_constants import LANES
-from evo_cpg.simulation.backward import Backward
-from evo_cpg.simulation.judge import Scored
 from evo_cpg.simulation.planned import PlanInputs
-from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training.devices import Layout, population_mesh, run_in_blocks, sharded
+from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
+from evo_cpg.training.plan_ascent import compile_slopes
 
 VISIT = {"plan": 1, "light": 3, "sight": 1, "weights": sum(WEIGHTS)}
 """Rows of a visit: the number of the plan, the place of the light (m), and the brain's numbers."""
@@ -184,25 +181,11 @@ class Nursery(EvolvedPlans):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the fitness of visits in one program, and its derivative by the weights."""
         if size not in self._gradients:
-            self._gradients[size] = sharded(self._gradient(size), population_mesh(), (2, 2))
-        genes, values = (x.astype(np.float32) for x in self.given(found, own, size))
-        spread = Layout(population_mesh(), LANES)
-
-        def pick(numbers: Int[np.ndarray, " block"]) -> tuple[np.ndarray, np.ndarray]:
-            return genes[:, numbers], values[:, numbers]
-
-        value, slope = run_in_blocks(self._gradients[size], spread, len(own), pick)
+            self._gradients[size] = compile_slopes(self.inputs(size), population_mesh())
+        given = tuple(x.astype(np.float32) for x in self.given(found, own, size))
+        ones = np.ones(len(own), np.float32)
+        value, (_, slope) = self._gradients[size](given, ones, {"energy": ones}, None)
         return value, slope[-sum(WEIGHTS) :]
-
-    def _gradient(self, size: int) -> Callable[[Array, Array], tuple[Array, Array]]:
-        inputs = self.inputs(size)
-        scored = Scored({"energy": jnp.float32(1.0)})
-
-        def score(values: Array, genes: Array) -> Array:
-            own = inputs.put(inputs.common, [values])
-            return rollout(own, genes, observers=scored, backward=Backward())
-
-        return jax.vmap(lambda genes, values: jax.value_and_grad(score)(values, genes), -1, -1)
 
 
 def bearings(draw: np.random.Generator, count: int) -> Float[np.ndarray, "3 n"]:

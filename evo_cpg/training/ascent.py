@@ -4,9 +4,6 @@ The fitness of a whole trial is rough: its gradient may change sign within a hun
 range. A solver that must improve at every step soon stops on a small bump (L-BFGS with a line
 search did). Adam's steps pass over bumps, and the best visited point is kept. No single step size
 or gradient horizon (see `evo_cpg.simulation.backward`) suits all, so each individual draws its own.
-
-Evolution may learn in addition: every few generations the elites take gradient steps, and the
-improved genomes replace them in the population (Lamarckian learning, as in memetic algorithms).
 """
 
 from collections.abc import Callable
@@ -27,18 +24,15 @@ from evo_cpg.simulation.judge import Scored
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
-from evo_cpg.training.experiment import (
-    ExperimentParts,
-    mean_of_trials,
-    situation_numbers,
-    trial_keys,
-)
+from evo_cpg.training.experiment import ExperimentParts, mean_of_trials, situation_numbers
 
 # Range of step sizes in water, in units of genes. They are drawn evenly on a logarithmic scale.
 _STEP_SIZES = 3e-4, 1e-2
 # Factor on step sizes on the ground, where a gradient is valid over a shorter distance. Most
 # champions of five walkers gained fitness with a step size of 1e-4.
 _FINER_ON_GROUND = 0.1
+# Factor on step sizes of body plans, because smaller changes than half a step of a gene are lost.
+_COARSER_IN_PLANS = 4.0
 # Lower bound of the random gradient horizons, s, in water and on the ground. On the ground,
 # gradients grow a hundredfold in half a second.
 _SHORTEST_HORIZON, _SHORTEST_ON_GROUND = 1.0, 0.1
@@ -162,8 +156,9 @@ def draw_settings(
 
 
 def reach(simulation: Simulation) -> float:
-    """Return the factor on step sizes and kicks: 1 in water, `_FINER_ON_GROUND` on the ground."""
-    return 1.0 if simulation.world.contact_model is None else _FINER_ON_GROUND
+    """Return the factor on step sizes and kicks: 1 in water for a fixed body."""
+    finer = 1.0 if simulation.world.contact_model is None else _FINER_ON_GROUND
+    return finer * (_COARSER_IN_PLANS if simulation.plans else 1.0)
 
 
 def log_uniform(
@@ -287,52 +282,3 @@ def compile_ascent(
         return Climbed(best, value, finite)
 
     return run
-
-
-# Tag that keeps the draws of the ascents apart from other draws of the same seed.
-_CLIMB = 3
-
-
-def compile_learning(
-    experiment: ExperimentParts, mesh: Mesh
-) -> Callable[..., Float[np.ndarray, "g all"]]:
-    """Return a function that runs the elites' gradient ascent on the devices of the mesh.
-
-    Returns:
-        A function of the population, the number of its generation, and the task's scales in each
-        run, compiled at its first call. Every run's part of the population begins with its elites.
-        The result is the population with improved elites. Each run draws from its own seed.
-    """
-    learning = experiment.learning
-    assert learning is not None
-    elites, runs = learning.elites, experiment.runs
-    climb = compile_ascent(experiment, mesh, learning.steps)
-    of_trials = np.indices((runs, elites, experiment.trials)).reshape(3, -1)
-
-    def learn(
-        genes: Float[np.ndarray, "g all"], generation: int, scales: dict[str, tuple[float, ...]]
-    ) -> Float[np.ndarray, "g all"]:
-        population = genes.shape[1] // runs
-        places = (population * np.arange(runs)[:, None] + np.arange(elites)).ravel()
-        draws = [
-            draw_settings(
-                np.random.default_rng((experiment.seed + run, generation, _CLIMB)),
-                experiment.simulation,
-                elites,
-            )
-            for run in range(runs)
-        ]
-        settings = jax.tree.map(lambda *x: np.concatenate(x), *draws)
-        own_scales = {
-            name: np.repeat(np.array(values, np.float32), elites) for name, values in scales.items()
-        }
-        keys = jax.device_get(trial_keys(experiment, generation, *of_trials))
-        if keys is not None:
-            # Words of a key, trials, and elites.
-            keys = np.moveaxis(keys.reshape(len(keys), -1, experiment.trials), 1, 2)
-        climbed = climb(genes[:, places], settings, own_scales, keys)
-        genes = genes.copy()
-        genes[:, places] = climbed.genes
-        return genes
-
-    return learn

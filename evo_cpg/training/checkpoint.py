@@ -83,6 +83,8 @@ class Checkpoint(NamedTuple):
         state: strategy's state, from `state_arrays`.
         chosen: best individual of each run with fresh noise. Empty without noise, and before all
             generations are done.
+        inherited: genes that the offspring of the next generation inherit, or None if they are
+            ``genes``.
     """
 
     generation: int
@@ -92,6 +94,7 @@ class Checkpoint(NamedTuple):
     scales: dict[str, tuple[float, ...]]
     state: Mapping[str, np.ndarray] = MappingProxyType({})
     chosen: tuple[Champion | None, ...] = ()
+    inherited: np.ndarray | None = None
 
     @property
     def champions(self) -> tuple[Champion | None, ...]:
@@ -200,6 +203,8 @@ def checkpoint_arrays(
                 arrays |= {prefix + name: value for name, value in content.items()}
     if checkpoint.chosen:
         arrays["chose"] = True
+    if checkpoint.inherited is not None:
+        arrays["inherited"] = checkpoint.inherited
     return arrays
 
 
@@ -233,6 +238,7 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         {name: tuple(values.tolist()) for name, values in below(arrays, SCALE_PREFIX).items()},
         below(arrays, _STATE_PREFIX),
         chosen if "chose" in arrays else (),
+        arrays.get("inherited"),
     )
 
 

@@ -42,17 +42,20 @@ TABLE_COLUMNS = (
 
 
 class Learning(NamedTuple):
-    """Settings of the elites' gradient ascent (see `evo_cpg.training.ascent`).
+    """Settings of gradient ascent in the course of evolution (see `evo_cpg.training.ascent`).
 
     Attributes:
         every: number of generations between two ascents.
-        elites: number of elites that climb in each run: the best ones.
-        steps: number of moves of each elite.
+        learners: number of individuals that climb in each run: elites, the best first, then
+            children.
+        steps: number of moves of each.
+        inherited: whether offspring inherit the result.
     """
 
     every: int
-    elites: int
+    learners: int
     steps: int
+    inherited: bool = True
 
 
 class ExperimentParts(NamedTuple):
@@ -101,7 +104,6 @@ class Generation(NamedTuple):
 
     Attributes:
         best: index of the fittest individual in each run.
-        best_genes: genome of the fittest individual in each run.
         next_genes: population of the next generation, run by run.
         state: strategy's state. The first axis of every array is the run.
         metrics: strategy's metrics, by name.
@@ -109,7 +111,6 @@ class Generation(NamedTuple):
     """
 
     best: Int[Array, " runs"]
-    best_genes: Float[Array, "runs g"]
     next_genes: Float[Array, "g all"]
     state: PyTree[Array]
     metrics: dict[str, Float[Array, " runs"]]
@@ -260,7 +261,7 @@ def next_generation(
         best = jnp.argmax(worth.fitness)
         next_genes = jnp.asarray(next_genes, genes.dtype)
         metrics, births = strategy.metrics(state), strategy.births(key, genes, worth)
-        return Generation(best, genes[:, best], next_genes, state, metrics, births)
+        return Generation(best, next_genes, state, metrics, births)
 
     runs, gene_count = experiment.runs, len(genes)
     result = jax.vmap(of_run, in_axes=(0, 1, 0, 0))(

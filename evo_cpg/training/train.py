@@ -19,7 +19,6 @@ from jaxtyping import Array, Float, Int, PyTree, UInt32
 from evo_cpg.evolution.strategy import Evaluation
 from evo_cpg.files import write_table
 from evo_cpg.simulation.judge import Outcome
-from evo_cpg.training.ascent import compile_learning
 from evo_cpg.training.checkpoint import (
     Champion,
     Checkpoint,
@@ -41,6 +40,7 @@ from evo_cpg.training.experiment import (
     situation_numbers,
 )
 from evo_cpg.training.family import cut_family, extend_family
+from evo_cpg.training.learning import compile_learning
 from evo_cpg.training.lineage import extended
 from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
 from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
@@ -155,29 +155,41 @@ class Running:
         if self.choosing:
             self._choose(genes, number, found)
             return []
+        parents = genes if before.inherited is None else before.inherited
         result = jax.device_get(
-            self._programs.next_generation(genes, found.worth, np.int32(number), self.state)
+            self._programs.next_generation(parents, found.worth, np.int32(number), self.state)
         )
         done, self.state = before.generation + 1, result.state
         scales = {name: tuple(values.tolist()) for name, values in found.scales.items()}
-        population, self.worth = np.asarray(result.next_genes), found.worth
+        population, inherited = np.asarray(result.next_genes), None
+        # Workers of a cluster breed the next generation from the results, unless some have learned.
+        self.worth = found.worth if before.inherited is None else None
         _require_finite(experiment, population, done)
-        if self._learn and experiment.learning and done % experiment.learning.every == 0:
-            population, self.worth = self._learn(population, done, scales), None
+        learning = experiment.learning
+        if self._learn and learning and done % learning.every == 0:
+            learned, self.worth = self._learn(population, done, scales), None
+            population, inherited = learned, None if learning.inherited else population
         seconds = time.perf_counter() - start
         records, new, rows = list(before.records), [], []
         for run, champion in enumerate(before.records):
             best = int(result.best[run])
+            best_genes = genes[:, run * experiment.strategy.population + best]
             fitness = float(found.worth.fitness[run, best])
             if np.isfinite(fitness) and (champion is None or fitness > champion.fitness):
-                best_genes = np.asarray(result.best_genes[run])
                 champion = _individual(best_genes, found, before.generation, run, best)
                 records[run] = champion
                 new.append(champion)
-            rows.append(_metrics(experiment, before, found, result, run, champion, seconds))
+            sizes = experiment.simulation.genome.sizes_of(best_genes)
+            rows.append(_metrics(experiment, before, found, result, run, champion, seconds, sizes))
         history = [*before.history, *rows]
         self.checkpoint = Checkpoint(
-            done, population, tuple(records), history, scales, state_arrays(self.state)
+            done,
+            population,
+            tuple(records),
+            history,
+            scales,
+            state_arrays(self.state),
+            inherited=inherited,
         )
         if result.births is not None and self._has_family:
             extend_family(self.folder.path, np.asarray(found.worth.fitness), result.births)
@@ -273,6 +285,7 @@ def _metrics(
     run: int,
     champion: Champion | None,
     seconds: float,
+    sizes: dict[str, float],
 ) -> dict[str, float]:
     fitness = np.asarray(found.worth.fitness[run])
     judged = np.isfinite(fitness)
@@ -281,7 +294,6 @@ def _metrics(
     trials = found.worth.fitness.size * experiment.trials
     steps = trials * simulation.steps * simulation.substeps
     best = int(result.best[run])
-    sizes = simulation.genome.sizes_of(np.asarray(result.best_genes[run]))
     return {
         "generation": before.generation,
         **({"run": run} if experiment.runs > 1 else {}),

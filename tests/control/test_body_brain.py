@@ -16,6 +16,7 @@ from evo_cpg.control.body_brain import (
     newborn_weights,
 )
 from evo_cpg.control.controller import Observation
+from evo_cpg.control.couplings import UnfitError
 from evo_cpg.control.places import PLACE, directions, places
 from evo_cpg.creature.creature import Muscle
 from evo_cpg.creature.tree import build_tree
@@ -108,6 +109,24 @@ def test_parts_move_faster_away_from_the_light():
         towards = side * np.asarray(directions(tree).sweep)[1] * rate
         away, back = -towards[towards < 0].mean(), towards[towards > 0].mean()
         assert away > 1.5 * back
+
+
+def test_parts_sense_the_light_below_an_eye():
+    """With an eye on the middle, both joints sense the light, and with one on the tip, one does."""
+    tree, bearing = chain(), lit(chain(), (0.6, 0.8, 0.0))
+    seeing, dark = commands(brain(tree), bearing)[0], commands(brain(tree), 0 * bearing)[0]
+    for eye, blind in ((tree.names[0], []), (tree.names[1], []), (tree.names[2], [0])):
+        found = commands(brain(tree, eyes=(eye,)), bearing)[0]
+        for axis in range(tree.dof_count):
+            expected = dark if axis in blind else seeing
+            same = np.abs(found[:, axis] - expected[:, axis]).max() < 1e-9
+            # Oscillators are coupled, so what a blind axis commands changes the seeing one.
+            assert same if not blind or axis in blind else not same
+
+
+def test_an_eye_on_no_body_is_refused():
+    with pytest.raises(UnfitError, match="unknown body 'hed'"):
+        brain(chain(), eyes=("hed",))
 
 
 def test_an_axis_turned_round_commands_the_opposite():

@@ -3,14 +3,15 @@
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from creatures import quick_jit
+from evo_cpg.analysis.diversity import topology_of
 from evo_cpg.creature.graph import GraphLayout, PlanGraph
 from evo_cpg.evolution.plan_genetics import PlanGenetics
 from evo_cpg.evolution.strategy import Evaluation
+from plans import WATER, plans_of, random_genes
 
 LAYOUT = GraphLayout()
 SIZE, ELITES = 1000, 50
@@ -33,20 +34,17 @@ def chains() -> np.ndarray:
 
 @functools.cache
 def compiled():
-    """Compile a generation. The kinds of children are numbers of the program.
-
-    Ages of the next generation are 0.
-    """
+    """Compile a generation. The kinds of children are numbers of the program."""
 
     def next_of(key, genes, fitness, kinds):
         search = PlanGenetics(SIZE, LAYOUT, ELITES, 0.2, *kinds)
-        return search.tell(key, (), genes, Evaluation(fitness, {}, {})).at[-1].set(0.0)
+        return search.tell(key, (), genes, Evaluation(fitness, {}, {}))
 
     return quick_jit(next_of)
 
 
-def aged(genes, fitness, **settings) -> np.ndarray:
-    """Return the next generation with its ages."""
+def after(genes, fitness, **settings) -> np.ndarray:
+    """Return the next generation of a search with settings of its own."""
     search = PlanGenetics(SIZE, LAYOUT, ELITES, 0.2, 0.0, 0.0, 3.0, **settings)
     run = quick_jit(
         lambda *given: search.tell(*given[:1], (), given[1], Evaluation(given[2], {}, {}))
@@ -137,58 +135,37 @@ def test_a_start_around_plans_keeps_the_first():
 
 def bodies_of(genes: np.ndarray) -> np.ndarray:
     """Return the genes that are not control genes."""
-    return genes[:-1][~LAYOUT.is_control[:-1]]
+    return genes[~LAYOUT.is_control]
 
 
-def test_protected_ranks_compare_with_younger_bodies_only():
-    """The rank is the number of fitter plans that are not older, then the fitness.
-
-    A loop over all pairs is the oracle. The fittest plan always comes first.
-    """
+def test_protected_elites_are_the_best_of_their_topologies():
+    """Trees that are compared joint by joint are the oracle. Then come the others, best first."""
+    plans = plans_of(WATER, 6, 0.1)
+    genes = random_genes(plans, SIZE).astype(np.float32)
     draw = np.random.default_rng(0)
-    genes = chains().copy()
-    genes[-1] = draw.integers(0, 6, SIZE)
     fitness = draw.integers(0, 400, SIZE).astype(np.float32)
     fitness[:5] = -np.inf
-    search = PlanGenetics(SIZE, LAYOUT, ELITES, 0.2, 0.0, 0.0, 3.0, protect=True)
-    found = np.asarray(
-        search._standing(jnp.asarray(genes), Evaluation(jnp.asarray(fitness), {}, {}))
+    search = PlanGenetics(
+        SIZE, plans.layout, ELITES, 0.2, 0.0, 0.0, 0.0, bounds=plans.bounds, protect=True
     )
-    age = genes[-1]
-    ahead = [
-        sum(f >= g and a <= b and (f, -a) != (g, -b) for f, a in zip(fitness, age, strict=True))
-        for g, b in zip(fitness, age, strict=True)
-    ]
-    alive = np.isfinite(fitness)
-    keys = np.array(list(zip(ahead, -fitness, strict=True)))[alive]
-    order = np.argsort(-found[alive])
-    assert (np.isneginf(found) == ~alive).all()
-    ranked = [tuple(row) for row in keys[order]]
-    assert ranked == sorted(ranked) and fitness[np.argmax(found)] == fitness.max()
-
-
-def test_a_body_ages_until_it_changes():
-    """Elites and children with their parent's body are a generation older. Others are young."""
-    genes = chains().copy()
-    genes[-1] = 7.0
-    genes[-1, 0] = 255.0
-    fitness = -np.arange(SIZE, dtype=np.float32)
-    children = aged(genes, fitness, same_body=0.5)
-    known = {own.tobytes() for own in bodies_of(genes).T}
-    same = np.array([own.tobytes() in known for own in bodies_of(children).T])
-    assert children[-1, 0] == 255.0
-    assert (children[-1, 1:ELITES] == 8.0).all()
-    assert np.isin(children[-1, same], (8.0, 255.0)).all() and (children[-1, ~same] == 0).all()
-    # Half of the children keep the body, and some of the others by chance.
-    assert 0.5 - MARGIN < same[ELITES:].mean() < 0.6 + MARGIN
+    run = quick_jit(lambda *given: search.births(*given[:2], Evaluation(given[2], {}, {})).first)
+    found = np.asarray(run(jax.random.key(0), genes, fitness))[:ELITES]
+    best: dict = {}
+    for i in np.argsort(-fitness, kind="stable"):
+        if np.isfinite(fitness[i]):
+            best.setdefault(topology_of(plans.plan(genes[:, i])), i)
+    first = list(best.values())
+    others = [i for i in np.argsort(-fitness, kind="stable") if i not in first]
+    np.testing.assert_array_equal(found, [*first, *others][:ELITES])
+    assert 10 < len(first) < SIZE - 20
 
 
 @pytest.mark.parametrize(("evolve", "fixed"), [("brain", False), ("body", True)])
 def test_only_the_named_part_evolves(evolve, fixed):
     genes = chains()
-    children = aged(genes, -np.arange(SIZE, dtype=np.float32), evolve=evolve)
+    children = after(genes, -np.arange(SIZE, dtype=np.float32), evolve=evolve)
     known = {own.tobytes() for own in bodies_of(genes).T}
     same = np.array([own.tobytes() in known for own in bodies_of(children).T])
-    brains = children[:-1][LAYOUT.is_control[:-1]]
+    brains = children[LAYOUT.is_control]
     assert same.all() != fixed
     assert (not brains[:, np.isin(children[1], genes[1])].any()) == fixed

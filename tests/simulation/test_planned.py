@@ -15,7 +15,11 @@ TOLERANCE = 1e-9
 CASES = {
     "water": (WATER, 1.0, {"bodies": 6}),
     "land": (LAND, 0.25, {"bodies": 4, "density": 500.0}),
-    "body brain": (WATER, 0.25, {"bodies": 6, "controller": {"type": "body_brain"}, "lit": True}),
+    "body brain": (
+        WATER,
+        0.25,
+        {"bodies": 6, "eyes": True, "controller": {"type": "body_brain"}, "lit": True},
+    ),
     "muscles": (WATER, 1.0, {"bodies": 4, "joints": ["hinge", "ball"], "actuator": "muscle"}),
 }
 SLOW = {

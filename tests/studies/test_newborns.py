@@ -101,24 +101,6 @@ def test_visits_are_trials_of_own_animals(nursery):
 
 
 @pytest.mark.slow
-def test_gradients_of_visits_agree_with_differences():
-    """Trials of half a second are smooth enough for differences of float32."""
-    nursery, draw = Nursery(3, 16, seconds=0.5), np.random.default_rng(0)
-    weights, lights = newborn_weights()[:, None], bearings(draw, 16)
-    direction = draw.normal(size=(COUNT, 1)) / np.sqrt(COUNT)
-
-    def visits(step):
-        return nursery.visits(np.arange(16), lights, weights + step * direction)
-
-    value, slopes = nursery.gradients(visits(0.0))
-    high, low = (nursery.covered(visits(step)) for step in (0.02, -0.02))
-    # Distances near 1 are sums of 30 numbers of float32.
-    np.testing.assert_allclose(value, nursery.covered(visits(0.0)), atol=1e-5)
-    expected, found = (high - low) / 0.04, (slopes * direction).sum(0)
-    assert np.abs(found - expected).max() < 0.05 * np.abs(expected).max()
-
-
-@pytest.mark.slow
 def test_alike_axes_do_not_swim():
     alike = Nursery(3, 32, seconds=2.0, brain=AllAlike)
     lights = bearings(np.random.default_rng(0), 32)

@@ -36,7 +36,11 @@ KINDS = {
     ),
     "swimmer that learns": (
         "iwadate2010_swimmer",
-        (*PAIR, "simulation.seconds=0.1667", "evolution.learning={every: 2, elites: 1, steps: 1}"),
+        (
+            *PAIR,
+            "simulation.seconds=0.1667",
+            "evolution.learning={every: 2, learners: 1, steps: 1}",
+        ),
     ),
     "walkers on ground of any friction": (
         "fukui2003_model1", (*WALKERS, "noise.friction=0.2", "noise.tilt_deg=1"),

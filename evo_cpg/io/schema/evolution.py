@@ -158,17 +158,37 @@ class MapSection(Section):
 
 
 class LearningConfig(Section):
-    """Gradient ascent of elites, whose offspring inherit the result.
+    """Gradient ascent of some individuals before their trials.
 
     Attributes:
         every: generations between two rounds of learning.
-        elites: number of elites that learn, the best first (default: 16, or all if fewer).
-        steps: gradient steps of each elite.
+        learners: number of individuals that learn: elites, the best first, then children (default:
+            16, or all elites if fewer).
+        steps: gradient steps of each.
+        inherited: whether offspring inherit what was learned (Lamarckian), or only the genes before
+            it (Baldwinian).
     """
 
     every: Count = 5
-    elites: Count | None = None
+    learners: Count | None = None
     steps: Count = 5
+    inherited: bool = True
+
+
+def _check_learning(search: Any) -> None:
+    """Check the learning of a search.
+
+    Raises:
+        ValueError: too many would learn, or nobody, or there are islands.
+    """
+    learning, most = search.learning, search.population
+    if learning and not 1 <= (learning.learners or search.elites) <= most:
+        raise ValueError(
+            f"learning.learners: from 1 to all {most} individuals can learn, "
+            f"got {learning.learners or search.elites}"
+        )
+    if search.islands and learning:
+        raise ValueError("learning: cannot be combined with islands. Leave out one of the two")
 
 
 class RealEvolutionConfig(MapSection):
@@ -188,7 +208,7 @@ class RealEvolutionConfig(MapSection):
         mutation_rate: probability that a gene changes.
         mutation_sigma: standard deviation of a change.
         gene_bound: largest magnitude of a gene.
-        learning: gradient ascent of some elites (default: none).
+        learning: gradient ascent of some individuals (default: none).
         islands: sub-populations, to each of which all keys but ``population`` apply
             (default: none).
     """
@@ -219,13 +239,7 @@ class RealEvolutionConfig(MapSection):
                 f"elites: must be fewer than the population of {self.population}, "
                 f"{given} {self.elites}"
             )
-        if self.learning and not 1 <= (self.learning.elites or 1) <= self.elites:
-            raise ValueError(
-                f"learning.elites: at least one and at most all {self.elites} elites can learn, "
-                f"got {self.learning.elites or 1}"
-            )
-        if self.islands and self.learning:
-            raise ValueError("learning: cannot be combined with islands. Leave out one of the two")
+        _check_learning(self)
         return self
 
 
@@ -282,12 +296,12 @@ class PlanEvolutionConfig(MapSection):
         crossed: fraction of the children that mix the parts of two plans.
         grafted: fraction of the children with a part of another plan.
         alterations: mean number of alterations of a child.
-        same_body: fraction of the children that keep a parent's body and alter only its brain.
         evolve: what may change: ``all``, only the ``body``, whose rhythm is then fixed, or only the
             ``brain``.
         founders: number of different bodies in the first generation (default: all differ).
-        protect: whether young bodies compete only with bodies that are not older.
+        protect: whether new topologies are protected: the best plan of each ranks first.
         plan: what body plans may be like.
+        learning: gradient ascent of some individuals (default: none).
         islands: sub-populations, to each of which all keys but ``population`` apply
             (default: none).
     """
@@ -300,17 +314,19 @@ class PlanEvolutionConfig(MapSection):
     crossed: Fraction = 0.3
     grafted: Fraction = 0.3
     alterations: NotNegative = 3.0
-    same_body: Fraction = 0.0
     evolve: Literal["all", "body", "brain"] = "all"
     founders: Annotated[int, Field(ge=1)] | None = None
-    protect: bool = False
+    protect: bool = True
     plan: PlanConfig = PlanConfig()
+    learning: LearningConfig | None = None
     islands: IslandsConfig | None = None
 
     def build(self, genome: Genome, population: int) -> PlanGenetics:
         """Build the search (see `MapSection.build`)."""
         assert genome.plans is not None
-        return self.into(PlanGenetics, population=population, layout=genome.plans.layout)
+        return self.into(
+            PlanGenetics, population=population, layout=genome.plans.layout, bounds=self.plan.bounds
+        )
 
     @model_validator(mode="after")
     def _check(self) -> "PlanEvolutionConfig":
@@ -318,6 +334,7 @@ class PlanEvolutionConfig(MapSection):
             raise ValueError(
                 f"elites: must be fewer than the population of {self.population}, got {self.elites}"
             )
+        _check_learning(self)
         if self.crossed + self.grafted > 1:
             raise ValueError("crossed and grafted add up to more than 1")
         if self.body:

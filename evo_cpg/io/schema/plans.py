@@ -41,6 +41,8 @@ class PlanConfig(Section):
             the thinner of both parts, N m s/rad per m^3.
         muscle_area: cross-section of the strongest muscles on each side, as a fraction of that of
             the thinner part. Their stress is that of a joint's muscles.
+        eyes: whether eyes evolve: then a part of a `body_brain` senses the light only if it has an
+            eye or hangs on a part that senses it.
     """
 
     bodies: Annotated[int, Field(ge=2, le=20)] = 20
@@ -59,6 +61,7 @@ class PlanConfig(Section):
     actuator: Literal["motor", "muscle"] = "motor"
     motor_gain: Positive = 2e4
     muscle_area: Annotated[float, Field(gt=0, le=0.5)] = 0.25
+    eyes: bool = False
 
     @model_validator(mode="after")
     def _check(self) -> "PlanConfig":
@@ -97,6 +100,7 @@ class PlanConfig(Section):
             clearance=clearance,
             axes=self.axes,
             meet=meet,
+            eyes=self.eyes,
         )
 
     @property

@@ -1,0 +1,135 @@
+"""Gradient ascent of body plans: sizes, places and strengths of parts, and their brains.
+
+A gradient has two parts. The gradient of the fitness by the numbers of a plan comes from the
+program of the trials (`compile_slopes`). The development of the genes then pulls it back
+(`evo_cpg.creature.development`). Growth has no derivative, so no step adds a part on purpose.
+
+Genes of a plan have steps, and a small change of a size may remove a part that overlaps now. So the
+value counts that a plan has after rounding. The derivative takes no notice of both.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array, Float, UInt32
+
+from evo_cpg.native.machine_constants import LANES
+from evo_cpg.simulation.backward import Backward
+from evo_cpg.simulation.judge import Scored
+from evo_cpg.simulation.planned import PlanInputs
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.training.ascent import Climbed, ClimbSettings, GuardedAdam
+from evo_cpg.training.devices import Layout, run_in_blocks, sharded
+from evo_cpg.training.experiment import ExperimentParts, mean_of_trials, situation_numbers
+
+
+def compile_slopes(
+    inputs: PlanInputs, mesh: Mesh, trials: int = 1, numbers: Any = None
+) -> Callable[..., tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]]:
+    """Return a function that differentiates the fitness of plans in one program.
+
+    Args:
+        inputs: inputs of the program.
+        mesh: the devices.
+        trials: number of trials of a plan, over which the fitness is averaged.
+        numbers: situation of each trial, or None.
+
+    Returns:
+        A function of the controller's genes and the inputs (`PlanBuilder.given`), retentions
+        (`Backward`), the task's scales and keys of noise, all with plans on the last axis. It
+        returns the fitness, and its derivatives by the first two.
+    """
+    common = inputs.common
+    rough, slides = common.world.contact_model is not None, common.world.tree.root_slides
+
+    def fitness(
+        given: tuple[Array, Array],
+        kept: Float[Array, ""],
+        scales: dict[str, Float[Array, ""]],
+        keys: UInt32[Array, "w trials"] | None,
+    ) -> Float[Array, ""]:
+        genes, values = given
+        replicas = jnp.broadcast_to(genes[:, None], (len(genes), trials))
+        trial, backward = inputs.put(common, [values]), Backward(kept, rough, slides)
+        return mean_of_trials(
+            rollout(trial, replicas, keys, numbers, Scored(scales), backward=backward)
+        )
+
+    each = jax.vmap(jax.value_and_grad(fitness), -1, -1)
+    program = sharded(each, mesh, ((2, 2), 1, 1, 3))
+
+    def run(*given: Any) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        spread, count = Layout(mesh, max(1, LANES // trials)), len(given[1])
+        return run_in_blocks(
+            program, spread, count, lambda own: jax.tree.map(lambda x: x[..., own], given)
+        )
+
+    return run
+
+
+class _Loss(NamedTuple):
+    """Loss of individuals and its gradient, as `GuardedAdam.query` takes them."""
+
+    f: Float[np.ndarray, " n"]
+    grad: Float[np.ndarray, "g n"]
+
+
+def compile_plan_ascent(
+    experiment: ExperimentParts, mesh: Mesh, steps: int
+) -> Callable[..., Climbed]:
+    """Return the function of `evo_cpg.training.ascent.compile_ascent` for body plans."""
+    plans, numbers = experiment.simulation.plans, situation_numbers(experiment)
+    assert plans is not None
+
+    @functools.cache
+    def program(size: int) -> Callable[..., Any]:
+        return compile_slopes(plans.inputs(size), mesh, experiment.trials, numbers)
+
+    def slopes(genes: Float[np.ndarray, "g n"], *more: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the fitness after rounding, and its derivative by the genes."""
+        found = plans.developed(genes)
+        sizes = np.array(plans.sizes)[np.searchsorted(plans.sizes, found[0] + 1)]
+        value = np.zeros(len(sizes), np.float32)
+        slope = jax.tree.map(np.zeros_like, found[1:])
+        for size in np.unique(sizes).tolist():
+            own = np.flatnonzero(sizes == size)
+            mine = jax.tree.map(lambda x, own=own: x[..., own], found)
+            given, back = jax.vjp(
+                lambda *x, mine=mine, size=size: plans.given(
+                    (mine[0], *x), np.arange(len(mine[0])), size
+                ),
+                *mine[1:],
+            )
+            given = jax.tree.map(lambda x: np.asarray(x, np.float32), given)
+            picked = jax.tree.map(lambda x, own=own: x[..., own], more)
+            value[own], raw = program(size)(given, *picked)
+            for whole, part in zip(jax.tree.leaves(slope), jax.tree.leaves(back(raw)), strict=True):
+                whole[..., own] = part
+        return value, plans.pulled_back(genes, slope).astype(np.float32)
+
+    adam = GuardedAdam()
+    start = jax.jit(jax.vmap(lambda genes: adam.init(genes, None), -1, -1))
+    query = jax.jit(jax.vmap(adam.query, -1, -1))
+
+    def run(
+        genes: Float[np.ndarray, "g n"],
+        settings: ClimbSettings,
+        scales: dict[str, Float[np.ndarray, " n"]],
+        keys: UInt32[np.ndarray, "w trials n"] | None = None,
+    ) -> Climbed:
+        state, place = start(genes), genes
+        for _ in range(steps + 1):
+            rounded = np.asarray(plans.layout.nearest(place), genes.dtype)
+            value, slope = slopes(rounded, settings.retentions, scales, keys)
+            # The best point is kept as the rounded genes.
+            state = query(rounded, _Loss(-value, -slope), state)
+            place = place + settings.sizes * state.move
+        best, value = np.asarray(state.best), -np.asarray(state.least)
+        return Climbed(best, value, np.asarray(state.finite))
+
+    return run
