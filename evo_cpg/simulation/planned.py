@@ -534,7 +534,7 @@ def _tree(common: Tree, numbers: PlanNumbers) -> Tree:
 
 def _contact_model(model: ContactModel, tree: Tree, numbers: PlanNumbers) -> ContactModel:
     """Return the contact points of a plan. Those of absent bodies have no stiffness."""
-    stiffness = STIFFNESS * xp.sqrt(tree.mass.sum() * tree.mass[np.array(model.bodies)])
+    stiffness = STIFFNESS * _root(tree.mass.sum() * tree.mass[np.array(model.bodies)])
     return model._replace(boxes=numbers.half, centre=tree.com, stiffness=stiffness)
 
 
@@ -552,11 +552,17 @@ def _pairs(common: Pairs | None, tree: Tree, numbers: PlanNumbers) -> Pairs | No
     if common is None:
         return None
     one, two = (tree.mass[np.array(each)] for each in _every_pair(tree.body_count))
-    stiffness = PAIR_STIFFNESS * xp.sqrt(one * two) * numbers.pairs
+    stiffness = PAIR_STIFFNESS * _root(one * two) * numbers.pairs
     points = len(common.stiffness) // len(common.first)
     return dataclasses.replace(
         common, centre=tree.com, half_extents=numbers.half, stiffness=xp.tile(stiffness, points)
     )
+
+
+def _root(squares: Any) -> Any:
+    """Return square roots, with the derivative 0 at 0."""
+    positive = squares > 0
+    return xp.where(positive, xp.sqrt(xp.where(positive, squares, 1.0)), 0.0)
 
 
 def _surfaces(

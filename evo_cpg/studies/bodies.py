@@ -7,10 +7,9 @@ from jaxtyping import Float
 from scipy.stats import rankdata
 
 from evo_cpg.creature.creature import Creature
+from evo_cpg.studies import controls, showcase
 from evo_cpg.studies.body_map import GENES, Family, Map, made_map, trained
 from evo_cpg.studies.body_searches import SCHEMES, final_bodies
-from evo_cpg.studies.controls import PART as CONTROLS
-from evo_cpg.studies.controls import RUNS
 from evo_cpg.studies.newborns import report as report_newborns
 from evo_cpg.studies.study import Part, Study, Table, middle, percent
 from evo_cpg.studies.workshop import Workshop
@@ -114,9 +113,12 @@ def peaks(fitness: Float[np.ndarray, "a b c"]) -> int:
 
 
 _PARTS = {
-    "controls": CONTROLS,
+    "controls": controls.PART,
     "newborns": Part("one brain drives bodies that it has never seen", (), report_newborns),
     "map": Part("best rhythm of each of 19,683 bodies", (), report_map),
     "searches": Part("searches that end near the best bodies", (), report_searches),
+    "showcase": showcase.PART,
 }
-STUDY = Study("bodies", "Bodies that evolve, and brains that fit them", RUNS, _PARTS)
+STUDY = Study(
+    "bodies", "Bodies that evolve, and brains that fit them", controls.RUNS | showcase.RUNS, _PARTS
+)
