@@ -27,6 +27,7 @@ from evo_cpg.view.drawing_page.document import Data, Document, EditError
 from evo_cpg.view.drawing_page.lookup import bodies
 from evo_cpg.view.drawing_page.runs import How, TrainingRun, simulate
 from evo_cpg.view.drawing_page.scene import scene
+from evo_cpg.view.drawing_page.swim import prepare
 
 Answer = dict[str, Any]
 Generations = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -82,6 +83,7 @@ class DrawingSession:
         self._sent: set[str] = set()
         self._try: Answer = {"state": "none"}
         self._run: TrainingRun | None = None
+        self._preparing: threading.Thread | None = None
         self._requests: Mapping[str, Callable[..., Any]] = {
             # A new page has received no shapes.
             "open": lambda: self._sent.clear(),
@@ -174,6 +176,13 @@ class DrawingSession:
         with trusting(self._trusted):
             found = problems(data, source, advice=self._advice)
         return {"problems": [each._asdict() for each in found], "revision": revision}
+
+    def prepare(self) -> Answer:
+        """Begin to compile what a drive needs, unless it has begun already."""
+        if self._preparing is None:
+            self._preparing = threading.Thread(target=prepare, daemon=True)
+            self._preparing.start()
+        return {}
 
     def live_page(self) -> Answer:
         """Return the address of the run's live page as soon as it has one, or an ``error``.

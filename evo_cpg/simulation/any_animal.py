@@ -1,0 +1,187 @@
+"""Any drawn animal in deep water in one program, with the numbers of its own simulation.
+
+The animal's own tree, masses, laws of joints and surface points are inputs of the program. So the
+motion is that of its own simulation, up to rounding, and nothing is compiled for it. Each body of
+the program has three joint axes in any directions. Axes and bodies that the animal does not have
+are absent, as in `evo_cpg.simulation.planned`.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from typing_extensions import override
+
+from evo_cpg.creature.algebra.numerics import xp
+from evo_cpg.creature.creature import NO_LIMIT
+from evo_cpg.creature.tree import LEAST_VOLUME, Tree
+from evo_cpg.creature.walk import TreeWalk, walk_of, walk_order
+from evo_cpg.physics.step.step import needs_iteration
+from evo_cpg.physics.step.world import World
+from evo_cpg.physics.water.fluid import Drag
+from evo_cpg.physics.water.point_drag import PointDrag, PointTables, point_tables
+from evo_cpg.physics.water.water import Water
+from evo_cpg.simulation.planned import TreeInputs, with_walk
+from evo_cpg.simulation.simulation import Simulation
+
+# Joint axes of each body of the program.
+_AXES = 3
+# Rows of the tables of points: form drag, then skin friction.
+_POINTS = 640, 480
+# Numbers of each body and of each joint axis, and their values where the animal has none.
+_OF_BODIES = {
+    "joint_offset": 0.0, "joint_orientation": np.eye(3)[..., None], "mass": 0.0,
+    "volume": LEAST_VOLUME, "com": 0.0, "centre_of_volume": 0.0,
+}  # fmt: skip
+_OF_AXES = {
+    "joint_axes": np.eye(3)[:, :1], "rest": 0.0, "stiffness": 0.0, "damping": 0.0, "armature": 1.0,
+    "lower": -NO_LIMIT, "upper": NO_LIMIT, "servo_gain": 0.0, "servo_stiffness": 0.0,
+    "limit_stiffness": 0.0, "limit_damping": 0.0,
+}  # fmt: skip
+
+
+class AnimalNumbers(NamedTuple):
+    """Numbers of an animal for the program of ``b`` bodies with ``d`` joint axes.
+
+    Attributes:
+        tree: numbers of its tree (`_OF_BODIES`, `_OF_AXES`) and ``root_centre``.
+        rotational: rotational inertias about the origins of the bodies, kg m^2.
+        walk: parents of the bodies.
+        points: points of drag.
+        medium: gravity (m/s^2) and density of the water (kg/m^3).
+        light: place of the light, m.
+    """
+
+    tree: dict[str, Float[Any, "..."]]
+    rotational: Float[Any, "3 3 b"]
+    walk: TreeWalk
+    points: PointTables
+    medium: Float[Any, "2"]
+    light: Float[Any, "3"]
+
+
+class Misfit(ValueError):
+    """Raised for an animal that does not fit into the common program."""
+
+
+class AnimalInputs(TreeInputs):
+    """Inputs of a program whose individuals are drawn animals.
+
+    Args:
+        star: simulation of a root with ``b - 1`` parts on it, with three axes each, in water.
+    """
+
+    def __init__(self, star: Simulation):
+        tree = with_walk(star.world.tree)
+        bodies, dofs = tree.body_count, tree.dof_count
+        kept = {"centre_of_volume": tree.centre, "rest": np.zeros(dofs)}
+        tree = dataclasses.replace(tree, **kept)
+        self.bodies = bodies
+        nothing = PointDrag(PointTables(*(np.zeros((n, w)) for n, w in zip(_POINTS, (8, 14)))))
+        world = dataclasses.replace(star.world, tree=tree, forces=(nothing,))
+        self.common = dataclasses.replace(star, world=world, rules=None)
+        own = {name: getattr(tree, name) for name in (*_OF_BODIES, *_OF_AXES, "root_centre")}
+        like = AnimalNumbers(
+            own, np.zeros((3, 3, bodies)), tree.walk, nothing.tables, np.zeros(2), np.zeros(3)
+        )
+        self._like = jax.eval_shape(lambda: jax.tree.map(jnp.asarray, like))
+        self._varying = self._find_varying()
+
+    @override
+    def _parts(self, common: Simulation, numbers: AnimalNumbers) -> dict[str, Any]:
+        own, world = numbers.tree, common.world
+        (x, y, z), none = own["com"], xp.zeros_like(own["mass"])
+        mixed = own["mass"] * xp.stack(
+            [xp.stack(row) for row in ((none, -z, y), (z, none, -x), (-y, x, none))]
+        )
+        linear = np.eye(3)[..., None] * own["mass"]
+        rows = (numbers.rotational, mixed), (-mixed, linear)
+        inertia = xp.concatenate([xp.concatenate(row, 1) for row in rows])
+        tree = dataclasses.replace(world.tree, **own, inertia=inertia, walk=numbers.walk)
+        gravity, density = numbers.medium
+        world = dataclasses.replace(
+            world,
+            tree=tree,
+            gravity=gravity,
+            water=dataclasses.replace(world.water, density=density),
+            forces=(PointDrag(numbers.points),),
+        )
+        controller = dataclasses.replace(common.controller, tree=tree)
+        situation = common.situations[0]._replace(light=tuple(numbers.light))
+        return {"world": world, "controller": controller, "situations": (situation,)}
+
+    def values(self, own: Simulation) -> tuple[Float[np.ndarray, " v"], Int[np.ndarray, " b"]]:
+        """Return the inputs of an animal, and the place of each of its bodies in the program.
+
+        Args:
+            own: simulation of the animal, with a light.
+
+        Raises:
+            Misfit: the animal does not fit.
+        """
+        world, tree = own.world, own.world.tree
+        problem = _misfit(world, self.bodies)
+        if problem:
+            raise Misfit(problem)
+        parents = np.full(self.bodies, -1)
+        parents[: tree.body_count] = tree.parents
+        order, walk = jax.tree.map(np.asarray, _walked(parents))
+        places = np.argsort(order)[: tree.body_count]
+        bodies = np.array(tree.dof_bodies, int)
+        # The axes of a body come one after the other.
+        dofs = _AXES * (places[bodies] - 1) + np.arange(len(bodies))
+        dofs -= np.searchsorted(bodies, bodies)
+        turns = np.zeros(self.common.world.tree.dof_count)
+        turns[dofs] = 1.0
+        (drag,) = world.forces
+        assert isinstance(drag, Drag) and isinstance(world.water, Water)
+        points = point_tables(drag, world.water.density, places, _POINTS)
+        if points is None:
+            raise Misfit("it has too many points of drag")
+        about = self.common.world.tree
+        numbers = {"root_centre": tree.root_centre}
+        for names, where in ((_OF_BODIES, places), (_OF_AXES, dofs)):
+            for name, absent in names.items():
+                given = getattr(tree, name)
+                if given is None:
+                    given = tree.com if name == "centre_of_volume" else 0.0
+                numbers[name] = np.zeros(getattr(about, name).shape) + absent
+                numbers[name][..., where] = given
+        rotational = np.zeros((3, 3, self.bodies))
+        rotational[..., places] = tree.inertia[:3, :3]
+        medium, light = np.array([world.gravity, world.water.density]), np.array(own.lights[0])
+        walk = dataclasses.replace(walk, turns=turns)
+        found = AnimalNumbers(numbers, rotational, walk, points, medium, light)
+        return np.concatenate([np.ravel(x) for x in jax.tree.leaves(found)]), places
+
+
+def _misfit(world: World, bodies: int) -> str | None:
+    """Return why an animal does not fit into a program, or None if it may fit."""
+    tree, water = world.tree, world.water
+    plain = [law for law in world.forces if isinstance(law, Drag) and law.law == "normal"]
+    if tree.body_count > bodies:
+        return f"it has more than {bodies} bodies"
+    if tree.hanging is not None or tree.tendons is not None or tree.muscles is not None:
+        return "it hangs on the world, or has tendons or muscles"
+    if any(group.kind not in ("turns", "weld") for group in tree.groups):
+        return "it has balls or slides"
+    if tree.torque_motors is not None or needs_iteration(world):
+        return "it has torque motors, limits of torques, dry friction or contacts"
+    if not world.submerged or len(plain) != len(world.forces):
+        return "only deep water with simple drag is common to all animals"
+    if any(np.any(x) for x in jax.tree.leaves(water and water.streams)):
+        return "the water flows"
+    return None
+
+
+@jax.jit
+def _walked(parents: Int[Array, " b"]) -> tuple[Int[Array, " b"], TreeWalk]:
+    """Return the order of the walk over a tree (`walk_order`), and the walk without axes."""
+    order, slots = walk_order(parents)
+    places = jnp.argsort(order)
+    own = parents[order]
+    moved = jnp.where(own >= 0, places[own], -1)
+    return order, walk_of(moved, slots, jnp.zeros(_AXES * (len(parents) - 1)))

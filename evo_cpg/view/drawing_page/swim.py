@@ -1,0 +1,112 @@
+"""The drawn animal swims to a light at once, moved by the newborn brain.
+
+One program fits almost any animal in deep water (`evo_cpg.simulation.any_animal`). It is compiled
+while the user draws, and kept on disk. Other animals need a program of their own, which takes
+longer.
+"""
+
+import dataclasses
+import functools
+import threading
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.io.build import CommonPlan, build_simulation
+from evo_cpg.io.load import complete_config, read_yaml
+from evo_cpg.io.plans import with_star
+from evo_cpg.io.shipped import shipped
+from evo_cpg.simulation.any_animal import AnimalInputs, Misfit
+from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.training.devices import population_mesh, use_cores
+from evo_cpg.training.evaluate import compile_trials
+
+SECONDS = 5.0
+"""Duration of a try, s."""
+
+RATE = 30.0
+"""Frames per second, 1/s."""
+
+STEPS = {"control_rate_hz": 60, "substeps": 4, "seconds": SECONDS}
+"""Section of the simulation. The brain needs short steps (docs/models/body-brain.md)."""
+
+# Most bodies in the common program, and distance of the farthest light in lengths of the animal.
+_BODIES, _FARTHEST = 20, 5.0
+_KEPT = "position", "rotation"
+
+
+class Swim(NamedTuple):
+    """Motion of an animal to a light.
+
+    Attributes:
+        names: names of the bodies.
+        position: centres of the bodies, m.
+        rotation: rotations from body to world axes.
+        light: place of the light, m.
+    """
+
+    names: tuple[str, ...]
+    position: Float[np.ndarray, "t b 3"]
+    rotation: Float[np.ndarray, "t b 3 3"]
+    light: tuple[float, float, float]
+
+
+_lock = threading.Lock()
+
+
+def prepare() -> tuple[AnimalInputs, Callable[..., dict[str, np.ndarray]]]:
+    """Return the common program and its inputs. The first call compiles it, others wait for it."""
+    with _lock:
+        return _common()
+
+
+def swim(own: Simulation, length: float) -> Swim:
+    """Return the motion of an animal with the newborn brain.
+
+    Args:
+        own: simulation of the animal with the controller `body_brain`, `STEPS` and a light.
+        length: length of the animal, m. A light is moved to at most five lengths away.
+    """
+    start, light = (np.array(x) for x in (own.situations[0].start_position, own.lights[0]))
+    away = light - start
+    light = start + min(1.0, _FARTHEST * length / np.linalg.norm(away)) * away
+    seen = own.situations[0]._replace(light=tuple(light.tolist()))
+    own = dataclasses.replace(own, situations=(seen,))
+    inputs, run = prepare()
+    try:
+        values, places = inputs.values(own)
+        frames = run(_genes(inputs.common), None, None, 1, (values[:, None],))
+    except Misfit:
+        frames, places = _compiled(own)(_genes(own)), slice(None)
+    position, rotation = (np.moveaxis(frames[x][..., places, 0], -1, 1) for x in _KEPT)
+    return Swim(own.world.tree.names, position, rotation, seen.light)
+
+
+@functools.cache
+def _common() -> tuple[AnimalInputs, Callable[..., dict[str, np.ndarray]]]:
+    use_cores()
+    source = shipped("follow_the_light").path
+    plans = {"type": "plans", "plan": {"bodies": _BODIES, "joints": ["ball"]}}
+    data = read_yaml(source) | {"evolution": plans, "simulation": STEPS}
+    config = with_star(complete_config(data, source), _BODIES)
+    _, star = build_simulation(config, CommonPlan("complete"))
+    inputs = AnimalInputs(star)
+    # The star is an animal, too. The first animal would also compile the walk over its tree.
+    values, _ = inputs.values(star)
+    given = None, None, 1, (values[:, None],)
+    return inputs, _compiled(inputs.common, inputs, given)
+
+
+def _compiled(simulation: Simulation, inputs: Any = None, given: tuple = ()) -> Callable[..., Any]:
+    """Return the compiled program of a simulation."""
+    recorder = Recorder(names=_KEPT, every=round(STEPS["control_rate_hz"] / RATE))
+    ahead = _genes(simulation), *given
+    return compile_trials(simulation, population_mesh(1), 1, inputs, recorder, ahead)
+
+
+def _genes(simulation: Simulation) -> Float[np.ndarray, "g 1"]:
+    """Return genes that leave the brain as it is."""
+    return np.full((simulation.controller.gene_count, 1), 0.5, np.float32)
