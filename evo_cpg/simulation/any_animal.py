@@ -22,15 +22,15 @@ from evo_cpg.creature.walk import TreeWalk, walk_of, walk_order
 from evo_cpg.physics.step.step import needs_iteration
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.water.fluid import Drag
-from evo_cpg.physics.water.point_drag import PointDrag, PointTables, point_tables
+from evo_cpg.physics.water.point_drag import COLUMNS, PointDrag, PointTables, point_tables
 from evo_cpg.physics.water.water import Water
 from evo_cpg.simulation.planned import TreeInputs, with_walk
 from evo_cpg.simulation.simulation import Simulation
 
 # Joint axes of each body of the program.
 _AXES = 3
-# Rows of the tables of points: form drag, then skin friction.
-_POINTS = 640, 480
+# Rows of the tables of points. 20 ellipsoids have 820 points of form drag and 500 of skin friction.
+_POINTS = 900, 512
 # Numbers of each body and of each joint axis, and their values where the animal has none.
 _OF_BODIES = {
     "joint_offset": 0.0, "joint_orientation": np.eye(3)[..., None], "mass": 0.0,
@@ -80,7 +80,7 @@ class AnimalInputs(TreeInputs):
         kept = {"centre_of_volume": tree.centre, "rest": np.zeros(dofs)}
         tree = dataclasses.replace(tree, **kept)
         self.bodies = bodies
-        nothing = PointDrag(PointTables(*(np.zeros((n, w)) for n, w in zip(_POINTS, (8, 14)))))
+        nothing = PointDrag(PointTables(*map(np.zeros, zip(_POINTS, COLUMNS, strict=True))))
         world = dataclasses.replace(star.world, tree=tree, forces=(nothing,))
         self.common = dataclasses.replace(star, world=world, rules=None)
         own = {name: getattr(tree, name) for name in (*_OF_BODIES, *_OF_AXES, "root_centre")}
@@ -94,10 +94,10 @@ class AnimalInputs(TreeInputs):
     def _parts(self, common: Simulation, numbers: AnimalNumbers) -> dict[str, Any]:
         own, world = numbers.tree, common.world
         (x, y, z), none = own["com"], xp.zeros_like(own["mass"])
-        mixed = own["mass"] * xp.stack(
+        mixed = own["mass"][None, None] * xp.stack(
             [xp.stack(row) for row in ((none, -z, y), (z, none, -x), (-y, x, none))]
         )
-        linear = np.eye(3)[..., None] * own["mass"]
+        linear = np.eye(3)[..., None] * own["mass"][None, None]
         rows = (numbers.rotational, mixed), (-mixed, linear)
         inertia = xp.concatenate([xp.concatenate(row, 1) for row in rows])
         tree = dataclasses.replace(world.tree, **own, inertia=inertia, walk=numbers.walk)
@@ -167,7 +167,7 @@ def _misfit(world: World, bodies: int) -> str | None:
     if tree.hanging is not None or tree.tendons is not None or tree.muscles is not None:
         return "it hangs on the world, or has tendons or muscles"
     if any(group.kind not in ("turns", "weld") for group in tree.groups):
-        return "it has balls or slides"
+        return "it has balls, slides or axes at places of their own"
     if tree.torque_motors is not None or needs_iteration(world):
         return "it has torque motors, limits of torques, dry friction or contacts"
     if not world.submerged or len(plain) != len(world.forces):

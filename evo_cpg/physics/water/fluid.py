@@ -209,8 +209,8 @@ def sum_of_outer_products(
     return jnp.stack([total[:3, :3], total[:3, 3:], total[3:, 3:]]).reshape(27, -1)
 
 
-# Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 SPEED_FLOOR = 1e-12
+"""Squared speed (m^2/s^2) added under the root so that its gradient exists at rest."""
 
 DragLaw = Literal["normal", "isotropic"]
 

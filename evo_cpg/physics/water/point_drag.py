@@ -22,6 +22,9 @@ _UPPER = np.triu_indices(6)
 _WHOLE = np.zeros((6, 6), int)
 _WHOLE[_UPPER] = _WHOLE.T[_UPPER] = np.arange(len(_UPPER[0]))
 
+COLUMNS = 8, 14
+"""Numbers of a point of form drag, and of a point of skin friction."""
+
 
 class PointTables(NamedTuple):
     """Points of form drag, then of skin friction, one per row.
@@ -76,7 +79,7 @@ def point_tables(
                 own = np.full_like(factor, places[body]), factor, *directions
                 rows.append(np.concatenate(own, 1))
     tables = []
-    for rows, size, width in zip(found, sizes, (8, 14), strict=True):
+    for rows, size, width in zip(found, sizes, COLUMNS, strict=True):
         table = np.concatenate([np.zeros((0, width)), *rows])
         if len(table) > size:
             return None

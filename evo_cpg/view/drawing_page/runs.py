@@ -25,12 +25,14 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.drawing_page.document import Data, EditError
-from evo_cpg.view.drawing_page.swim import RATE, SECONDS, STEPS, swim
+from evo_cpg.view.drawing_page.swim import RATE, STEPS, Swim, swim
 from evo_cpg.view.run_page.viewer_data import packed
 from evo_cpg.view.scene import quaternions, sample
 
 How = Literal["rest", "drive"]
 
+# Duration of a try, s. A swim takes longer (`STEPS`).
+SECONDS = 5.0
 _SHORT = 32767
 # Knobs of the laboratory: without motors, or with the largest drive of the cord.
 _KNOBS: dict[str, dict[str, list[Any]]] = {"rest": {"passive": ["*"]}, "drive": {"u": [1.0]}}
@@ -60,11 +62,12 @@ def simulate(data: Data, source: Path, how: How) -> dict[str, Any]:
     if how not in _KNOBS:
         raise EditError(f"{how!r}: choose rest or drive")
     given = {key: data[key] for key in _SECTIONS if key in data}
-    swims = how == "drive" and not (data.get("world") or {}).get("ground")
-    controller, task = data.get("controller"), data.get("task")
+    world, controller, task = (data.get(key) for key in ("world", "controller", "task"))
+    on_ground = isinstance(world, dict) and world.get("ground") is not None
+    swims = how == "drive" and not on_ground
     if swims:
         given |= {"controller": {"type": "body_brain"}, "simulation": STEPS}
-        if isinstance(task, dict) and task.get("type") == "reach_light":
+        if isinstance(task, dict) and task.get("type", "reach_light") == "reach_light":
             given["task"] = task
     elif isinstance(controller, dict) and controller.get("type", "brain_cpg") == "brain_cpg":
         given["controller"] = controller
@@ -74,11 +77,14 @@ def simulate(data: Data, source: Path, how: How) -> dict[str, Any]:
     use_cores()
     if swims:
         parts = build_experiment(config, source)
-        found = swim(parts.simulation, float(length_of(parts.creature)))
-        made = packed_motion(found.names, found.position, found.rotation)
-        return made | {"light": found.light}
-    answer = ask(Subject(config, source), _KNOBS[how], SECONDS)
-    return motion(answer.recordings[0], [body.name for body in config.creature.build().bodies])
+        moved = swim(parts.simulation, float(length_of(parts.creature)))
+    else:
+        (moved,) = ask(Subject(config, source), _KNOBS[how], SECONDS).recordings
+    if not np.isfinite(moved.position).all():
+        raise EditError("the motion diverged: a motor may be too strong for its body")
+    if isinstance(moved, Swim):
+        return packed_motion(moved.names, moved.position, moved.rotation) | {"light": moved.light}
+    return motion(moved, [body.name for body in config.creature.build().bodies])
 
 
 def motion(recording: Recording, names: Sequence[str]) -> dict[str, Any]:
@@ -92,13 +98,7 @@ def packed_motion(
     position: Float[np.ndarray, "t b 3"],
     rotation: Float[np.ndarray, "t b 3 3"],
 ) -> dict[str, Any]:
-    """Return positions (m) and rotations of named bodies, `RATE` frames per second, as JSON.
-
-    Raises:
-        EditError: the motion diverged.
-    """
-    if not np.isfinite(position).all():
-        raise EditError("the motion diverged: a motor may be too strong for its body")
+    """Return positions (m) and rotations of named bodies, `RATE` frames per second, as JSON."""
     return {
         "rate": RATE,
         "count": len(position),

@@ -24,14 +24,11 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import population_mesh, use_cores
 from evo_cpg.training.evaluate import compile_trials
 
-SECONDS = 5.0
-"""Duration of a try, s."""
-
 RATE = 30.0
 """Frames per second, 1/s."""
 
-STEPS = {"control_rate_hz": 60, "substeps": 4, "seconds": SECONDS}
-"""Section of the simulation. The brain needs short steps (docs/models/body-brain.md)."""
+STEPS = {"control_rate_hz": 60, "substeps": 4, "seconds": 10}
+"""Section of the simulation of a swim. The brain needs short steps (docs/models/body-brain.md)."""
 
 # Most bodies in the common program, and distance of the farthest light in lengths of the animal.
 _BODIES, _FARTHEST = 20, 5.0
@@ -85,17 +82,22 @@ def swim(own: Simulation, length: float) -> Swim:
     return Swim(own.world.tree.names, position, rotation, seen.light)
 
 
+def star(bodies: int) -> Simulation:
+    """Return the simulation of a root with all other bodies on it, with three axes each."""
+    source = shipped("follow_the_light").path
+    plans = {"type": "plans", "plan": {"bodies": bodies, "joints": ["ball"]}}
+    data = read_yaml(source) | {"evolution": plans, "simulation": STEPS}
+    config = with_star(complete_config(data, source), bodies)
+    return build_simulation(config, CommonPlan("complete"))[1]
+
+
 @functools.cache
 def _common() -> tuple[AnimalInputs, Callable[..., dict[str, np.ndarray]]]:
     use_cores()
-    source = shipped("follow_the_light").path
-    plans = {"type": "plans", "plan": {"bodies": _BODIES, "joints": ["ball"]}}
-    data = read_yaml(source) | {"evolution": plans, "simulation": STEPS}
-    config = with_star(complete_config(data, source), _BODIES)
-    _, star = build_simulation(config, CommonPlan("complete"))
-    inputs = AnimalInputs(star)
-    # The star is an animal, too. The first animal would also compile the walk over its tree.
-    values, _ = inputs.values(star)
+    any_animal = star(_BODIES)
+    inputs = AnimalInputs(any_animal)
+    # The first animal compiles the walk over its tree, too.
+    values, _ = inputs.values(any_animal)
     given = None, None, 1, (values[:, None],)
     return inputs, _compiled(inputs.common, inputs, given)
 

@@ -128,9 +128,10 @@ const View = (() => {
   }
 
   // ---- the world: ground, water and light. The ground is below the animal at rest.
-  let raised = 0;
+  let raised = 0, goal = null, light = null;
   function surround(data) {
     clear(world);
+    goal = null;
     const given = data.world || {}, water = given.water === undefined ? {} : given.water;
     const wide = 12 * drawn.length;
     raised = given.ground ? drawn.lowest : 0;
@@ -162,14 +163,20 @@ const View = (() => {
       const [turn, rise] = [light.bearing_deg, light.elevation_deg].map((angle) => (angle * Math.PI) / 180);
       const at = light.at ? vector(light.at) : new THREE.Vector3(Math.cos(rise) * Math.cos(turn), Math.cos(rise) * Math.sin(turn), Math.sin(rise)).multiplyScalar(light.distance);
       if (!light.at) at.z -= raised;
-      const lamp = new THREE.Mesh(new THREE.SphereGeometry(0.06 * Math.max(drawn.length, 0.3 * at.length()), 20, 14), new THREE.MeshBasicMaterial({ color: "#ffd45e" }));
-      lamp.position.copy(at);
-      const from = new THREE.Vector3(0, 0, -raised);
-      const beam = new THREE.BufferGeometry().setFromPoints([from.clone().lerp(at, Math.min(0.9, (0.8 * drawn.length) / at.length())), at]);
-      world.add(lamp, new THREE.Line(beam, new THREE.LineBasicMaterial({ color: "#e0a400", transparent: true, opacity: 0.5 })));
+      goal = lamp(at, new THREE.Vector3(0, 0, -raised));
+      world.add(goal);
     }
     world.position.z = motion ? 0 : raised;
     dirty = true;
+  }
+  // A light, with a beam from the place where the animal starts.
+  function lamp(at, from) {
+    const made = new THREE.Group(), far = at.distanceTo(from);
+    const ball = new THREE.Mesh(new THREE.SphereGeometry(0.06 * Math.max(drawn.length, 0.3 * far), 20, 14), new THREE.MeshBasicMaterial({ color: "#ffd45e" }));
+    ball.position.copy(at);
+    const beam = new THREE.BufferGeometry().setFromPoints([from.clone().lerp(at, Math.min(0.9, (0.8 * drawn.length) / far)), at]);
+    made.add(ball, new THREE.Line(beam, new THREE.LineBasicMaterial({ color: "#e0a400", transparent: true, opacity: 0.5 })));
+    return made;
   }
 
   // ---- selection: the part, its copies, its joint and its eyes
@@ -430,17 +437,27 @@ const View = (() => {
   }
 
   // ---- camera
-  function look(view) {
+  // From above, with the way from left to right or back. The side is that of the view "Side".
+  function across(way) {
+    const level = Math.hypot(way.x, way.y) || 1, side = way.x < 0 ? -1 : 1;
+    return [(side * way.y) / level, (-side * way.x) / level || -0.01, 0.8];
+  }
+  function look(view, at = null) {
     fit();
     const centre = new THREE.Vector3();
     for (const body of bodies.values()) centre.addScaledVector(body.group.position, 1 / bodies.size);
-    const from = { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02], back: [-1, 0, 0.02] }[view];
+    const seen = [...bodies.values()].map((body) => [body.group.position, Math.max(...body.half)]);
+    const from = at ? across(at.clone().sub(centre)) : { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02], back: [-1, 0, 0.02] }[view];
     const out = vector(from).normalize(), right = camera.up.clone().cross(out).normalize(), up = out.clone().cross(right);
     // The distance at which every body is inside the picture, with a margin.
     const tall = Math.tan((camera.fov * Math.PI) / 360), wide = tall * camera.aspect;
     let far = 0.8 * drawn.length;
-    for (const body of bodies.values()) {
-      const from = body.group.position.clone().sub(centre), reach = Math.max(...body.half);
+    if (at) {
+      centre.lerp(at, 0.5);
+      seen.push([at, 0.3 * drawn.length]);
+    }
+    for (const [place, reach] of seen) {
+      const from = place.clone().sub(centre);
       const [x, y] = [right, up].map((axis) => Math.abs(from.dot(axis)) + reach);
       far = Math.max(far, 1.15 * Math.max(x / wide, y / tall) + from.dot(out) + reach);
     }
@@ -464,12 +481,25 @@ const View = (() => {
     gaps = [];
     select(selected);
     world.position.z = 0;
+    if (light) world.remove(light);
+    light = null;
     seek(0);
+    if (!given.light) return;
+    // The camera stands still, so that the way to the light is seen.
+    const centre = new THREE.Vector3();
+    for (const body of bodies.values()) centre.addScaledVector(body.group.position, 1 / bodies.size);
+    light = lamp(vector(given.light), centre);
+    world.add(light);
+    if (goal) goal.visible = false;
+    look("light", vector(given.light));
   }
   function stop() {
     if (!motion) return;
     const [place, target] = motion.from;
     motion = null;
+    if (light) world.remove(light);
+    light = null;
+    if (goal) goal.visible = true;
     world.position.z = raised;
     for (const body of bodies.values()) {
       body.group.position.copy(vector(body.place));
@@ -496,10 +526,12 @@ const View = (() => {
       body.group.quaternion.copy(one.slerp(two, f));
       centre.addScaledVector(body.group.position, 1 / count);
     });
-    const step = centre.sub(orbit.target);
-    orbit.target.add(step);
-    camera.position.add(step);
-    orbit.update();
+    if (!motion.light) {
+      const step = centre.sub(orbit.target);
+      orbit.target.add(step);
+      camera.position.add(step);
+      orbit.update();
+    }
     dirty = true;
   }
 
