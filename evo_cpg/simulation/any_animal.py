@@ -23,7 +23,6 @@ from evo_cpg.physics.step.step import needs_iteration
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.water.fluid import Drag
 from evo_cpg.physics.water.point_drag import COLUMNS, PointDrag, PointTables, point_tables
-from evo_cpg.physics.water.water import Water
 from evo_cpg.simulation.planned import TreeInputs, with_walk
 from evo_cpg.simulation.simulation import Simulation
 
@@ -76,23 +75,23 @@ class AnimalInputs(TreeInputs):
 
     def __init__(self, star: Simulation):
         tree = with_walk(star.world.tree)
-        bodies, dofs = tree.body_count, tree.dof_count
-        kept = {"centre_of_volume": tree.centre, "rest": np.zeros(dofs)}
-        tree = dataclasses.replace(tree, **kept)
-        self.bodies = bodies
+        # These two are None if a creature does not need them.
+        given = {"centre_of_volume": tree.centre, "rest": np.zeros(tree.dof_count)}
+        tree = dataclasses.replace(tree, **given)
+        assert tree.walk is not None
         nothing = PointDrag(PointTables(*map(np.zeros, zip(_POINTS, COLUMNS, strict=True))))
         world = dataclasses.replace(star.world, tree=tree, forces=(nothing,))
         self.common = dataclasses.replace(star, world=world, rules=None)
         own = {name: getattr(tree, name) for name in (*_OF_BODIES, *_OF_AXES, "root_centre")}
-        like = AnimalNumbers(
-            own, np.zeros((3, 3, bodies)), tree.walk, nothing.tables, np.zeros(2), np.zeros(3)
-        )
+        rotational, (medium, light) = np.zeros((3, 3, tree.body_count)), map(np.zeros, (2, 3))
+        like = AnimalNumbers(own, rotational, tree.walk, nothing.tables, medium, light)
         self._like = jax.eval_shape(lambda: jax.tree.map(jnp.asarray, like))
         self._varying = self._find_varying()
 
     @override
     def _parts(self, common: Simulation, numbers: AnimalNumbers) -> dict[str, Any]:
-        own, world = numbers.tree, common.world
+        own, world, water = numbers.tree, common.world, common.world.water
+        assert water is not None
         (x, y, z), none = own["com"], xp.zeros_like(own["mass"])
         mixed = own["mass"][None, None] * xp.stack(
             [xp.stack(row) for row in ((none, -z, y), (z, none, -x), (-y, x, none))]
@@ -106,7 +105,7 @@ class AnimalInputs(TreeInputs):
             world,
             tree=tree,
             gravity=gravity,
-            water=dataclasses.replace(world.water, density=density),
+            water=dataclasses.replace(water, density=density),
             forces=(PointDrag(numbers.points),),
         )
         controller = dataclasses.replace(common.controller, tree=tree)
@@ -122,40 +121,47 @@ class AnimalInputs(TreeInputs):
         Raises:
             Misfit: the animal does not fit.
         """
-        world, tree = own.world, own.world.tree
-        problem = _misfit(world, self.bodies)
+        world, tree, size = own.world, own.world.tree, self.common.world.tree.body_count
+        problem = _misfit(world, size)
         if problem:
             raise Misfit(problem)
-        parents = np.full(self.bodies, -1)
-        parents[: tree.body_count] = tree.parents
-        order, walk = jax.tree.map(np.asarray, _walked(parents))
-        places = np.argsort(order)[: tree.body_count]
+        places, walk = _walked(tree, size)
         bodies = np.array(tree.dof_bodies, int)
         # The axes of a body come one after the other.
         dofs = _AXES * (places[bodies] - 1) + np.arange(len(bodies))
         dofs -= np.searchsorted(bodies, bodies)
-        turns = np.zeros(self.common.world.tree.dof_count)
+        turns = np.zeros(_AXES * (size - 1))
         turns[dofs] = 1.0
-        (drag,) = world.forces
-        assert isinstance(drag, Drag) and isinstance(world.water, Water)
-        points = point_tables(drag, world.water.density, places, _POINTS)
+        rotational = np.zeros((3, 3, size))
+        rotational[..., places] = tree.inertia[:3, :3]
+        (drag,), water = world.forces, world.water
+        assert isinstance(drag, Drag) and water is not None
+        points = point_tables(drag, water.density, places, _POINTS)
         if points is None:
             raise Misfit("it has too many points of drag")
-        about = self.common.world.tree
+        found = AnimalNumbers(
+            self._spread(tree, places, dofs),
+            rotational,
+            dataclasses.replace(walk, turns=turns),
+            points,
+            np.array([world.gravity, water.density]),
+            np.array(own.lights[0]),
+        )
+        return np.concatenate([np.ravel(x) for x in jax.tree.leaves(found)]), places
+
+    def _spread(
+        self, tree: Tree, places: Int[np.ndarray, " b"], dofs: Int[np.ndarray, " d"]
+    ) -> dict[str, np.ndarray]:
+        """Return `AnimalNumbers.tree`, given the places of bodies and axes in the program."""
         numbers = {"root_centre": tree.root_centre}
         for names, where in ((_OF_BODIES, places), (_OF_AXES, dofs)):
             for name, absent in names.items():
-                given = getattr(tree, name)
-                if given is None:
-                    given = tree.com if name == "centre_of_volume" else 0.0
-                numbers[name] = np.zeros(getattr(about, name).shape) + absent
-                numbers[name][..., where] = given
-        rotational = np.zeros((3, 3, self.bodies))
-        rotational[..., places] = tree.inertia[:3, :3]
-        medium, light = np.array([world.gravity, world.water.density]), np.array(own.lights[0])
-        walk = dataclasses.replace(walk, turns=turns)
-        found = AnimalNumbers(numbers, rotational, walk, points, medium, light)
-        return np.concatenate([np.ravel(x) for x in jax.tree.leaves(found)]), places
+                own = getattr(tree, name)
+                if own is None:
+                    own = tree.com if name == "centre_of_volume" else 0.0
+                numbers[name] = np.zeros(getattr(self.common.world.tree, name).shape) + absent
+                numbers[name][..., where] = own
+        return numbers
 
 
 def _misfit(world: World, bodies: int) -> str | None:
@@ -177,11 +183,17 @@ def _misfit(world: World, bodies: int) -> str | None:
     return None
 
 
+def _walked(tree: Tree, size: int) -> tuple[Int[np.ndarray, " b"], TreeWalk]:
+    """Return the places of the bodies of a tree in a program, and the walk without axes."""
+    parents = np.full(size, -1)
+    parents[: tree.body_count] = tree.parents
+    places, walk = jax.tree.map(np.asarray, _walk(parents))
+    return places[: tree.body_count], walk
+
+
 @jax.jit
-def _walked(parents: Int[Array, " b"]) -> tuple[Int[Array, " b"], TreeWalk]:
-    """Return the order of the walk over a tree (`walk_order`), and the walk without axes."""
+def _walk(parents: Int[Array, " n"]) -> tuple[Int[Array, " n"], TreeWalk]:
     order, slots = walk_order(parents)
-    places = jnp.argsort(order)
-    own = parents[order]
+    places, own = jnp.argsort(order), parents[order]
     moved = jnp.where(own >= 0, places[own], -1)
-    return order, walk_of(moved, slots, jnp.zeros(_AXES * (len(parents) - 1)))
+    return places, walk_of(moved, slots, jnp.zeros(_AXES * (len(parents) - 1)))

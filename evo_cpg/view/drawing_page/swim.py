@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.creature.algebra.numerics import as_vector
 from evo_cpg.io.build import CommonPlan, build_simulation
 from evo_cpg.io.load import complete_config, read_yaml
 from evo_cpg.io.plans import with_star
@@ -54,10 +55,10 @@ class Swim(NamedTuple):
 _lock = threading.Lock()
 
 
-def prepare() -> tuple[AnimalInputs, Callable[..., dict[str, np.ndarray]]]:
-    """Return the common program and its inputs. The first call compiles it, others wait for it."""
+def prepare() -> Callable[..., dict[str, np.ndarray]]:
+    """Return the common program. The first call compiles it, others wait for it."""
     with _lock:
-        return _common()
+        return _common_program()
 
 
 def swim(own: Simulation, length: float) -> Swim:
@@ -67,19 +68,22 @@ def swim(own: Simulation, length: float) -> Swim:
         own: simulation of the animal with the controller `body_brain`, `STEPS` and a light.
         length: length of the animal, m. A light is moved to at most five lengths away.
     """
-    start, light = (np.array(x) for x in (own.situations[0].start_position, own.lights[0]))
-    away = light - start
-    light = start + min(1.0, _FARTHEST * length / np.linalg.norm(away)) * away
-    seen = own.situations[0]._replace(light=tuple(light.tolist()))
-    own = dataclasses.replace(own, situations=(seen,))
-    inputs, run = prepare()
+    begin, goal = own.situations[0], own.lights[0]
+    assert goal is not None
+    start = np.array(begin.start_position)
+    away = np.array(goal) - start
+    nearer = start + min(1.0, _FARTHEST * length / np.linalg.norm(away)) * away
+    light = as_vector(nearer)
+    own = dataclasses.replace(own, situations=(begin._replace(light=light),))
+    inputs = _common_inputs()
     try:
         values, places = inputs.values(own)
-        frames = run(_genes(inputs.common), None, None, 1, (values[:, None],))
     except Misfit:
         frames, places = _compiled(own)(_genes(own)), slice(None)
+    else:
+        frames = prepare()(_genes(inputs.common), None, None, 1, (values[:, None],))
     position, rotation = (np.moveaxis(frames[x][..., places, 0], -1, 1) for x in _KEPT)
-    return Swim(own.world.tree.names, position, rotation, seen.light)
+    return Swim(own.world.tree.names, position, rotation, light)
 
 
 def star(bodies: int) -> Simulation:
@@ -92,14 +96,17 @@ def star(bodies: int) -> Simulation:
 
 
 @functools.cache
-def _common() -> tuple[AnimalInputs, Callable[..., dict[str, np.ndarray]]]:
+def _common_inputs() -> AnimalInputs:
+    return AnimalInputs(star(_BODIES))
+
+
+@functools.cache
+def _common_program() -> Callable[..., dict[str, np.ndarray]]:
     use_cores()
-    any_animal = star(_BODIES)
-    inputs = AnimalInputs(any_animal)
-    # The first animal compiles the walk over its tree, too.
-    values, _ = inputs.values(any_animal)
-    given = None, None, 1, (values[:, None],)
-    return inputs, _compiled(inputs.common, inputs, given)
+    inputs = _common_inputs()
+    # The star is an animal, too. The first animal also compiles the walk over its tree.
+    values, _ = inputs.values(star(_BODIES))
+    return _compiled(inputs.common, inputs, (None, None, 1, (values[:, None],)))
 
 
 def _compiled(simulation: Simulation, inputs: Any = None, given: tuple = ()) -> Callable[..., Any]:

@@ -31,8 +31,8 @@ const View = (() => {
   sun.shadow.mapSize.set(1024, 1024);
   sun.shadow.normalBias = 0.01;
   scene.add(sun, sun.target);
-  const animal = new THREE.Group(), world = new THREE.Group(), marks = new THREE.Group();
-  scene.add(animal, world, marks);
+  const animal = new THREE.Group(), world = new THREE.Group(), marks = new THREE.Group(), swim = new THREE.Group();
+  scene.add(animal, world, marks, swim);
   const orbit = new THREE.OrbitControls(camera, canvas);
   orbit.enableDamping = false;
   const gizmo = new THREE.TransformControls(camera, canvas);
@@ -128,7 +128,7 @@ const View = (() => {
   }
 
   // ---- the world: ground, water and light. The ground is below the animal at rest.
-  let raised = 0, goal = null, light = null;
+  let raised = 0, goal = null, trail = null;
   function surround(data) {
     clear(world);
     goal = null;
@@ -481,24 +481,24 @@ const View = (() => {
     gaps = [];
     select(selected);
     world.position.z = 0;
-    if (light) world.remove(light);
-    light = null;
+    clear(swim);
+    trail = null;
+    if (goal) goal.visible = !given.light;
     seek(0);
     if (!given.light) return;
-    // The camera stands still, so that the way to the light is seen.
-    const centre = new THREE.Vector3();
-    for (const body of bodies.values()) centre.addScaledVector(body.group.position, 1 / bodies.size);
-    light = lamp(vector(given.light), centre);
-    world.add(light);
-    if (goal) goal.visible = false;
+    // The camera stands still and the animal leaves a trail, so that its way to the light is seen.
+    const centres = Array.from({ length: given.count }, (_, i) => middle(i));
+    trail = new THREE.Line(new THREE.BufferGeometry().setFromPoints(centres), new THREE.LineBasicMaterial({ color: "#e0342b" }));
+    swim.add(lamp(vector(given.light), centres[0]), trail);
     look("light", vector(given.light));
+    seek(0);
   }
   function stop() {
     if (!motion) return;
     const [place, target] = motion.from;
     motion = null;
-    if (light) world.remove(light);
-    light = null;
+    clear(swim);
+    trail = null;
     if (goal) goal.visible = true;
     world.position.z = raised;
     for (const body of bodies.values()) {
@@ -510,11 +510,17 @@ const View = (() => {
     orbit.update();
     select(selected);
   }
+  // Mean place of all bodies in a frame.
+  function middle(i) {
+    const found = new THREE.Vector3(), count = motion.names.length, p = motion.places;
+    for (let k = count * i; k < count * (i + 1); k++) found.add(new THREE.Vector3(p[3 * k], p[3 * k + 1], p[3 * k + 2]));
+    return found.divideScalar(count);
+  }
   const one = new THREE.Quaternion(), two = new THREE.Quaternion();
   function seek(time) {
     motion.time = Math.min(Math.max(time, 0), motion.duration);
     const at = motion.time * motion.rate, i = Math.min(Math.floor(at), motion.count - 2), f = at - i;
-    const count = motion.names.length, centre = new THREE.Vector3();
+    const count = motion.names.length, centre = middle(i).lerp(middle(i + 1), f);
     motion.names.forEach((name, k) => {
       const body = bodies.get(name);
       if (!body) return;
@@ -524,8 +530,8 @@ const View = (() => {
       one.set(q[c], q[c + 1], q[c + 2], q[c + 3]).normalize();
       two.set(q[d], q[d + 1], q[d + 2], q[d + 3]).normalize();
       body.group.quaternion.copy(one.slerp(two, f));
-      centre.addScaledVector(body.group.position, 1 / count);
     });
+    trail?.geometry.setDrawRange(0, i + 2);
     if (!motion.light) {
       const step = centre.sub(orbit.target);
       orbit.target.add(step);
