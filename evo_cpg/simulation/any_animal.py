@@ -22,14 +22,15 @@ from evo_cpg.creature.walk import TreeWalk, walk_of, walk_order
 from evo_cpg.physics.step.step import needs_iteration
 from evo_cpg.physics.step.world import World
 from evo_cpg.physics.water.fluid import Drag
-from evo_cpg.physics.water.point_drag import COLUMNS, PointDrag, PointTables, point_tables
+from evo_cpg.physics.water.point_drag import PointDrag, PointTables, point_tables
 from evo_cpg.simulation.planned import TreeInputs, with_walk
 from evo_cpg.simulation.simulation import Simulation
 
 # Joint axes of each body of the program.
 _AXES = 3
-# Rows of the tables of points. 20 ellipsoids have 820 points of form drag and 500 of skin friction.
-_POINTS = 900, 512
+# Shapes of the tables of points: form drag, then skin friction. 20 ellipsoids have 820 and 500
+# points.
+_POINTS = (900, 8), (512, 14)
 # Numbers of each body and of each joint axis, and their values where the animal has none.
 _OF_BODIES = {
     "joint_offset": 0.0, "joint_orientation": np.eye(3)[..., None], "mass": 0.0,
@@ -62,10 +63,6 @@ class AnimalNumbers(NamedTuple):
     light: Float[Any, "3"]
 
 
-class Misfit(ValueError):
-    """Raised for an animal that does not fit into the common program."""
-
-
 class AnimalInputs(TreeInputs):
     """Inputs of a program whose individuals are drawn animals.
 
@@ -79,7 +76,7 @@ class AnimalInputs(TreeInputs):
         given = {"centre_of_volume": tree.centre, "rest": np.zeros(tree.dof_count)}
         tree = dataclasses.replace(tree, **given)
         assert tree.walk is not None
-        nothing = PointDrag(PointTables(*map(np.zeros, zip(_POINTS, COLUMNS, strict=True))))
+        nothing = PointDrag(PointTables(*map(np.zeros, _POINTS)))
         world = dataclasses.replace(star.world, tree=tree, forces=(nothing,))
         self.common = dataclasses.replace(star, world=world, rules=None)
         own = {name: getattr(tree, name) for name in (*_OF_BODIES, *_OF_AXES, "root_centre")}
@@ -112,19 +109,19 @@ class AnimalInputs(TreeInputs):
         situation = common.situations[0]._replace(light=tuple(numbers.light))
         return {"world": world, "controller": controller, "situations": (situation,)}
 
-    def values(self, own: Simulation) -> tuple[Float[np.ndarray, " v"], Int[np.ndarray, " b"]]:
+    def values(
+        self, own: Simulation
+    ) -> tuple[Float[np.ndarray, " v"], Int[np.ndarray, " b"]] | None:
         """Return the inputs of an animal, and the place of each of its bodies in the program.
+
+        Return None if the animal does not fit.
 
         Args:
             own: simulation of the animal, with a light.
-
-        Raises:
-            Misfit: the animal does not fit.
         """
         world, tree, size = own.world, own.world.tree, self.common.world.tree.body_count
-        problem = _misfit(world, size)
-        if problem:
-            raise Misfit(problem)
+        if tree.body_count > size or not _is_common(world):
+            return None
         places, walk = _walked(tree, size)
         bodies = np.array(tree.dof_bodies, int)
         # The axes of a body come one after the other.
@@ -138,7 +135,7 @@ class AnimalInputs(TreeInputs):
         assert isinstance(drag, Drag) and water is not None
         points = point_tables(drag, water.density, places, _POINTS)
         if points is None:
-            raise Misfit("it has too many points of drag")
+            return None
         found = AnimalNumbers(
             self._spread(tree, places, dofs),
             rotational,
@@ -164,23 +161,18 @@ class AnimalInputs(TreeInputs):
         return numbers
 
 
-def _misfit(world: World, bodies: int) -> str | None:
-    """Return why an animal does not fit into a program, or None if it may fit."""
+def _is_common(world: World) -> bool:
+    """Return whether an animal and its water have nothing that the common program lacks."""
     tree, water = world.tree, world.water
-    plain = [law for law in world.forces if isinstance(law, Drag) and law.law == "normal"]
-    if tree.body_count > bodies:
-        return f"it has more than {bodies} bodies"
-    if tree.hanging is not None or tree.tendons is not None or tree.muscles is not None:
-        return "it hangs on the world, or has tendons or muscles"
-    if any(group.kind not in ("turns", "weld") for group in tree.groups):
-        return "it has balls, slides or axes at places of their own"
-    if tree.torque_motors is not None or needs_iteration(world):
-        return "it has torque motors, limits of torques, dry friction or contacts"
-    if not world.submerged or len(plain) != len(world.forces):
-        return "only deep water with simple drag is common to all animals"
-    if any(np.any(x) for x in jax.tree.leaves(water and water.streams)):
-        return "the water flows"
-    return None
+    others = tree.hanging, tree.tendons, tree.muscles, tree.torque_motors
+    return (
+        all(other is None for other in others)
+        and all(group.kind in ("turns", "weld") for group in tree.groups)
+        and not needs_iteration(world)
+        and world.submerged
+        and all(isinstance(law, Drag) and law.law == "normal" for law in world.forces)
+        and not any(np.any(x) for x in jax.tree.leaves(water and water.streams))
+    )
 
 
 def _walked(tree: Tree, size: int) -> tuple[Int[np.ndarray, " b"], TreeWalk]:

@@ -11,7 +11,7 @@ import pytest
 
 from evo_cpg.io.build import build_simulation
 from evo_cpg.io.load import complete_config
-from evo_cpg.simulation.any_animal import AnimalInputs, Misfit
+from evo_cpg.simulation.any_animal import AnimalInputs
 from evo_cpg.simulation.batched import BatchedSimulation
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
@@ -74,13 +74,15 @@ def motion(simulation, genes: int) -> np.ndarray:
 def compared(inputs: AnimalInputs, data: dict[str, Any]) -> None:
     """Compare the motion of an animal with that of its own simulation."""
     own = simulation_of(data)
-    values, places = inputs.values(own)
+    found = inputs.values(own)
+    assert found is not None
+    values, places = found
     common = dataclasses.replace(inputs.common, steps=own.steps)
     batch = BatchedSimulation(common, inputs, (values[:, None],))
-    found = motion(batch, common.controller.gene_count)[..., places]
+    there = motion(batch, common.controller.gene_count)[..., places]
     alone = motion(own, own.controller.gene_count)
     assert np.abs(alone[-1] - alone[0]).max() > 0.05
-    np.testing.assert_allclose(found, alone, atol=1e-9)
+    np.testing.assert_allclose(there, alone, atol=1e-9)
 
 
 def test_an_animal_moves_as_in_its_own_simulation(x64, inputs):
@@ -114,25 +116,24 @@ def long_animal() -> dict[str, Any]:
     return data
 
 
-@pytest.mark.parametrize(
-    ("data", "words"),
-    [
-        (long_animal(), "more than 4 bodies"),
-        (changed(actuator=MUSCLE, rest_deg=0), "muscles"),
-        (changed(axes=[{"slide": "x"}], limits_deg=None), "balls, slides"),
-        (changed(actuator={"gain": 2.0, "torque_limit": 1.0}), "limits of torques"),
-        (changed(surface=0.0), "only deep water"),
-        (changed(law="isotropic"), "only deep water"),
-        (changed(current=[0.1, 0, 0]), "the water flows"),
-    ],
-)
-def test_other_animals_do_not_fit(inputs, data, words):
-    with pytest.raises(Misfit, match=words):
-        inputs.values(simulation_of(data))
-
-
-def test_an_animal_with_many_points_does_not_fit(inputs):
+def many_points() -> dict[str, Any]:
     data = animal()
     data["world"]["water"]["form_resolution"] = 12
-    with pytest.raises(Misfit, match="too many points"):
-        inputs.values(simulation_of(data))
+    return data
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        long_animal(),
+        many_points(),
+        changed(actuator=MUSCLE, rest_deg=0),
+        changed(axes=[{"slide": "x"}], limits_deg=None),
+        changed(actuator={"gain": 2.0, "torque_limit": 1.0}),
+        changed(surface=0.0),
+        changed(law="isotropic"),
+        changed(current=[0.1, 0, 0]),
+    ],
+)
+def test_other_animals_do_not_fit(inputs, data):
+    assert inputs.values(simulation_of(data)) is None

@@ -5,6 +5,7 @@ of its own in the code of a program. Here the points are rows of a table, so tha
 every animal. A row without area has no force.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -21,9 +22,6 @@ from evo_cpg.physics.water.force_law import Bodies, WrenchPart, blocks
 _UPPER = np.triu_indices(6)
 _WHOLE = np.zeros((6, 6), int)
 _WHOLE[_UPPER] = _WHOLE.T[_UPPER] = np.arange(len(_UPPER[0]))
-
-COLUMNS = 8, 14
-"""Numbers of a point of form drag, and of a point of skin friction."""
 
 
 class PointTables(NamedTuple):
@@ -57,7 +55,7 @@ class PointDrag(DragOnPatches):
 
 
 def point_tables(
-    drag: Drag, density: float, places: np.ndarray, sizes: tuple[int, int]
+    drag: Drag, density: float, places: np.ndarray, shapes: Sequence[tuple[int, int]]
 ) -> PointTables | None:
     """Return the tables of the drag of an animal, or None if it has too many points.
 
@@ -65,25 +63,21 @@ def point_tables(
         drag: the drag, with known points.
         density: density of the water, kg/m^3.
         places: number in the tables of each body.
-        sizes: numbers of rows of both tables.
+        shapes: numbers of rows and columns of both tables.
     """
-    found: tuple[list[np.ndarray], list[np.ndarray]] = [], []
-    for patch in drag.patches:
-        kinds = (
-            (drag.form_drag * patch.normal_area, patch.normal[None]),
-            (drag.skin_drag * patch.tangential_area, patch.tangential),
-        )
-        for rows, (area, directions) in zip(found, kinds, strict=True):
-            factor = 0.5 * density * area[:, None]
-            for body in patch.bodies:
-                own = np.full_like(factor, places[body]), factor, *directions
-                rows.append(np.concatenate(own, 1))
-    tables = []
-    for rows, size, width in zip(found, sizes, COLUMNS, strict=True):
-        table = np.concatenate([np.zeros((0, width)), *rows])
-        if len(table) > size:
+    tables = [np.zeros(shape) for shape in shapes]
+    for k, table in enumerate(tables):
+        rows = []
+        for x in drag.patches:
+            area = (drag.form_drag * x.normal_area, drag.skin_drag * x.tangential_area)[k]
+            w = (x.normal, np.concatenate(x.tangential, 1))[k]
+            own = np.column_stack([area, 0.5 * density * area, w])
+            for body in x.bodies:
+                own[:, 0] = places[body]
+                rows.extend(own.tolist())
+        if len(rows) > len(table):
             return None
-        tables.append(np.pad(table, ((0, size - len(table)), (0, 0))))
+        table[: len(rows)] = np.reshape(rows, (-1, table.shape[1]))
     return PointTables(*tables)
 
 

@@ -83,7 +83,6 @@ class DrawingSession:
         self._sent: set[str] = set()
         self._try: Answer = {"state": "none"}
         self._run: TrainingRun | None = None
-        self._preparing: threading.Thread | None = None
         self._requests: Mapping[str, Callable[..., Any]] = {
             # A new page has received no shapes.
             "open": lambda: self._sent.clear(),
@@ -178,10 +177,8 @@ class DrawingSession:
         return {"problems": [each._asdict() for each in found], "revision": revision}
 
     def prepare(self) -> Answer:
-        """Begin to compile what a drive needs, unless it has begun already."""
-        if self._preparing is None:
-            self._preparing = threading.Thread(target=prepare, daemon=True)
-            self._preparing.start()
+        """Begin to compile what a drive needs, unless this process has done so already."""
+        threading.Thread(target=prepare, daemon=True).start()
         return {}
 
     def live_page(self) -> Answer:

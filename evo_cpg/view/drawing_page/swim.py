@@ -19,7 +19,7 @@ from evo_cpg.io.build import CommonPlan, build_simulation
 from evo_cpg.io.load import complete_config, read_yaml
 from evo_cpg.io.plans import with_star
 from evo_cpg.io.shipped import shipped
-from evo_cpg.simulation.any_animal import AnimalInputs, Misfit
+from evo_cpg.simulation.any_animal import AnimalInputs
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import population_mesh, use_cores
@@ -76,12 +76,11 @@ def swim(own: Simulation, length: float) -> Swim:
     light = as_vector(nearer)
     own = dataclasses.replace(own, situations=(begin._replace(light=light),))
     inputs = _common_inputs()
-    try:
-        values, places = inputs.values(own)
-    except Misfit:
-        frames, places = _compiled(own)(_genes(own)), slice(None)
-    else:
+    if found := inputs.values(own):
+        values, places = found
         frames = prepare()(_genes(inputs.common), None, None, 1, (values[:, None],))
+    else:
+        frames, places = _compiled(own)(_genes(own)), slice(None)
     position, rotation = (np.moveaxis(frames[x][..., places, 0], -1, 1) for x in _KEPT)
     return Swim(own.world.tree.names, position, rotation, light)
 
@@ -105,8 +104,9 @@ def _common_program() -> Callable[..., dict[str, np.ndarray]]:
     use_cores()
     inputs = _common_inputs()
     # The star is an animal, too. The first animal also compiles the walk over its tree.
-    values, _ = inputs.values(star(_BODIES))
-    return _compiled(inputs.common, inputs, (None, None, 1, (values[:, None],)))
+    found = inputs.values(star(_BODIES))
+    assert found is not None
+    return _compiled(inputs.common, inputs, (None, None, 1, (found[0][:, None],)))
 
 
 def _compiled(simulation: Simulation, inputs: Any = None, given: tuple = ()) -> Callable[..., Any]:
