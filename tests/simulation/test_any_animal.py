@@ -90,7 +90,7 @@ def test_an_animal_moves_as_in_its_own_simulation(x64, inputs):
 
 
 @pytest.mark.slow
-def test_an_animal_of_many_limbs_moves_as_in_its_own_simulation(x64):
+def test_many_limbs_move_as_in_their_own_simulation(x64):
     limbs = [
         part("tail1", "trunk", [-0.1, 0, 0], ["-z"]),
         part("tail2", "tail1", [-0.1, 0, 0], ["y", "x", "-z"]),

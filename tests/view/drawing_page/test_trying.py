@@ -80,7 +80,7 @@ def with_arms(**water: list[float]) -> dict:
 
 
 @pytest.mark.slow
-def test_an_animal_swims_to_the_light_of_its_task():
+def test_an_animal_swims_to_its_light():
     made = simulate(with_arms() | {"task": {"light": {"distance": 1.5}}}, HERE, "drive")
     light, centre = np.array(made["light"]), places(made).mean(1)
     np.testing.assert_allclose(np.linalg.norm(light), 1.5)
@@ -89,7 +89,7 @@ def test_an_animal_swims_to_the_light_of_its_task():
 
 
 @pytest.mark.slow
-def test_an_animal_with_a_program_of_its_own_swims_alike():
+def test_a_program_of_its_own_swims_alike():
     """A current that is too slow to be seen changes only the program."""
     drifting = with_arms(current=[1e-9, 0, 0])
     common, own = (simulate(x, HERE, "drive") for x in (with_arms(), drifting))
