@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from typing_extensions import override
 
 from evo_cpg.creature.algebra.decisions import recording_decisions, replaying_decisions
 from evo_cpg.creature.algebra.numerics import MixedArray, xp
@@ -328,17 +329,77 @@ class PlanBuilder(abc.ABC):
         """Return recorded arrays of a plan in the layout of its own creature."""
 
 
-class PlanInputs:
-    """Inputs of a program whose individuals are plans, in place of `Inputs`.
+class TreeInputs(abc.ABC):
+    """Inputs of a program whose individuals have trees of their own, in place of `Inputs`.
+
+    Attributes:
+        common: a star whose parts may hang on any earlier part.
+    """
+
+    common: Simulation
+    _like: Any
+    _varying: "_Varying"
+
+    def put(self, common: Simulation, values: list[Array]) -> Simulation:
+        """Return the simulation of an individual. The values are its numbers, as one array."""
+        return dataclasses.replace(common, **self._mixed(common, self._numbers(values)))
+
+    @abc.abstractmethod
+    def _parts(self, common: Simulation, numbers: Any) -> dict[str, Any]:
+        """Return the parts of the simulation of an individual that differ from those of others."""
+
+    def _numbers(self, values: list[Array]) -> Any:
+        """Return the numbers of an individual, given as one array."""
+        (flat,), (leaves, structure) = values, jax.tree.flatten(self._like)
+        ends = np.cumsum([leaf.size for leaf in leaves])[:-1].tolist()
+        parts = zip(jnp.split(flat, ends), leaves, strict=True)
+        return structure.unflatten([x.reshape(leaf.shape) for x, leaf in parts])
+
+    def _mixed(self, common: Simulation, numbers: Any) -> dict[str, Any]:
+        """Return `_parts` with all elements known that never differ."""
+        built, structure = jax.tree.flatten(self._parts(common, numbers))
+        varying = self._varying
+        flat = jnp.concatenate([jnp.ravel(built[place]) for place in varying.places])
+        traced, start = flat[varying.first], 0
+        for place, known in zip(varying.places, varying.known, strict=True):
+            rows = slice(start, start := start + known.size)
+            own = np.flatnonzero(varying.source[rows] >= 0)
+            given = varying.source[rows][own], varying.sign[rows][own]
+            built[place] = MixedArray(known, own, traced, *given)
+        return jax.tree.unflatten(structure, built)
+
+    def _find_varying(self) -> "_Varying":
+        """Find which elements of a simulation differ between individuals, by some random numbers.
+
+        Elements that are always equal, up to their sign, are computed once, because many surface
+        points of a box have equal coordinates.
+        """
+        draw, places = np.random.default_rng(0), []
+
+        def note_places(numbers: Any) -> None:
+            leaves = jax.tree.leaves(self._parts(self.common, numbers))
+            traced = (i for i, x in enumerate(leaves) if isinstance(x, jax.Array) and x.size)
+            places.extend(traced)
+
+        jax.eval_shape(note_places, self._like)
+        found = []
+        for _ in range(_SAMPLES):
+            sample = jax.tree.map(lambda leaf: draw.uniform(0.5, 1.5, leaf.shape), self._like)
+            found.append(jax.tree.leaves(self._parts(self.common, sample)))
+        rows = np.stack([np.concatenate([np.ravel(x[i]) for i in places]) for x in found], -1)
+        source, sign, first = _alike(rows)
+        known = tuple(np.asarray(found[0][i], float) for i in places)
+        return _Varying(tuple(places), known, source, sign, first)
+
+
+class PlanInputs(TreeInputs):
+    """Inputs of a program whose individuals are plans.
 
     Args:
         star: simulation of a root with ``b - 1`` parts on it, all boxes with the axes of the
             physics.
         physics: settings of the plans.
         rules: rules that disqualify a plan, as a function of its length (m), mass (kg) and pairs.
-
-    Attributes:
-        common: the star, with parents that may differ between individuals.
     """
 
     def __init__(
@@ -348,7 +409,7 @@ class PlanInputs:
         rules: Callable[[Any, Any, Pairs | None], Rules],
     ):
         bodies = star.world.tree.body_count
-        tree = _with_walk(star.world.tree)
+        tree = with_walk(star.world.tree)
         self.physics, self._rules = physics, rules
         world = dataclasses.replace(star.world, tree=tree)
         self._pairs = _all_pairs(tree) if physics.meet else None
@@ -367,30 +428,18 @@ class PlanInputs:
             [x.reshape(-1) for x in jax.tree.leaves(numbers_of(plan, self.physics))]
         )
 
+    @override
     def put(self, common: Simulation, values: list[Array]) -> Simulation:
-        """Return the simulation of a plan. The values are those of `values`, as one array."""
-        (flat,), (leaves, structure) = values, jax.tree.flatten(self._like)
-        ends = np.cumsum([leaf.size for leaf in leaves])[:-1].tolist()
-        parts = zip(jnp.split(flat, ends), leaves, strict=True)
-        numbers = structure.unflatten([x.reshape(leaf.shape) for x, leaf in parts])
-        built, structure = jax.tree.flatten(self._parts(common, numbers))
-        varying = self._varying
-        flat = jnp.concatenate([jnp.ravel(built[place]) for place in varying.places])
-        traced, start = flat[varying.first], 0
-        for place, known in zip(varying.places, varying.known, strict=True):
-            rows = slice(start, start := start + known.size)
-            own = np.flatnonzero(varying.source[rows] >= 0)
-            given = varying.source[rows][own], varying.sign[rows][own]
-            built[place] = MixedArray(known, own, traced, *given)
-        parts = jax.tree.unflatten(structure, built)
+        numbers = self._numbers(values)
+        parts = self._mixed(common, numbers)
         rules, world = common.rules, parts["world"]
         if rules is not None:
             pairs = _pairs(self._pairs, world.tree, numbers)
             rules = self._rules(numbers.length, numbers.mass.sum(), pairs)
         return dataclasses.replace(common, rules=rules, **parts)
 
+    @override
     def _parts(self, common: Simulation, numbers: PlanNumbers) -> dict[str, Any]:
-        """Return the parts of the simulation of a plan that differ from those of other plans."""
         tree = _tree(common.world.tree, numbers)
         with replaying_decisions(self._decisions):
             forces = self._forces(common, tree, numbers)
@@ -410,29 +459,6 @@ class PlanInputs:
         controller = dataclasses.replace(common.controller, tree=tree, **seeing)
         return {"world": world, "controller": controller, "situations": situations}
 
-    def _find_varying(self) -> "_Varying":
-        """Find which elements of a simulation differ between plans, by some random numbers.
-
-        Elements that are always equal, up to their sign, are computed once, because many surface
-        points of a box have equal coordinates.
-        """
-        draw, places = np.random.default_rng(0), []
-
-        def note_places(numbers: PlanNumbers) -> None:
-            leaves = jax.tree.leaves(self._parts(self.common, numbers))
-            traced = (i for i, x in enumerate(leaves) if isinstance(x, jax.Array) and x.size)
-            places.extend(traced)
-
-        jax.eval_shape(note_places, self._like)
-        found = []
-        for _ in range(_SAMPLES):
-            sample = jax.tree.map(lambda leaf: draw.uniform(0.5, 1.5, leaf.shape), self._like)
-            found.append(jax.tree.leaves(self._parts(self.common, sample)))
-        rows = np.stack([np.concatenate([np.ravel(x[i]) for i in places]) for x in found], -1)
-        source, sign, first = _alike(rows)
-        known = tuple(np.asarray(found[0][i], float) for i in places)
-        return _Varying(tuple(places), known, source, sign, first)
-
     def _forces(self, common: Simulation, tree: Tree, numbers: PlanNumbers) -> tuple[ForceLaw, ...]:
         """Return the forces of the water on a plan."""
         found = []
@@ -449,7 +475,7 @@ class PlanInputs:
 
 
 class _Varying(NamedTuple):
-    """Elements of a simulation that differ between plans.
+    """Elements of a simulation that differ between individuals.
 
     Attributes:
         places: leaves with such elements.
@@ -491,7 +517,7 @@ def _no_plan(bodies: int) -> Plan:
     )  # fmt: skip
 
 
-def _with_walk(tree: Tree) -> Tree:
+def with_walk(tree: Tree) -> Tree:
     """Return a star in which each part may hang on any earlier part."""
     groups = [
         Group(slice(i, i + 1), slice(k * i - k, k * i), k, (0,), "some turns", group.kinds)

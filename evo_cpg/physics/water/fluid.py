@@ -209,8 +209,8 @@ def sum_of_outer_products(
     return jnp.stack([total[:3, :3], total[:3, 3:], total[3:, 3:]]).reshape(27, -1)
 
 
-# Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
-_SPEED_FLOOR = 1e-12
+SPEED_FLOOR = 1e-12
+"""Squared speed (m^2/s^2) added under the root so that its gradient exists at rest."""
 
 DragLaw = Literal["normal", "isotropic"]
 
@@ -408,7 +408,7 @@ def _patch_drag(
     normal = product(patch.normal, flat)
     # A part whose skin points are all inside other parts has none, so no size can be -1.
     first, second = product(tangential_rows, flat).reshape(2, skin_points, flat.shape[1])
-    along = jnp.sqrt(first * first + second * second + _SPEED_FLOOR)
+    along = jnp.sqrt(first * first + second * second + SPEED_FLOOR)
     normal_factor = pressure * law.form_drag * patch.normal_area
     tangential_factor = pressure * law.skin_drag * patch.tangential_area
     if law.law == "normal":

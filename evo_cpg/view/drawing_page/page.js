@@ -434,9 +434,11 @@
   async function tryIt(how) {
     const answer = await request("try", { how });
     if (answer.error) return;
-    notice("Simulating five seconds...");
-    for (;;) {
-      await new Promise((done) => setTimeout(done, 250));
+    notice("Simulating...");
+    for (let waited = 0; ; waited += 1) {
+      // The first drive of this version waits for a program.
+      if (waited === 30) notice("Compiling...");
+      await new Promise((done) => setTimeout(done, 100));
       const found = (await send("/poll", undefined, "GET")).try;
       if (!found) return;
       if (found.state === "running") continue;
@@ -453,7 +455,7 @@
     View?.play(motion);
   }
   $("try-rest").addEventListener("click", () => tryIt("rest"));
-  $("try-rhythm").addEventListener("click", () => tryIt("rhythm"));
+  $("try-drive").addEventListener("click", () => tryIt("drive"));
   $("play").addEventListener("click", () => {
     const going = $("play").textContent === "Pause";
     View?.pause(going);
@@ -535,5 +537,5 @@
   }
 
   setMode("translate");
-  request("open").then(watch);
+  request("open").then(() => send("/prepare", "{}")).then(watch);
 })();

@@ -13,26 +13,29 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from evo_cpg.analysis.laboratory.ask import Subject, ask
+from evo_cpg.creature.creature import length_of
 from evo_cpg.errors import UserError
+from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import complete_config, load_config
 from evo_cpg.io.trust import is_trusted
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.drawing_page.document import Data, EditError
+from evo_cpg.view.drawing_page.swim import RATE, STEPS, Swim, swim
 from evo_cpg.view.run_page.viewer_data import packed
 from evo_cpg.view.scene import quaternions, sample
 
-How = Literal["rest", "rhythm"]
+How = Literal["rest", "drive"]
 
+# Duration of a try, s. A swim takes longer (`STEPS`).
 SECONDS = 5.0
-# Frames per second of the motion.
-RATE = 30.0
 _SHORT = 32767
 # Knobs of the laboratory: without motors, or with the largest drive of the cord.
-_KNOBS: dict[str, dict[str, list[Any]]] = {"rest": {"passive": ["*"]}, "rhythm": {"u": [1.0]}}
+_KNOBS: dict[str, dict[str, list[Any]]] = {"rest": {"passive": ["*"]}, "drive": {"u": [1.0]}}
 # Sections that a try needs. Other sections may not fit its controller, which has a rhythm.
 _SECTIONS = ("name", "creature", "world", "simulation", "engine")
 
@@ -50,37 +53,58 @@ _SHOWN = 2000
 def simulate(data: Data, source: Path, how: How) -> dict[str, Any]:
     """Simulate an animal, and return its motion as JSON.
 
-    It is at ``rest`` without motors, or its spinal cord gets a constant drive for a ``rhythm``.
+    It is at ``rest`` without motors. On ``drive``, the newborn brain moves it to a light. On the
+    ground, its spinal cord gets a constant drive instead.
 
     Raises:
         UserError: the animal is wrong, or cannot be driven.
     """
     if how not in _KNOBS:
-        raise EditError(f"{how!r}: choose rest or rhythm")
+        raise EditError(f"{how!r}: choose rest or drive")
     given = {key: data[key] for key in _SECTIONS if key in data}
-    controller = data.get("controller")
-    if isinstance(controller, dict) and controller.get("type", "brain_cpg") == "brain_cpg":
+    world, controller, task = (data.get(key) for key in ("world", "controller", "task"))
+    on_ground = isinstance(world, dict) and world.get("ground") is not None
+    swims = how == "drive" and not on_ground
+    if swims:
+        given |= {"controller": {"type": "body_brain"}, "simulation": STEPS}
+        if isinstance(task, dict) and task.get("type", "reach_light") == "reach_light":
+            given["task"] = task
+    elif isinstance(controller, dict) and controller.get("type", "brain_cpg") == "brain_cpg":
         given["controller"] = controller
     config = complete_config(given, source)
     if len(config.creature.copies()) < 2:
         raise EditError("a body without joints has nothing to try. Add a part first")
     use_cores()
-    answer = ask(Subject(config, source), _KNOBS[how], SECONDS)
-    (recording,) = answer.recordings
-    if not np.isfinite(recording.position).all():
+    if swims:
+        parts = build_experiment(config, source)
+        moved = swim(parts.simulation, float(length_of(parts.creature)))
+    else:
+        (moved,) = ask(Subject(config, source), _KNOBS[how], SECONDS).recordings
+    if not np.isfinite(moved.position).all():
         raise EditError("the motion diverged: a motor may be too strong for its body")
-    return motion(recording, [body.name for body in config.creature.build().bodies])
+    if isinstance(moved, Swim):
+        return packed_motion(moved.names, moved.position, moved.rotation) | {"light": moved.light}
+    return motion(moved, [body.name for body in config.creature.build().bodies])
 
 
 def motion(recording: Recording, names: Sequence[str]) -> dict[str, Any]:
     """Return a recording of named bodies as JSON."""
     clip = sample(recording, RATE)
+    return packed_motion(names, clip.position, clip.rotation)
+
+
+def packed_motion(
+    names: Sequence[str],
+    position: Float[np.ndarray, "t b 3"],
+    rotation: Float[np.ndarray, "t b 3 3"],
+) -> dict[str, Any]:
+    """Return positions (m) and rotations of named bodies, `RATE` frames per second, as JSON."""
     return {
         "rate": RATE,
-        "count": len(clip.time),
+        "count": len(position),
         "names": list(names),
-        "place": packed(clip.position, "<f4"),
-        "turn": packed(quaternions(clip.rotation) * _SHORT, "<i2"),
+        "place": packed(position, "<f4"),
+        "turn": packed(quaternions(rotation) * _SHORT, "<i2"),
     }
 
 

@@ -24,6 +24,8 @@ def drawing_server(session: DrawingSession, port: int = 0) -> PageServer:
         # Requests that change nothing do not wait for the others.
         if path == "/check":
             return session.check()
+        if path == "/prepare":
+            return session.prepare()
         if path == "/live_page":
             return session.live_page()
         return session.answer(path[1:], given)

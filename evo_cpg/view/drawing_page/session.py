@@ -27,6 +27,7 @@ from evo_cpg.view.drawing_page.document import Data, Document, EditError
 from evo_cpg.view.drawing_page.lookup import bodies
 from evo_cpg.view.drawing_page.runs import How, TrainingRun, simulate
 from evo_cpg.view.drawing_page.scene import scene
+from evo_cpg.view.drawing_page.swim import prepare
 
 Answer = dict[str, Any]
 Generations = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -174,6 +175,11 @@ class DrawingSession:
         with trusting(self._trusted):
             found = problems(data, source, advice=self._advice)
         return {"problems": [each._asdict() for each in found], "revision": revision}
+
+    def prepare(self) -> Answer:
+        """Begin to compile what a drive needs, unless this process has done so already."""
+        threading.Thread(target=prepare, daemon=True).start()
+        return {}
 
     def live_page(self) -> Answer:
         """Return the address of the run's live page as soon as it has one, or an ``error``.

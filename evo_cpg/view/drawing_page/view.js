@@ -31,8 +31,8 @@ const View = (() => {
   sun.shadow.mapSize.set(1024, 1024);
   sun.shadow.normalBias = 0.01;
   scene.add(sun, sun.target);
-  const animal = new THREE.Group(), world = new THREE.Group(), marks = new THREE.Group();
-  scene.add(animal, world, marks);
+  const animal = new THREE.Group(), world = new THREE.Group(), marks = new THREE.Group(), swim = new THREE.Group();
+  scene.add(animal, world, marks, swim);
   const orbit = new THREE.OrbitControls(camera, canvas);
   orbit.enableDamping = false;
   const gizmo = new THREE.TransformControls(camera, canvas);
@@ -128,9 +128,10 @@ const View = (() => {
   }
 
   // ---- the world: ground, water and light. The ground is below the animal at rest.
-  let raised = 0;
+  let raised = 0, goal = null, trail = null;
   function surround(data) {
     clear(world);
+    goal = null;
     const given = data.world || {}, water = given.water === undefined ? {} : given.water;
     const wide = 12 * drawn.length;
     raised = given.ground ? drawn.lowest : 0;
@@ -162,14 +163,20 @@ const View = (() => {
       const [turn, rise] = [light.bearing_deg, light.elevation_deg].map((angle) => (angle * Math.PI) / 180);
       const at = light.at ? vector(light.at) : new THREE.Vector3(Math.cos(rise) * Math.cos(turn), Math.cos(rise) * Math.sin(turn), Math.sin(rise)).multiplyScalar(light.distance);
       if (!light.at) at.z -= raised;
-      const lamp = new THREE.Mesh(new THREE.SphereGeometry(0.06 * Math.max(drawn.length, 0.3 * at.length()), 20, 14), new THREE.MeshBasicMaterial({ color: "#ffd45e" }));
-      lamp.position.copy(at);
-      const from = new THREE.Vector3(0, 0, -raised);
-      const beam = new THREE.BufferGeometry().setFromPoints([from.clone().lerp(at, Math.min(0.9, (0.8 * drawn.length) / at.length())), at]);
-      world.add(lamp, new THREE.Line(beam, new THREE.LineBasicMaterial({ color: "#e0a400", transparent: true, opacity: 0.5 })));
+      goal = lamp(at, new THREE.Vector3(0, 0, -raised));
+      world.add(goal);
     }
     world.position.z = motion ? 0 : raised;
     dirty = true;
+  }
+  // A light, with a beam from the place where the animal starts.
+  function lamp(at, from) {
+    const made = new THREE.Group(), far = at.distanceTo(from);
+    const ball = new THREE.Mesh(new THREE.SphereGeometry(0.06 * Math.max(drawn.length, 0.3 * far), 20, 14), new THREE.MeshBasicMaterial({ color: "#ffd45e" }));
+    ball.position.copy(at);
+    const beam = new THREE.BufferGeometry().setFromPoints([from.clone().lerp(at, Math.min(0.9, (0.8 * drawn.length) / far)), at]);
+    made.add(ball, new THREE.Line(beam, new THREE.LineBasicMaterial({ color: "#e0a400", transparent: true, opacity: 0.5 })));
+    return made;
   }
 
   // ---- selection: the part, its copies, its joint and its eyes
@@ -430,17 +437,27 @@ const View = (() => {
   }
 
   // ---- camera
-  function look(view) {
+  // From above, with the way from left to right or back. The side is that of the view "Side".
+  function across(way) {
+    const level = Math.hypot(way.x, way.y) || 1, side = way.x < 0 ? -1 : 1;
+    return [(side * way.y) / level, (-side * way.x) / level || -0.01, 0.8];
+  }
+  function look(view, at = null) {
     fit();
     const centre = new THREE.Vector3();
     for (const body of bodies.values()) centre.addScaledVector(body.group.position, 1 / bodies.size);
-    const from = { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02], back: [-1, 0, 0.02] }[view];
+    const seen = [...bodies.values()].map((body) => [body.group.position, Math.max(...body.half)]);
+    const from = at ? across(at.clone().sub(centre)) : { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02], back: [-1, 0, 0.02] }[view];
     const out = vector(from).normalize(), right = camera.up.clone().cross(out).normalize(), up = out.clone().cross(right);
     // The distance at which every body is inside the picture, with a margin.
     const tall = Math.tan((camera.fov * Math.PI) / 360), wide = tall * camera.aspect;
     let far = 0.8 * drawn.length;
-    for (const body of bodies.values()) {
-      const from = body.group.position.clone().sub(centre), reach = Math.max(...body.half);
+    if (at) {
+      centre.lerp(at, 0.5);
+      seen.push([at, 0.3 * drawn.length]);
+    }
+    for (const [place, reach] of seen) {
+      const from = place.clone().sub(centre);
       const [x, y] = [right, up].map((axis) => Math.abs(from.dot(axis)) + reach);
       far = Math.max(far, 1.15 * Math.max(x / wide, y / tall) + from.dot(out) + reach);
     }
@@ -464,12 +481,25 @@ const View = (() => {
     gaps = [];
     select(selected);
     world.position.z = 0;
+    clear(swim);
+    trail = null;
+    if (goal) goal.visible = !given.light;
+    seek(0);
+    if (!given.light) return;
+    // The camera stands still and the animal leaves a trail, so that its way to the light is seen.
+    const centres = Array.from({ length: given.count }, (_, i) => middle(i));
+    trail = new THREE.Line(new THREE.BufferGeometry().setFromPoints(centres), new THREE.LineBasicMaterial({ color: "#e0342b" }));
+    swim.add(lamp(vector(given.light), centres[0]), trail);
+    look("light", vector(given.light));
     seek(0);
   }
   function stop() {
     if (!motion) return;
     const [place, target] = motion.from;
     motion = null;
+    clear(swim);
+    trail = null;
+    if (goal) goal.visible = true;
     world.position.z = raised;
     for (const body of bodies.values()) {
       body.group.position.copy(vector(body.place));
@@ -480,11 +510,17 @@ const View = (() => {
     orbit.update();
     select(selected);
   }
+  // Mean place of all bodies in a frame.
+  function middle(i) {
+    const found = new THREE.Vector3(), count = motion.names.length, p = motion.places;
+    for (let k = count * i; k < count * (i + 1); k++) found.add(new THREE.Vector3(p[3 * k], p[3 * k + 1], p[3 * k + 2]));
+    return found.divideScalar(count);
+  }
   const one = new THREE.Quaternion(), two = new THREE.Quaternion();
   function seek(time) {
     motion.time = Math.min(Math.max(time, 0), motion.duration);
     const at = motion.time * motion.rate, i = Math.min(Math.floor(at), motion.count - 2), f = at - i;
-    const count = motion.names.length, centre = new THREE.Vector3();
+    const count = motion.names.length, centre = middle(i).lerp(middle(i + 1), f);
     motion.names.forEach((name, k) => {
       const body = bodies.get(name);
       if (!body) return;
@@ -494,12 +530,14 @@ const View = (() => {
       one.set(q[c], q[c + 1], q[c + 2], q[c + 3]).normalize();
       two.set(q[d], q[d + 1], q[d + 2], q[d + 3]).normalize();
       body.group.quaternion.copy(one.slerp(two, f));
-      centre.addScaledVector(body.group.position, 1 / count);
     });
-    const step = centre.sub(orbit.target);
-    orbit.target.add(step);
-    camera.position.add(step);
-    orbit.update();
+    trail?.geometry.setDrawRange(0, i + 2);
+    if (!motion.light) {
+      const step = centre.sub(orbit.target);
+      orbit.target.add(step);
+      camera.position.add(step);
+      orbit.update();
+    }
     dirty = true;
   }
 

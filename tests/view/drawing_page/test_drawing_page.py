@@ -149,7 +149,7 @@ def test_the_swimmer_of_the_paper_is_drawn_tried_and_trained(drawn):
     assert problems(drawn.document.data, drawn.document.path) == []
     assert Document.open(drawn.document.path).texts == drawn.document.texts
 
-    drawn.page.click("#try-rhythm")
+    drawn.page.click("#try-drive")
     drawn.page.wait("View.playing")
     before = drawn.page.run("View.pose('segment9')")
     frames = drawn.page.run("View.frames")

@@ -38,7 +38,7 @@ def session(tmp_path) -> DrawingSession:
         ("undo", {"wing": 1}, "undo: wing: unknown key"),
         ("train", {"generations": "many"}, "train: generations: 'many': must be a whole number"),
         ("train", {"generations": float("nan")}, "train: generations: nan"),
-        ("try", {"how": "fly"}, "try: how: 'fly': must be 'rest' or 'rhythm'"),
+        ("try", {"how": "fly"}, "try: how: 'fly': must be 'rest' or 'drive'"),
         ("save", {"name": "a" * 300 + ".yaml"}, "must be the name of a .yaml file"),
         ("save", {"name": "a\0.yaml"}, "must be the name of a .yaml file"),
         ("save", {"name": "a\ud800.yaml"}, "must be the name of a .yaml file"),
