@@ -288,6 +288,7 @@ def plans_of(config: ExperimentConfig) -> EvolvedPlans:
     Raises:
         KeyProblem: the configuration has a part that plans cannot have.
     """
+    assert isinstance(config.evolution, PlanEvolutionConfig)
     world, ground = config.world, config.world.ground
     uneven = ground and (ground.obstacles or ground.floor != PlaneConfig())
     water = world.water

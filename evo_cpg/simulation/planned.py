@@ -177,9 +177,15 @@ def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
         _separate(plan, half, pose) if physics.meet else half[:0, 0],
         -low[2],
         (low + high).max(),
-        (walk.above @ plan.eye > 0).astype(half.dtype) if physics.eyes else half[:0, 0],
+        _sight(plan, walk) if physics.eyes else half[:0, 0],
         walk,
     )
+
+
+def _sight(plan: Plan, walk: TreeWalk) -> Float[Array, " b"]:
+    """Return 1 for each body with an eye on it or on an ancestor, else 0."""
+    above = jnp.asarray(walk.above, plan.half.dtype)
+    return (above * plan.eye[None]).max(1)
 
 
 def _neutral_pose(

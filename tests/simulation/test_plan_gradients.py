@@ -97,13 +97,17 @@ def test_derivatives_of_growth_take_no_notice_of_rounding():
     plans: EvolvedPlans = plans_of(WATER, 6, 0.1)
     genes = random_genes(plans, 20)
     graph = plans.layout.unpack(genes[:, 0])
-    grown = quick_jit(lambda graph: developed(graph, plans.layout, plans.bounds))
+
+    def grow(graph):
+        return developed(graph, plans.layout, plans.bounds)
+
+    grown = quick_jit(grow)
     for name, step in (("size", 1 / 256), ("strength", 1 / 256), ("place", 1 / 128)):
         gene = getattr(graph, name)
         along = np.zeros_like(gene)
         along[0] = 1.0
         tangents = jax.tree.map(np.zeros_like, graph)._replace(**{name: along})
-        _, found = quick_jit(lambda *given: jax.jvp(grown, given[:1], given[1:]))(graph, tangents)
+        _, found = quick_jit(lambda *given: jax.jvp(grow, given[:1], given[1:]))(graph, tangents)
         sides = [grown(graph._replace(**{name: gene + s * step * along})) for s in (1, -1)]
         for field in ("half", "place", "strength"):
             high, low = (np.asarray(getattr(side, field)) for side in sides)
