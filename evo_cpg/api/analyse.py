@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from evo_cpg.analysis.chains import joint_rows
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.api.machine import version
-from evo_cpg.api.paper_differences import paper_differences
 from evo_cpg.api.progress import working
 from evo_cpg.api.run_start import now
 from evo_cpg.api.runs import open_champion, suffix, writing
@@ -213,7 +212,6 @@ def page(
         audit=audit,
         stale=stale,
         half_step=half,
-        differences=paper_differences(config),
         program=version().splitlines()[0],
         made=now(),
     )

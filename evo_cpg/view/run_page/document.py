@@ -32,7 +32,6 @@ def document(subject: PageSubject, motion: RecordedMotion) -> str:
         ("numbers", "All numbers", movement.all_numbers(motion.numbers.quantities)),
         ("evolution", "How it evolved", origin.evolution(subject, motion)),
         ("audit", "Is it a gait, or a trick of the simulation?", origin.audit(subject)),
-        ("paper", "Differences from the paper", origin.paper(subject)),
         ("repeat", "How to repeat it", origin.repetition(subject)),
     ]
     shown = [(key, title, inner) for key, title, inner in sections if inner]
