@@ -407,7 +407,7 @@ def lab(
             metavar="KNOB=VALUES",
             help="What to vary: a list such as u=0.2,0.6 or u=0.2:1:9 (START:STOP:COUNT). Knobs: "
             "u (drive), b (adaptation), turn, cut, behind, undriven, feedback, silence, passive, "
-            "stiffness, size, viscosity, gravity, current, tow, bend, degrees, ratio, and keys of "
+            "stiffness, size, viscosity, gravity, current, tow, and keys of "
             "the configuration such as world.water.density.",
         ),
     ] = None,
