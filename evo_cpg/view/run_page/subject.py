@@ -10,18 +10,6 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.scene import Clip
 
 
-class Crowd(NamedTuple):
-    """All animals of a generation.
-
-    Attributes:
-        title: generation and number of animals.
-        scene: data of the viewer.
-    """
-
-    title: str
-    scene: Mapping[str, Any]
-
-
 class PageSubject(NamedTuple):
     """Subject of a page.
 
@@ -81,7 +69,6 @@ class RecordedMotion(NamedTuple):
         history: columns of metrics.csv.
         chain_places: places of the joints along the body, m behind the first.
         root_index: index of the root in ``creature.bodies``.
-        crowd: a generation that the page also shows, or None.
     """
 
     recording: Recording
@@ -92,4 +79,3 @@ class RecordedMotion(NamedTuple):
     history: Mapping[str, np.ndarray]
     chain_places: np.ndarray
     root_index: int
-    crowd: Crowd | None = None
