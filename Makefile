@@ -61,7 +61,7 @@ check: $(DEV) docs ## format, lint, types, layers, language, size and docs, as C
 	$(BIN)/python docs/tools/budget.py
 
 bench: $(DEV) ## run the benchmark suite
-	$(BIN)/evo-cpg bench
+	$(BIN)/python -m benchmarks
 
 docs: $(DEV) ## build the documentation into docs/_build/html
 	$(BIN)/python docs/tools/generate.py --check

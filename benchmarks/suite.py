@@ -1,4 +1,4 @@
-"""The benchmark suite behind `evo-cpg bench`: its cases, and how they run.
+"""The benchmark suite behind `python -m benchmarks`: its cases, and how they run.
 
 All contenders of a case run in turn, several times, in one session on the same cores. Rates are
 medians over these rounds, and ratios are medians of the ratios within a round. Compilation is timed

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from evo_cpg.api.progress import show_progress
     from evo_cpg.api.record import Record
     from evo_cpg.api.refine import Refined, refine
-    from evo_cpg.api.rhythm import find_rhythm, rhythm
+    from evo_cpg.api.rhythm import rhythm
     from evo_cpg.api.runs import Verification, verify
     from evo_cpg.api.sensitivity import Sensitivities, sensitivity
     from evo_cpg.api.story import story
@@ -54,7 +54,7 @@ _NAMES = {
     "api.probe": ("probe", "Probed"),
     "api.sensitivity": ("sensitivity", "Sensitivities"),
     "api.story": ("story",),
-    "api.rhythm": ("rhythm", "find_rhythm"),
+    "api.rhythm": ("rhythm",),
     "api.lab": ("lab",),
     "analysis.laboratory.ask": ("Answer",),
     "api.progress": ("show_progress",),

@@ -1,63 +1,36 @@
 """Chains of oscillators, each the child of the oscillator before it."""
 
-import dataclasses
-import itertools
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.control.couplings import explicit_weights
-from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix, parts
+from evo_cpg.control.matsuoka import CpgSettings, inhibition_matrix
 from evo_cpg.creature.tree import Tree
 
 # Axes count as perpendicular if the cosine of their angle is less.
 _SQUARE = 1e-6
 
 
-class OscillatorChain(NamedTuple):
-    """Oscillators of one axis. Each is the child of the oscillator before it, which inhibits it.
+def chains(tree: Tree, settings: CpgSettings) -> list[tuple[int, ...]]:
+    """Return all maximal chains, the longest first, then in the order of the bodies.
 
-    Attributes:
-        name: name of the first degree of freedom, and number of followers.
-        oscillators: oscillators from head to tail.
-        part: all oscillators connected to the chain, directly or not, if neighbours are coupled.
-        sides: sign for each pair of neighbours. 1: they inhibit opposite sides, and swing together
-            except for the lag. -1: they inhibit the same side, and swing in opposition.
+    A chain has oscillators of one axis, from head to tail. Each is the child of the oscillator
+    before it, which inhibits it.
     """
-
-    name: str
-    oscillators: tuple[int, ...]
-    part: tuple[int, ...]
-    sides: Float[np.ndarray, " gaps"]
-
-
-def chains(tree: Tree, settings: CpgSettings) -> list[OscillatorChain]:
-    """Return all maximal chains, the longest first, then in the order of the bodies."""
     down = CpgSettings(pair_weight=1.0, child_weight=0.0, opposite=settings.opposite)
     links = inhibition_matrix(tree, down) - np.eye(tree.dof_count)
     for place in explicit_weights(tree, settings.couplings, settings.rings):
         # An explicit weight in the settings replaces the coupling from the parent.
         links[place] = 0
-    # Treat neighbours as coupled, whatever the present settings.
-    coupled = dataclasses.replace(settings, pair_weight=1.0, parent_weight=1.0, child_weight=1.0)
-    joined = parts(build_network(tree, coupled))
     found = []
     for last in np.flatnonzero(~links.any(0)):
         path = [int(last)]
         while links[path[0]].any():
             path.insert(0, int(links[path[0]].nonzero()[0][0]))
-        part = next(part for part in joined if path[0] in part)
-        found.append(
-            OscillatorChain(
-                name=tree.dof_names[path[0]] + (f" + {len(path) - 1}" if path[1:] else ""),
-                oscillators=tuple(path),
-                part=part,
-                sides=np.array([links[b, a] for a, b in itertools.pairwise(path)]),
-            )
-        )
-    return sorted(found, key=lambda chain: (-len(chain.oscillators), chain.oscillators[0]))
+        found.append(tuple(path))
+    return sorted(found, key=lambda chain: (-len(chain), chain[0]))
 
 
 def joint_rows(tree: Tree) -> list[tuple[int, ...]]:
@@ -65,7 +38,7 @@ def joint_rows(tree: Tree) -> list[tuple[int, ...]]:
 
     These are the chains of oscillators with default settings.
     """
-    return [chain.oscillators for chain in chains(tree, CpgSettings())]
+    return chains(tree, CpgSettings())
 
 
 def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, " d"]:

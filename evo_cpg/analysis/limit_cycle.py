@@ -309,7 +309,6 @@ def limit_cycle(
     tonic_input: Float[np.ndarray, "2 o"],
     adaptation_gain: Float[np.ndarray, " o"],
     oscillators: tuple[int, ...] | None = None,
-    near: LimitCycle | None = None,
 ) -> LimitCycle:
     """Return the orbit of one part of a network: one set of connected oscillators.
 
@@ -320,7 +319,6 @@ def limit_cycle(
         tonic_input: u of each neuron, extensors first.
         adaptation_gain: b of each oscillator.
         oscillators: oscillators of the part, or None for the first of `parts`.
-        near: orbit of a similar network. An orbit near to it is found much sooner.
 
     Raises:
         NoRhythmError: the part rests.
@@ -330,11 +328,7 @@ def limit_cycle(
     every = list(chosen)
     tonic_input, gains = np.asarray(tonic_input, float), np.asarray(adaptation_gain, float)
     flow = Flow(sub_network(network, chosen), tonic_input[:, every], gains[every])
-    orbit = None
-    if near is not None:
-        orbit = close(flow, near.states[..., 0].ravel() / flow.scale, near.period / flow.unit)
-    if orbit is None:
-        orbit = settle(flow)
+    orbit = settle(flow)
     samples = orbit.run.sol(np.arange(STEPS) * orbit.period / STEPS)
     along = flow.derivative(0.0, orbit.state)
     error = np.linalg.norm(orbit.monodromy @ along - along) / np.linalg.norm(along)

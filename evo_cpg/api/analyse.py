@@ -4,12 +4,11 @@ import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from evo_cpg.analysis.chains import joint_rows
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.api.machine import version
-from evo_cpg.api.paper_differences import paper_differences
 from evo_cpg.api.progress import working
 from evo_cpg.api.run_start import now
 from evo_cpg.api.runs import open_champion, suffix, writing
@@ -21,9 +20,6 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.run_folder import RunFolder
-
-if TYPE_CHECKING:
-    from evo_cpg.view.scene import Panel
 
 # Size of the picture for print, pixels, and quality of its JPEG.
 _STILL, _QUALITY = (1280, 720), 88
@@ -50,7 +46,6 @@ def analyse(
     *,
     number: int | None = None,
     out: Path | str | None = None,
-    crowd: int | None = None,
 ) -> Analysis:
     """Make the page of a run's champion, with the numbers of its gait.
 
@@ -64,7 +59,6 @@ def analyse(
         number: number of one of several runs side by side, or None for the best.
         out: path of the page, or None for ``analysis.html`` in the run folder. The numbers are
             beside it in a JSON file.
-        crowd: a generation that the page also shows, or None.
 
     Raises:
         ConfigError: the configuration of the run is wrong.
@@ -79,17 +73,11 @@ def analyse(
         opened.require_configured()
         if opened.changed:
             advise(f"{opened.folder.path}: {opened.changed}")
-        together = None
-        if crowd is not None:
-            from evo_cpg.api.film import crowd_panel
-            from evo_cpg.view.film import Film
-
-            together = crowd_panel(opened, crowd, trial, Film())
         path = output or opened.folder.path / f"analysis{suffix(number, trial)}.html"
         with working("replaying the champion") as work:
             recording, numbers = measure(opened, trial)
             work.doing("drawing")
-            write_text(path, page(opened, trial, recording, numbers, together))
+            write_text(path, page(opened, trial, recording, numbers))
         table, champion = path.with_suffix(".json"), opened.champion
         about = {"run": champion.run, "generation": champion.generation, "trial": trial}
         contents = about | {"made": now()} | numbers.as_dict()
@@ -136,18 +124,12 @@ def measure(opened: Run, trial: int) -> tuple[Recording, GaitNumbers]:
     return replay.recording, numbers
 
 
-def page(
-    opened: Run,
-    trial: int,
-    recording: Recording,
-    numbers: GaitNumbers,
-    crowd: "Panel | None" = None,
-) -> str:
+def page(opened: Run, trial: int, recording: Recording, numbers: GaitNumbers) -> str:
     """Return the HTML text of a champion's page."""
     from evo_cpg.analysis.gait_numbers import chain_places
     from evo_cpg.view.film import Film, picture
     from evo_cpg.view.run_page.document import document
-    from evo_cpg.view.run_page.subject import Crowd, PageSubject, RecordedMotion
+    from evo_cpg.view.run_page.subject import PageSubject, RecordedMotion
     from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
     from evo_cpg.view.scene import panel_of, sample
 
@@ -156,14 +138,6 @@ def page(
     simulation = experiment.simulation
     panel, still = panel_of(experiment, recording, experiment.name), io.BytesIO()
     picture([panel], Film(_STILL)).save(still, "JPEG", quality=_QUALITY)
-    together = None
-    if crowd is not None:
-        scene, title = viewer_data(crowd), (crowd.title or "").capitalize()
-        # The page may have no room for all animals.
-        shown = scene["crowd"]["count"]
-        if crowd.crowd is not None and shown < crowd.crowd.count:
-            title = f"{title}, {shown + 1} of them shown"
-        together = Crowd(title, scene)
     motion = RecordedMotion(
         recording=recording,
         clip=sample(recording, RATE),
@@ -173,7 +147,6 @@ def page(
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
         root_index=experiment.creature.root_index,
-        crowd=together,
     )
     audit, stale = _audit(folder, champion)
     # `train` may have measured another champion at half the physics step.
@@ -213,7 +186,6 @@ def page(
         audit=audit,
         stale=stale,
         half_step=half,
-        differences=paper_differences(config),
         program=version().splitlines()[0],
         made=now(),
     )

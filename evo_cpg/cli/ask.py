@@ -17,7 +17,6 @@ from evo_cpg.cli.errors import ExitCode, require_free
 from evo_cpg.cli.options import (
     Cell,
     CoresOfRun,
-    Crowd,
     Folder,
     Number,
     Overwrite,
@@ -58,7 +57,6 @@ def analyse(
     ] = None,
     number: Number = None,
     trial: Trial = 0,
-    crowd: Crowd = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write a page about a run, and print the numbers of its gait."""
@@ -68,7 +66,7 @@ def analyse(
         output = output_path(output, (".html", ".htm"))
         for path in (output, output.with_suffix(".json")):
             require_free(path, overwrite)
-    made = evo.analyse(run, trial, number=number, out=output, crowd=crowd)
+    made = evo.analyse(run, trial, number=number, out=output)
     rows, missing = [], {}
     for each in made.numbers.quantities:
         if each.exists:
@@ -407,7 +405,7 @@ def lab(
             metavar="KNOB=VALUES",
             help="What to vary: a list such as u=0.2,0.6 or u=0.2:1:9 (START:STOP:COUNT). Knobs: "
             "u (drive), b (adaptation), turn, cut, behind, undriven, feedback, silence, passive, "
-            "stiffness, size, viscosity, gravity, current, tow, bend, degrees, ratio, and keys of "
+            "stiffness, size, viscosity, gravity, current, tow, and keys of "
             "the configuration such as world.water.density.",
         ),
     ] = None,

@@ -29,14 +29,14 @@ _FILES = {
     "ask": ("analyse", "audit", "verify", "probe", "sensitivity", "lab"),
     "cpg": ("cpg",),
     "exchange": ("validate", "configs", "export", "import"),
-    "repeat": ("reproduce", "bench"),
+    "repeat": ("reproduce",),
 }
 COMMANDS = {name: file for file, names in _FILES.items() for name in names}
 
 # These commands write their results to a folder, so a lost standard output is no failure.
 _EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
 
-_PLAIN: dict[str, Any] = {"pretty_exceptions_enable": False, "rich_markup_mode": None}
+PLAIN: dict[str, Any] = {"pretty_exceptions_enable": False, "rich_markup_mode": None}
 
 
 # Missing argument, and the hint.
@@ -55,7 +55,7 @@ class _Imported(UserDict[str, Any]):
         module = importlib.import_module(f"evo_cpg.cli.{self.data[name]}")
         found = getattr(module, f"{name}_" if name == "import" else name)
         if not isinstance(found, typer.Typer):
-            function, found = found, typer.Typer(add_completion=False, **_PLAIN)
+            function, found = found, typer.Typer(add_completion=False, **PLAIN)
 
             @functools.wraps(function)
             def with_all_lines(*values: Any, **options: Any) -> None:
@@ -97,7 +97,7 @@ app = typer.Typer(
     cls=_Commands,
     help="Evolve the motion of virtual creatures.",
     no_args_is_help=True,
-    **_PLAIN,
+    **PLAIN,
 )
 
 
@@ -134,8 +134,8 @@ def options(
         trust_configurations()
 
 
-def main() -> None:
-    """Run the command line.
+def main(commands: typer.Typer = app, name: str = "evo-cpg") -> None:
+    """Run the command line, or other commands under another name.
 
     For an error of the user or the system, print a short message and exit with code 2.
     """
@@ -143,7 +143,7 @@ def main() -> None:
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     try:
         with interrupts_delivered(), advice_printed():
-            app(prog_name="evo-cpg")
+            commands(prog_name=name)
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None
     except Exception as error:

@@ -8,7 +8,7 @@ from functools import partial
 
 from evo_cpg.api.lab import lab
 from evo_cpg.studies import card_rows
-from evo_cpg.studies.card import Absent, AnsweredRow, Row, card_tables
+from evo_cpg.studies.card import AnsweredRow, Row, card_tables
 from evo_cpg.studies.study import Part, Runs, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
@@ -50,13 +50,6 @@ def card(workshop: Workshop, rows: Sequence[Row]) -> list[Table]:
     return card_tables(verdicts, places)
 
 
-def absent(workshop: Workshop, rows: Sequence[Absent]) -> list[Table]:
-    """Return the figures that no simulation of ours answers."""
-    head = ("animal", "its figure", "why ours has none")
-    cells = [[row.name, f"{row.figure} ({row.source})", row.reason] for row in rows]
-    return [Table("", head, cells)]
-
-
 STUDY = Study(
     "animals",
     "Figures of real animals beside ours",
@@ -69,7 +62,5 @@ STUDY = Study(
                                + card_rows.MUSCLES)),
         "land": Part("water and land, and walkers", ("trot", "tripod"),
                      partial(card, rows=card_rows.WALKERS)),
-        "absent": Part("figures without an answer", (),
-                       partial(absent, rows=card_rows.ABSENT)),
     },
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Study of the program's speed: a part for each case of `evo-cpg bench`, without runs."""
+"""Study of the program's speed: a part for each case of `python -m benchmarks`, without runs."""
 
 import importlib
 import sys

@@ -140,19 +140,3 @@ def card_tables(verdicts: Sequence[AnsweredRow], places: Mapping[str, str]) -> l
         groups.setdefault(command, []).append(cells)
     head = "animal", "its figure", "reproduced if", "ours: median (range)", "reproduced", "missing"
     return [Table(f"`{command}`", head, cells) for command, cells in groups.items()]
-
-
-class Absent(NamedTuple):
-    """A figure of an animal that no simulation of ours answers.
-
-    Attributes:
-        name: animal and quantity.
-        figure: the animal's figure.
-        source: paper.
-        reason: reason, in one clause.
-    """
-
-    name: str
-    figure: str
-    source: str
-    reason: str

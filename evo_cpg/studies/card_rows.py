@@ -1,9 +1,9 @@
-"""Rows of the report card: swimmers, nerves and muscles, walkers, and figures without an answer."""
+"""Rows of the report card: swimmers, nerves and muscles, and walkers."""
 
 from functools import partial
 
 from evo_cpg.studies import card_measures as m
-from evo_cpg.studies.card import Absent, Question, Row, Rule, rule
+from evo_cpg.studies.card import Question, Row, Rule, rule
 
 # Open loop: the largest drive, and the adaptation gains of the eel's own range.
 DRIVE = Question(
@@ -230,27 +230,4 @@ WALKERS = [
     Row("land animals: metabolic cost over allometry. Ours: the hexapod",
         "1", _COST, rule("factor", 1.0), INSECT, m.cost_over_allometry, _SEEDS,
         "ours is mechanical work over an efficiency of 0.25"),
-]  # fmt: skip
-
-ABSENT = [
-    Absent("trout behind a cylinder",
-           "tail beats at the shedding frequency, body wave 25 % faster than the flow",
-           "2013, J. Exp. Biol. 216, 3442", "our water has currents, but no vortices"),
-    Absent("eel: impulse of the wake", "twice that of elongated-body and resistive models",
-           "Tytell 2004, J. Exp. Biol., secondary source", "our water has no wake"),
-    Absent("eel backwards", "steeper frequency over speed, uniform amplitude",
-           "D'Aout and Aerts 1999, J. Exp. Biol., secondary source",
-           "no animal of ours swims backwards"),
-    Absent("newt under water", "1.19 lengths from snout to vent a second, duty factor 0.41",
-           "Ashley-Ross, Lundin, Johnson 2009, secondary source",
-           "it walks on the bottom. Our salamander swims"),
-    Absent("model of a salamander: limbs",
-           "oscillators of limbs are slower than those of the body", "Ijspeert et al. 2007",
-           "all oscillators of an animal of ours have the same time constants"),
-    Absent("zebrafish larva", "up to 100 Hz, displacement 57 to 63 degrees behind curvature",
-           "2004, J. Exp. Biol. 207, 853", "our animals are controlled 60 times a second"),
-    Absent("robot fish", "speed predicted to 0.019 m/s", "arXiv 2602.23283",
-           "its data have no licence, so the program cannot ship them"),
-    Absent("Caenorhabditis elegans, crawling", "drag across over drag along: 10",
-           "arXiv 1112.1118", "the ratio is that of the agar. Our worm swims, with a ratio of 1.5"),
 ]  # fmt: skip

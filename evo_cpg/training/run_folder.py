@@ -378,13 +378,6 @@ class RunFolder:
                 {name: values.tolist() for name, values in below(arrays, prefix).items()}
                 for prefix in (TERM_PREFIX, SCALE_PREFIX)
             )
-            every = [*columns.values(), *terms.values(), *scales.values()]
-            rows = genes.ndim == 2 and all(
-                isinstance(x, list) and len(x) == len(genes) for x in every
-            )
-            counted = all(arrays[name].dtype.kind in "iu" for name in _OF_ALL[1:])
-            if not rows or not counted:
-                raise ValueError("its arrays do not describe champions")
             return [
                 Champion(
                     genes[i],
@@ -421,25 +414,7 @@ class RunFolder:
                 name: arrays[_RECORDING_PREFIX + name] for name in Recording._fields
             }
             fields["dof_names"] = tuple(str(name) for name in fields["dof_names"])
-            recording = Recording(**fields)
-            instants, dofs = len(recording.time), len(recording.dof_names)
-            bodies = recording.position.shape[1] if recording.position.ndim > 1 else 0
-            shapes = {
-                "time": (instants,),
-                "position": (instants, bodies, 3),
-                "rotation": (instants, bodies, 3, 3),
-                "joint_angle": (instants, dofs),
-                "target_rate": (instants, dofs),
-                "cpg_output": (instants, dofs),
-                "torque": (instants, dofs),
-                "distance": (instants,),
-                "goal": (3,),
-            }
-            for name, shape in shapes.items():
-                found = getattr(recording, name).shape
-                if found != shape or not (instants and bodies):
-                    raise ValueError(f"its {name} has the shape {found}, not {shape}")
-            return champion, recording, digests
+            return champion, Recording(**fields), digests
         except DAMAGED as error:
             raise RunFolderError(
                 f"{self.champion} is damaged ({error}). `evo-cpg resume {self.path}` writes it "

@@ -7,6 +7,7 @@ mesh of coarse bodies. Each frame only overwrites its points.
 import numpy as np
 import pyvista as pv
 
+from evo_cpg.creature.mesh import hull
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.view.offscreen import add_faded, spot_texture, write_depth
 from evo_cpg.view.shadows import Spots, patch_opacity
@@ -83,15 +84,7 @@ def add_ghosts(stage: Stage) -> Update:
 
 def coarse(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
     """Return a hull of a shape with few points ``(n, 3)`` in m, and its triangles ``(f, 3)``."""
-    # SciPy takes long to import.
-    from scipy.spatial import ConvexHull
-
     directions = np.asarray(pv.Icosphere(nsub=_FINENESS).points, float)
     points = np.array([shape.support(each) for each in directions], float)
-    hull = ConvexHull(points)
-    corners = points[hull.simplices]
-    turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inwards = (turned * hull.equations[:, :3]).sum(1) < 0
-    faces = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
-    used, faces = np.unique(faces, return_inverse=True)
-    return points[used].astype(np.float32), faces.reshape(-1, 3)
+    corners, faces = hull(points, "points of a body")
+    return corners.astype(np.float32), faces

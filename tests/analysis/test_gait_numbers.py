@@ -7,10 +7,9 @@ import pytest
 
 import trials
 from creatures import AXES, box_chain, in_water
-from evo_cpg.analysis.chains import axis_signs, chains
+from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.gait import gait
 from evo_cpg.analysis.gait_numbers import GaitNumbers, gait_numbers
-from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact.contact_model import Ground, make_contact_model
@@ -171,13 +170,13 @@ def test_signs_of_axes_in_the_neutral_pose():
         joint = dataclasses.replace(bodies[i].joint, orientation=turn)
         bodies[i] = dataclasses.replace(bodies[i], joint=joint)
     tree = build_tree(Creature("turned", tuple(bodies)))
-    rows = [chain.oscillators for chain in chains(tree, CpgSettings())]
+    rows = joint_rows(tree)
     # Bodies behind b2 are turned over with it, and b3 also turns about -z.
     np.testing.assert_array_equal(axis_signs(tree, rows), [1, -1, 1, -1, 1])
     # Each arm on a body without an axis begins a row.
     alone = Creature("alone", (bodies[0], *(_on_the_first(body) for body in bodies[1:])))
     tree = build_tree(alone)
-    rows = [chain.oscillators for chain in chains(tree, CpgSettings())]
+    rows = joint_rows(tree)
     np.testing.assert_array_equal(axis_signs(tree, rows), np.ones(5))
 
 

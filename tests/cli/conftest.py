@@ -24,21 +24,24 @@ Called = tuple[int, str, str]
 
 
 class CommandLine:
-    """`evo-cpg` in this process."""
+    """`evo-cpg`, or another program, in this process."""
+
+    def __init__(self, program: Callable[[], None] = main):
+        self._program = program
 
     def __call__(self, *arguments: object, folder: Path | None = None) -> Called:
         """Return exit code, standard output and standard error of a command."""
-        return called(*arguments, folder=folder)
+        return called(*arguments, folder=folder, program=self._program)
 
     def passes(self, *arguments: object, folder: Path | None = None) -> tuple[str, str]:
         """Return standard output and error of a command that must succeed."""
-        code, out, err = called(*arguments, folder=folder)
+        code, out, err = called(*arguments, folder=folder, program=self._program)
         assert code == 0, err
         return out, err
 
     def refuses(self, *arguments: object, folder: Path | None = None) -> str:
         """Return the message of a command that must refuse its input without output."""
-        code, out, err = called(*arguments, folder=folder)
+        code, out, err = called(*arguments, folder=folder, program=self._program)
         assert (code, out) == (2, "") and "Traceback" not in err, err
         return err
 
@@ -48,12 +51,21 @@ def cli() -> CommandLine:
     return CommandLine()
 
 
-def called(*arguments: object, folder: Path | None = None) -> Called:
+@pytest.fixture(scope="session")
+def command_line_of() -> type[CommandLine]:
+    """Class of command lines, for other programs."""
+    return CommandLine
+
+
+def called(
+    *arguments: object, folder: Path | None = None, program: Callable[[], None] = main
+) -> Called:
     """Call `evo-cpg` in this process, where JAX already has its two devices.
 
     Args:
         arguments: arguments of the command line.
         folder: working folder.
+        program: function to call.
 
     Returns:
         Exit code, standard output and standard error.
@@ -72,7 +84,7 @@ def called(*arguments: object, folder: Path | None = None) -> Called:
             contextlib.redirect_stderr(err),
             pytest.raises(SystemExit) as stop,
         ):
-            main()
+            program()
     code = stop.value.code
     assert isinstance(code, int)
     return code, out.getvalue(), err.getvalue()

@@ -12,8 +12,6 @@ from PIL import Image
 
 import chromium
 import evo_cpg as evo
-from evo_cpg.api import paper_differences as module
-from evo_cpg.api.paper_differences import notes, paper_differences
 from evo_cpg.io.load import dump_config, load_config
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, REPOSITORY, TINY
@@ -165,52 +163,6 @@ def test_html_of_a_run_is_escaped_in_a_named_page(cli, swimmer, tmp_path):
             tab.open(out)
             assert tab.run("window.broken === undefined")
             assert not tab.complaints
-
-
-@pytest.mark.slow
-def test_the_page_lists_differences_from_the_paper(swimmer):
-    """The run differs from the shipped configuration, whose comments name the paper's values."""
-    page = page_of(swimmer)
-    row = "<tr><td><code>simulation.seconds</code></td><td>33.3333</td><td>{}</td>"
-    assert row.format("4") in page and row.format("paper") in page
-    found = paper_differences(load_config(WALKER, SMALL_WALK))
-    assert found is not None
-    changed = {each.key: (each.shipped, each.own) for each in found.differences}
-    assert changed["simulation.seconds"] == (20, 2)
-    assert changed["runs"] == (8, 1)
-    assert changed["measures"] == ([], None) and changed["measures.0"] == (None, "speed")
-    whose = {note.key: note.ours for note in found.notes}
-    assert whose["simulation.control_rate_hz"] and not whose["world.gravity"]
-    assert not any(each.key.startswith("creature.bodies") for each in found.differences)
-
-
-def test_notes_are_read_from_comments_of_a_configuration():
-    text = """# A head.
-steps: 2000  # paper
-world:
-  drag: 1.0  # C_d; ours, as
-             # nobody says
-  law: normal
-  floor: [1, 2]  # paper: not said
-scale: 0.5  # ours: half the paper's times
-population: 400  # paper: 200; ours: more seeds find a way
-"""
-    assert [(note.key, note.value, note.ours) for note in notes(text)] == [
-        ("steps", "2000", False),
-        ("world.drag", "1.0", True),
-        ("world.floor", "[1, 2]", True),
-        ("scale", "0.5", True),
-        ("population", "400", True),
-    ]
-    assert notes(text)[1].text == "C_d; ours, as nobody says"
-
-
-def test_a_configuration_without_a_shipped_name_has_no_differences(swimmer, monkeypatch):
-    config = load_config(swimmer / "config.yaml")
-    assert paper_differences(config.model_copy(update={"name": "mine"})) is None
-    assert paper_differences(config.model_copy(update={"name": "../configs/hexapod"})) is None
-    monkeypatch.setattr(module, "shipped_names", lambda: [])
-    assert paper_differences(config) is None
 
 
 def test_a_page_replaces_nothing(cli, swimmer, tmp_path):

@@ -1,15 +1,22 @@
-"""`evo-cpg bench`: its arguments, its errors and its files."""
+"""`python -m benchmarks`: its arguments, its errors and its files."""
 
+import functools
 import json
 
 import pytest
 import typer
 
 from benchmarks import rows, suite
+from benchmarks.__main__ import app
 from benchmarks.rows import Row
-from evo_cpg.cli.main import app
+from evo_cpg.cli.main import main
 
-QUICK = ("bench", "brain", "--quick", "--sizes", "3,17")
+QUICK = ("brain", "--quick", "--sizes", "3,17")
+
+
+@pytest.fixture
+def cli(command_line_of):
+    return command_line_of(functools.partial(main, app))
 
 
 @pytest.fixture(autouse=True)
@@ -19,8 +26,9 @@ def two_devices(monkeypatch):
 
 
 def test_help_names_every_case():
-    command = typer.main.get_command(app).commands["bench"]
-    text = next(parameter.help for parameter in command.params if parameter.name == "cases")
+    command = typer.main.get_command(app)
+    (cases,) = (each for each in command.params if each.name == "cases")
+    text = str(vars(cases)["help"])
     words = text.removesuffix(" (default: all).").replace(" or ", ", ").split(", ")
     assert words == list(suite.CASES)
 
@@ -40,7 +48,7 @@ def test_help_names_every_case():
 )
 def test_an_error_is_one_line(cli, monkeypatch, tmp_path, arguments, words):
     monkeypatch.chdir(tmp_path)
-    complaint = cli.refuses("bench", *arguments)
+    complaint = cli.refuses(*arguments)
     assert complaint.count("\n") == 1
     assert all(word in complaint for word in words), complaint
 
@@ -57,7 +65,7 @@ def test_measured_rows_are_kept_if_the_next_case_fails(cli, monkeypatch, tmp_pat
         raise KeyboardInterrupt
 
     monkeypatch.setitem(suite.CASES, "cpg", suite.Case(measure))
-    code, out, err = cli("bench", "cpg", "--quick", "--json", kept)
+    code, out, err = cli("cpg", "--quick", "--json", kept)
     assert (code, out) == (130, "")
     assert seen == [[1], [1, 2]]
     assert [row.size for row in rows.load(kept)[1]] == [1, 2]

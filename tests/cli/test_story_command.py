@@ -1,7 +1,5 @@
 """`evo-cpg render --story`: a film, and populations that are made anew."""
 
-import json
-import re
 import shutil
 import subprocess
 
@@ -60,20 +58,6 @@ def test_a_crowd_is_filmed(cli, run, tmp_path):
     code, out, err = cli("render", run, "--crowd", 3, *size, "-o", place)
     assert (code, out, err) == (0, f"{place}\n", "")
     assert "has 6 generations" in cli.refuses("render", run, "--crowd", 7, *size, "-o", place)
-
-
-@pytest.mark.slow
-def test_a_crowd_is_on_the_page_of_its_run(cli, run, tmp_path):
-    place = tmp_path / "a.html"
-    cli.passes("analyse", run, "--crowd", 3, "-o", place)
-    page = place.read_text(encoding="utf-8")
-    data = re.search(r'id="crowd">(.*?)</script>', page)
-    assert data is not None
-    crowd = json.loads(data[1])["crowd"]
-    title = f"Generation 3: {crowd['count'] + 1} animals"
-    assert f'data-scene="crowd">{title}</button>' in page
-    err = cli.refuses("analyse", run, "--crowd", 7, "-o", tmp_path / "b.html")
-    assert "has 6 generations" in err
 
 
 @pytest.mark.slow

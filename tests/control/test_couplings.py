@@ -210,10 +210,7 @@ def test_an_explicit_coupling_replaces_the_coupling_of_the_tree(star):
     other = names.index("arm2_1.y"), names.index("arm2_2.y")
     assert matrix[other[::-1]] == 1 and matrix[other] == pytest.approx(0.2)
     # So there is no chain along the first arm.
-    found = {
-        chain.name: len(chain.oscillators) for chain in chains(tree, CpgSettings(couplings=cut))
-    }
-    assert found == {"arm2_1.y + 1": 2, "arm1_1.y": 1, "arm1_2.y": 1}
+    assert chains(tree, CpgSettings(couplings=cut)) == [other, (first,), (second,)]
 
 
 def test_uncoupled_oscillators_are_found(star):

@@ -80,7 +80,7 @@ def test_every_configuration_loads_from_the_wheel_alone(wheel, tmp_path):
 
 @pytest.mark.slow
 def test_commands_work_in_an_empty_environment(wheel, tmp_path):
-    """Install the wheel with `constraints.txt`, and run the commands from `configs` to `bench`.
+    """Install the wheel with `constraints.txt`, and run the commands from `configs` to `reproduce`.
 
     The installed wheel is built from the sdist. It has the same files as the clone's wheel.
     """
@@ -134,7 +134,7 @@ def test_commands_work_in_an_empty_environment(wheel, tmp_path):
     assert copied == "salamander_amphibious.yaml"
     assert "16 bodies" in run("evo-cpg", "validate", copied)
     # Only a clone has the benchmarks.
-    bench = call("evo-cpg", "bench", "brain")
+    bench = call("evo-cpg", "reproduce", "benchmarks", "brain")
     assert bench.returncode == 2 and bench.stderr.startswith(
         "evo-cpg: the benchmark suite is part of a checkout of evo_cpg, but "
     )

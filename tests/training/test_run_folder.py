@@ -282,18 +282,6 @@ def test_the_lock_of_a_killed_process_is_ignored(tmp_path):
         pass
 
 
-def test_an_empty_array_damages_a_champion(folder):
-    folder.save_champion(CHAMPION, RECORDING)
-    whole = folder.champion.read_bytes()
-    assert folder.load_champion()[1] is not None
-    for name in ("genes", *(f"recording.{field}" for field in Recording._fields)):
-        folder.champion.write_bytes(whole)
-        emptied(folder.champion, name)
-        words = "it holds no genome" if name == "genes" else "its [a-z_]+ has the shape"
-        with pytest.raises(RunFolderError, match=rf"champion\.npz is damaged \({words}"):
-            folder.load_champion()
-
-
 def test_a_file_of_another_kind_counts_as_damaged(folder):
     folder.save(checkpoint(1))
     folder.save_lineage([CHAMPION])

@@ -14,12 +14,11 @@ from scipy.spatial.transform import Rotation
 from evo_cpg.analysis.feet import Feet, Phases
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Boulder, Plane
-from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.figure import BLUES
 from evo_cpg.view.plots import path_figure
 from evo_cpg.view.run_page.charts import chart, footfall_figure
 from evo_cpg.view.run_page.html import join, long_table, table, tag
-from evo_cpg.view.run_page.viewer_data import RATE, thinned, viewer_data
+from evo_cpg.view.run_page.viewer_data import RATE, viewer_data
 from evo_cpg.view.scene import Panel, sample
 from pictures import contrast
 
@@ -66,45 +65,6 @@ def test_the_scene_holds_the_motion():
     assert made["water"] and made["goal"] == pytest.approx(synthetic.GOAL.tolist())
     # Eyes are parts of the head.
     assert [len(body["parts"]) for body in made["bodies"]] == [5] + 9 * [1]
-
-
-def crowd_of(count: int) -> CrowdMotion:
-    """Animals that walk side by side."""
-    motion = synthetic.walk(2.0)
-    aside = np.arange(count)[:, None, None] * [0.0, 0.5, 0.0]
-    return CrowdMotion(
-        motion.time,
-        motion.position[:, None] + aside,
-        np.repeat(motion.rotation[:, None], count, 1),
-        np.full(3, np.nan),
-    )
-
-
-def test_a_crowd_keeps_its_places_and_turns():
-    crowd, panel = crowd_of(3), Panel(synthetic.walker(), synthetic.walk(2.0), world="land")
-    assert viewer_data(panel)["crowd"] is None
-    made = viewer_data(panel._replace(crowd=crowd))
-    given = made["crowd"]
-    shape = given["frames"], given["count"], len(given["bodies"])
-    assert shape[1:] == (3, len(panel.creature.bodies)) and 14 < given["rate"] < 16
-    nearest = np.abs(crowd.time - np.arange(shape[0])[:, None] / given["rate"]).argmin(1)
-    places = decoded(made, given["position"], "<u2").reshape(*shape, 3)
-    places = places * np.array(given["step"]) + given["low"]
-    np.testing.assert_allclose(places, crowd.position[nearest], atol=1e-3)
-    turns = Rotation.from_quat(decoded(made, given["rotation"], "i1").reshape(-1, 4))
-    there = Rotation.from_matrix(crowd.rotation[nearest].reshape(-1, 3, 3))
-    assert np.degrees((turns * there.inv()).magnitude()).max() < 1.5
-
-
-def test_a_large_crowd_has_fewer_instants_and_then_fewer_animals():
-    many = 2500
-    crowd = thinned(crowd_of(many))
-    rate = 1 / np.diff(crowd.time).mean()
-    assert 8 <= rate < 15
-    assert 10 * np.prod(crowd.position.shape[:3]) <= 3e6
-    assert crowd.count < many
-    # They are taken evenly from the whole crowd.
-    assert crowd.position[0, -1, 0, 1] == pytest.approx(crowd_of(many).position[0, -1, 0, 1])
 
 
 def test_uneven_ground_and_stones_are_in_the_scene():

@@ -11,15 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.gait_numbers import gait_numbers
-from evo_cpg.analysis.laboratory.bodies import Variants, build_bodies, joints_of
-from evo_cpg.analysis.laboratory.entrain import (
-    CYCLES,
-    REST,
-    bend,
-    entrained_range,
-    locking,
-    rest_frequency,
-)
+from evo_cpg.analysis.laboratory.bodies import Variants, build_bodies
 from evo_cpg.analysis.laboratory.measures import (
     cut_numbers,
     cut_of,
@@ -30,26 +22,14 @@ from evo_cpg.analysis.laboratory.measures import (
     tow_numbers,
 )
 from evo_cpg.analysis.laboratory.settings import (
-    CORD,
     NERVES,
     NOTHING,
-    LabError,
     Setting,
     combinations,
     require_values,
-    worded,
 )
-from evo_cpg.analysis.laboratory.surgery import (
-    genes_of,
-    prepare,
-    require_cord,
-    require_effects,
-    require_felt,
-    sides_of,
-)
+from evo_cpg.analysis.laboratory.surgery import genes_of, prepare, require_effects
 from evo_cpg.analysis.laboratory.trials import record_all
-from evo_cpg.control.matsuoka import parts
-from evo_cpg.control.preparation import Preparation
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.recording import Recording, as_recording
@@ -91,9 +71,9 @@ class Answer(NamedTuple):
         settings: the settings.
         rows: values of the knobs and all measures of each setting, by name. Measures that do not
             exist are NaN.
-        recordings: motion under each setting. Empty for an isolated cord.
+        recordings: motion under each setting.
         notes: results that belong to several settings, one sentence each.
-        simulations: trial of each setting. Empty for an isolated cord.
+        simulations: trial of each setting.
         meanings: unit and definition of each measure, by name.
     """
 
@@ -108,10 +88,6 @@ class Answer(NamedTuple):
         return f"Answer({len(self.rows)} settings, {len(self.rows[0])} columns)"
 
 
-# Default values of the knobs of an isolated cord: amplitude, degrees, and f_b/f_0.
-_DEGREES, _RATIOS = 10.0, tuple(np.linspace(0.5, 1.5, 21).tolist())
-
-
 def ask(
     subject: Subject, values: Mapping[str, Sequence[Any]], seconds: float | None = None
 ) -> Answer:
@@ -120,8 +96,7 @@ def ask(
     Args:
         subject: the animal.
         values: values of each knob (`evo_cpg.analysis.laboratory.settings.KNOBS`), or of each key
-        of the
-            configuration.
+            of the configuration.
         seconds: duration of a trial, s, or None for the duration in the configuration. The second
             half is measured.
 
@@ -130,11 +105,6 @@ def ask(
         ConfigError: a number of the configuration is wrong.
     """
     require_values(values, seconds)
-    if "bend" in values:
-        require_cord(values, seconds)
-        return _ask_cord(subject, {"ratio": _RATIOS, **values})
-    if set(values) & set(CORD):
-        raise LabError(f"{', '.join(sorted(set(values) & set(CORD)))}: needs bend=BODY")
     settings = combinations(values)
     bodies = _prepared(subject, settings, seconds, "tow" in values)
     require_effects(bodies.common.controller, values)
@@ -168,76 +138,6 @@ def ask(
     rows = [{name: row.get(name, np.nan) for name in names} for row in rows]
     notes = flume_notes(settings, rows)
     return Answer(settings, rows, tuple(recordings), notes, simulations, meanings)
-
-
-def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
-    """Bend an isolated spinal cord (`evo_cpg.analysis.laboratory.entrain`)."""
-    combinations(values)  # Ratios count among the settings.
-    settings = combinations({name: each for name, each in values.items() if name != "ratio"})
-    bodies = _prepared(subject, settings, None, False)
-    controller, tree = bodies.common.controller, bodies.common.world.tree
-    if not isinstance(controller, Preparation):
-        raise LabError(
-            f"bend: needs the controller brain_cpg, not {subject.config.controller.type}"
-        )
-    if controller.awake:
-        raise LabError("bend: an isolated cord has no brain. Give the drive, such as u=0.5 b=5")
-    require_effects(controller, values)
-    h, genes = controller.animal.control_step, _genes(subject, bodies, settings)
-    bent, among = [], []
-    for setting in settings:
-        moved = np.isin(tree.dof_bodies, list(joints_of(tree, "bend", setting["bend"])))
-        require_felt(controller, moved, setting["bend"], setting.get("feedback", 1.0))
-        bent.append(moved * np.deg2rad(setting.get("degrees", _DEGREES)))
-        first = int(np.flatnonzero(moved)[0])
-        sides = sides_of(tree, setting)
-        together = next(part for part in parts(controller.animal.network) if first in part)
-        among.append([first, *(i for i in together if i != first and sides[i] == sides[first])])
-    bent = np.stack(bent, axis=-1)
-    # Straight cords have the frequency f_0 that the ratios refer to.
-    straight = bend(bodies, genes, 0 * bent, np.ones(len(settings)), round(_STRAIGHT / h))
-    rest = [rest_frequency(straight[:, own[0], i], h) for i, own in enumerate(among)]
-    if not np.isfinite(rest).all():
-        lost = settings[int(np.flatnonzero(~np.isfinite(rest))[0])]
-        raise LabError(f"bend: the straight cord has no rhythm at {worded(lost)}")
-    ratios = list(values["ratio"])
-    columns = [(i, ratio) for i in range(len(settings)) for ratio in ratios]
-    which = [i for i, _ in columns]
-    frequency = np.array([ratio * rest[i] for i, ratio in columns])
-    # Rest and bending of the slowest cord.
-    steps = math.ceil((REST + (CYCLES + 1) / frequency.min()) / h)
-    outputs = bend(bodies.at(which), genes[:, which], bent[:, which], frequency, steps)
-    rows, notes = [], []
-    for number, (i, ratio) in enumerate(columns):
-        found = locking(outputs[:, among[i], number], frequency[number], h)
-        row = {**settings[i], "ratio": ratio, "rest_frequency": rest[i]}
-        row |= {"bending_frequency": frequency[number], **found._asdict()}
-        rows.append(row | {"entrained": int(found.entrained)})
-    for i, setting in enumerate(settings):
-        own = rows[i * len(ratios) : (i + 1) * len(ratios)]
-        found = entrained_range(ratios, [row["entrained"] == 1 for row in own])
-        span = "at no ratio near 1"
-        if found:
-            span = f"at ratios from {found[0]:.3g} to {found[1]:.3g}"
-            if found[0] == found[1]:
-                span = f"at no other ratio than {found[0]:.3g}"
-        notes.append(f"{worded(setting)}: entrained 1:1 {span} (f0 = {rest[i]:.3g} Hz)")
-    questions: list[Setting] = [{name: row[name] for name in values} for row in rows]
-    return Answer(questions, rows, (), tuple(notes), (), _OF_CORDS)
-
-
-_OF_CORDS = {
-    "rest_frequency": Meaning("Hz", "frequency f0 of the cord without bending"),
-    "bending_frequency": Meaning("Hz", "frequency fb of the bending"),
-    "frequency": Meaning("Hz", "frequency of the first bent oscillator"),
-    "followed": Meaning("", "frequency of the oscillator that is farthest from fb, over fb"),
-    "phase": Meaning("cycles", "phase by which the first bent oscillator follows the bending"),
-    "scatter": Meaning("cycles", "circular standard deviation of this phase"),
-    "entrained": Meaning("", "1 if the cord is entrained 1:1, else 0"),
-}
-
-# Duration of the trial of a straight cord, s.
-_STRAIGHT = 16.0
 
 
 def _prepared(
@@ -328,20 +228,11 @@ TOWED = (
     Column("stride_frequency", "f Hz", "frequency (Hz)"),
 )
 
-ISOLATED = (
-    Column("rest_frequency", "f0 Hz", "frequency without bending (Hz)"),
-    Column("frequency", "f Hz", "frequency (Hz)"),
-    Column("followed", "f/fb", "frequency: cord / bending"),
-    Column("phase", "phase", "phase behind the bending (cycles)", cycle=1.0),
-    Column("scatter", "scatter", "scatter of the phase (cycles)"),
-    Column("entrained", "1:1", "entrained 1:1 (1 or 0)"),
-)
-
 
 def shown_columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
     """Return the measures that exist under at least one setting, the most important first."""
     names = {name for row in rows for name in row}
-    kinds = {"entrained": ISOLATED, "holding_force": TOWED, "current": FLUME, "cut_lag": CUT}
+    kinds = {"holding_force": TOWED, "current": FLUME, "cut_lag": CUT}
     kind = next((kind for name, kind in kinds.items() if name in names), SWIMMING)
     return [
         column

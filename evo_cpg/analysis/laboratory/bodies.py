@@ -84,15 +84,6 @@ class Variants(NamedTuple):
         whole = isinstance(self.simulation, BatchedSimulation)
         return self.simulation[number] if whole else self.simulation  # pyright: ignore
 
-    def at(self, numbers: Sequence[int]) -> "Variants":
-        """Return the animals of some settings, which may repeat."""
-        creatures = [self.creatures[number] for number in numbers]
-        simulation = self.simulation
-        if isinstance(simulation, BatchedSimulation):
-            values = tuple(each[..., np.asarray(numbers)] for each in simulation.values)
-            simulation = simulation._replace(values=values)
-        return Variants(simulation, creatures, self.common)
-
 
 def build_bodies(
     config: ExperimentConfig,

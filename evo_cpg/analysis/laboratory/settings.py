@@ -79,16 +79,7 @@ BODY = {
     ),
 }
 
-# Knobs of an isolated cord that a motor bends.
-CORD = {
-    "bend": Knob("bodies whose joints a motor bends, as names or patterns"),
-    "degrees": Knob("amplitude of the bending, degrees", 1e-3, 180.0, "degrees"),
-    "ratio": Knob(
-        "frequency of the bending, as a multiple of the cord's own", 0.05, unit="bending / cord"
-    ),
-}
-
-KNOBS = NERVES | BODY | CORD
+KNOBS = NERVES | BODY
 
 _SECONDS = Knob("duration of each trial, s", 0.1, 1e5, "s")
 

@@ -63,50 +63,5 @@ const Animal = (() => {
       return made;
     });
   }
-  // Returns the ghosts of a crowd, and a function that moves them to an instant, s. A ghost that is
-  // still as near to the leader as `near` is not seen.
-  function crowd(given, array, near) {
-    const { count, frames, rate, low, step } = given, many = given.bodies.length;
-    const places = array(given.position, "u2"), turns = array(given.rotation, "i1");
-    // Ghosts are paler if there are many.
-    const opacity = 0.12 + (0.38 * Math.max(0, 100 - count)) / 99;
-    const parts = given.bodies.map((body) => {
-      if (!body) return null;
-      const material = new THREE.MeshStandardMaterial({
-        color: given.color, roughness: 1, transparent: true, opacity, depthWrite: false,
-      });
-      const made = new THREE.InstancedMesh(geometry(body, array), material, count);
-      made.frustumCulled = false;
-      return made;
-    });
-    const place = new THREE.Vector3(), turn = new THREE.Quaternion(), next = new THREE.Quaternion();
-    const whole = new THREE.Vector3(1, 1, 1), none = new THREE.Vector3(), size = new THREE.Vector3();
-    const matrix = new THREE.Matrix4();
-    function pose(now, leader) {
-      const frame = Math.min(now * rate, frames - 1);
-      const i = Math.min(Math.floor(frame), Math.max(frames - 2, 0)), f = frame - i;
-      const later = frames > 1 ? count * many : 0;
-      const between = (one, k) => low[k] + step[k] * (places[one + k] * (1 - f) + places[one + k + 3 * later] * f);
-      for (let n = 0; n < count; n++) {
-        let apart = 0;
-        for (let b = 0; b < many; b++) {
-          const at = 3 * ((i * count + n) * many + b);
-          const dx = between(at, 0) - leader[b].position.x, dy = between(at, 1) - leader[b].position.y;
-          apart += Math.hypot(dx, dy, between(at, 2) - leader[b].position.z) / many;
-        }
-        size.copy(apart < near ? none : whole);
-        for (let b = 0; b < many; b++) {
-          if (!parts[b]) continue;
-          const one = (i * count + n) * many + b;
-          place.set(between(3 * one, 0), between(3 * one, 1), between(3 * one, 2));
-          turn.fromArray(turns, 4 * one).normalize();
-          turn.slerp(next.fromArray(turns, 4 * (one + later)).normalize(), f);
-          parts[b].setMatrixAt(n, matrix.compose(place, turn, size));
-        }
-      }
-      for (const part of parts) if (part) part.instanceMatrix.needsUpdate = true;
-    }
-    return { parts: parts.filter(Boolean), pose };
-  }
-  return { crowd, decoded, geometry, material, skins, solid };
+  return { decoded, geometry, material, skins, solid };
 })();

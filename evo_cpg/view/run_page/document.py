@@ -32,7 +32,6 @@ def document(subject: PageSubject, motion: RecordedMotion) -> str:
         ("numbers", "All numbers", movement.all_numbers(motion.numbers.quantities)),
         ("evolution", "How it evolved", origin.evolution(subject, motion)),
         ("audit", "Is it a gait, or a trick of the simulation?", origin.audit(subject)),
-        ("paper", "Differences from the paper", origin.paper(subject)),
         ("repeat", "How to repeat it", origin.repetition(subject)),
     ]
     shown = [(key, title, inner) for key, title, inner in sections if inner]
@@ -40,12 +39,6 @@ def document(subject: PageSubject, motion: RecordedMotion) -> str:
     if subject.changed is not None:
         words = "All numbers on this page describe a trial with the changed configuration."
         changed = tag("p", f"{subject.changed}. {words}", class_="failed")
-    choice = None
-    if motion.crowd is not None:
-        # Buttons choose the animals in the viewer.
-        named = [("scene", "Champion"), ("crowd", motion.crowd.title)]
-        buttons = (tag("button", words, type="button", data_scene=key) for key, words in named)
-        choice = tag("p", *buttons, class_="choice")
     cards = [("fitness", number(subject.champion["fitness"]))]
     for key in ("speed", "speed_in_lengths", "stride_frequency", "strouhal", "duty_factor",
                 "cost_of_transport", "power"):  # fmt: skip
@@ -55,13 +48,12 @@ def document(subject: PageSubject, motion: RecordedMotion) -> str:
     items = (tag("li", tag("b", value), tag("span", name)) for name, value in cards)
     return _whole(
         f"{subject.name}: its champion",
-        {"scene": motion.scene} | ({"crowd": motion.crowd.scene} if motion.crowd else {}),
+        motion.scene,
         asset("page.css"),
         tag("h1", f"{subject.name}: its champion"),
         tag("p", subject.sentence, class_="lead"),
         changed,
         tag("nav", *(tag("a", title, href=f"#{key}") for key, title, _ in shown)),
-        choice,
         player(_still(motion.still)),
         tag("ul", *items, class_="cards"),
         *(
@@ -82,7 +74,7 @@ def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
     Browsers without WebGL show the picture (JPEG) instead.
     """
     style = asset("page.css") + _ALONE
-    return _whole(title, {"scene": scene}, style, player(_still(picture)))
+    return _whole(title, scene, style, player(_still(picture)))
 
 
 def wall_document(
@@ -104,7 +96,7 @@ def wall_document(
     marks = (tag("li", tag("i", style=f"background:{color}"), words) for color, words in legend)
     return _whole(
         title,
-        {"scene": scene},
+        scene,
         asset("page.css") + _WIDE,
         tag("h1", title),
         tag("p", note, class_="lead"),
@@ -113,15 +105,13 @@ def wall_document(
     )
 
 
-def _whole(title: str, scenes: Mapping[str, Any], style: str, *body: Html | None) -> str:
-    """Return a page with the data of its viewer: scenes by name."""
-    parts = []
-    for name, scene in scenes.items():
-        # Text within a script is not escaped, and "</" would end the script.
-        text = json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-        parts.append(tag("script", Html(text), type="application/json", id=name))
+def _whole(title: str, scene: Mapping[str, Any], style: str, *body: Html | None) -> str:
+    """Return a page with the data of its viewer."""
+    # Text within a script is not escaped, and "</" would end the script.
+    text = json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    data = tag("script", Html(text), type="application/json", id="scene")
     scripts = [asset(name) for name in ("three.min.js", "animal.js", "viewer.js")]
-    return whole_page(title, style, join(*body, *parts), scripts).text
+    return whole_page(title, style, join(*body, data), scripts).text
 
 
 _VIEWS = ("side", "Side"), ("top", "Top"), ("behind", "Behind"), ("front", "Front")

@@ -1,4 +1,4 @@
-"""Sections on the origin of the champion: evolution, audit, the paper, and repetition."""
+"""Sections on the origin of the champion: evolution, audit, and repetition."""
 
 import hashlib
 import shlex
@@ -13,7 +13,6 @@ from evo_cpg.view.run_page.html import (
     cell,
     join,
     listed,
-    long_table,
     number,
     quantity,
     table,
@@ -87,37 +86,6 @@ def audit(subject: PageSubject) -> Html:
             [" ", "; ".join(reasons), "."] if reasons else [])),
         table(["check", "measured", "allowed", ""], rows, numbers=(1, 2)),
     )  # fmt: skip
-
-
-def paper(subject: PageSubject) -> Html | None:
-    """List differences of the run, the shipped configuration and the paper.
-
-    None is returned if no shipped configuration has the run's name.
-    """
-    found = subject.differences
-    if found is None:
-        return None
-    parts: list[Any] = [tag("p", found.about)]
-    if found.differences:
-        rows = [[tag("code", d.key), cell(d.shipped), cell(d.own)] for d in found.differences]
-        parts += [
-            tag("h3", "This run compared with the shipped configuration"),
-            long_table(["key", "shipped", "this run"], rows),
-        ]
-    else:
-        parts.append(tag("p", "This run has the same values as the shipped configuration."))
-    if found.notes:
-        rows = [
-            [tag("code", note.key), cell(note.value), "ours" if note.ours else "paper", note.text]
-            for note in found.notes
-        ]
-        parts += [
-            tag("h3", "The shipped configuration compared with the paper"),
-            tag("p", "Values from the paper, and values of our own. The notes are comments in the "
-                "shipped files.", class_="note"),
-            table(["key", "shipped value", "source", "note"], rows),
-        ]  # fmt: skip
-    return join(*parts)
 
 
 def repetition(subject: PageSubject) -> Html:

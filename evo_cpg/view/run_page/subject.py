@@ -10,56 +10,6 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.scene import Clip
 
 
-class Difference(NamedTuple):
-    """Value of a key in the shipped configuration and in this run's. A missing value is None."""
-
-    key: str
-    shipped: Any
-    own: Any
-
-
-class Note(NamedTuple):
-    """Comment of a shipped configuration on one of its values.
-
-    Attributes:
-        key: key of the value, within its file.
-        value: text of the value in the file.
-        text: the comment.
-        ours: whether the value is ours, and not the paper's.
-    """
-
-    key: str
-    value: str
-    text: str
-    ours: bool
-
-
-class PaperDifferences(NamedTuple):
-    """Differences of a configuration from the shipped one of the same name.
-
-    Attributes:
-        about: the comment at the top of the shipped file.
-        differences: values that differ from the shipped file.
-        notes: comments of the shipped files on their values.
-    """
-
-    about: str
-    differences: tuple[Difference, ...]
-    notes: tuple[Note, ...]
-
-
-class Crowd(NamedTuple):
-    """All animals of a generation.
-
-    Attributes:
-        title: generation and number of animals.
-        scene: data of the viewer.
-    """
-
-    title: str
-    scene: Mapping[str, Any]
-
-
 class PageSubject(NamedTuple):
     """Subject of a page.
 
@@ -82,8 +32,6 @@ class PageSubject(NamedTuple):
         stale: whether the audit belongs to another champion.
         half_step: fraction of its displacement that the champion kept at half the physics step when
             training ended, or None if unknown.
-        differences: differences from the shipped configuration and the paper, or None if no shipped
-            configuration has this name.
         program: program that made the page, with its version.
         made: date and time at which the page was made, as text.
     """
@@ -105,7 +53,6 @@ class PageSubject(NamedTuple):
     audit: Mapping[str, Any] | None
     stale: bool
     half_step: float | None
-    differences: PaperDifferences | None
     program: str
     made: str
 
@@ -122,7 +69,6 @@ class RecordedMotion(NamedTuple):
         history: columns of metrics.csv.
         chain_places: places of the joints along the body, m behind the first.
         root_index: index of the root in ``creature.bodies``.
-        crowd: a generation that the page also shows, or None.
     """
 
     recording: Recording
@@ -133,4 +79,3 @@ class RecordedMotion(NamedTuple):
     history: Mapping[str, np.ndarray]
     chain_places: np.ndarray
     root_index: int
-    crowd: Crowd | None = None

@@ -224,8 +224,6 @@ const Viewer = (() => {
       scene.add(made);
       return { map, drift: array(data.herd[i].drift, "f4") };
     }) : [];
-    const crowd = data.crowd && Animal.crowd(data.crowd, array, 0.2 * radius);
-    crowd?.parts.forEach((part) => scene.add(part));
     const own = data.herd ? { ...herd[0].motion, focus: array(data.focus, "f4") } : motionOf(data, array);
     const { position, focus } = own;
 
@@ -292,7 +290,6 @@ const Viewer = (() => {
         const ahead = [0, 1].map((k) => drift[2 * i + k] * (1 - fraction) + drift[2 * j + k] * fraction);
         map.offset.set(...ahead.map((far, k) => (far - data.tiles.size[k] / 2) / tile));
       }
-      crowd?.pose(now, bodies);
       here.fromArray(focus, 3 * i).lerp(there.fromArray(focus, 3 * j), fraction);
       sun.target.position.copy(here);
       sun.position.copy(here).add(fromSun);
@@ -321,8 +318,7 @@ const Viewer = (() => {
       for (const { skins } of herd) skins[0]?.skeleton.dispose();
       sun.dispose();
     }
-    // A crowd is seen from farther away.
-    const away = (data.water ? 4.3 : 4.4) * radius * (data.crowd ? 1.5 : 1);
+    const away = (data.water ? 4.3 : 4.4) * radius;
     const views = {
       side: [data.bearing - Math.PI / 2 + 0.35, data.elevation ?? (data.water ? 0.42 : 0.24)],
       top: [data.bearing - Math.PI / 2, 1.5],
@@ -542,16 +538,8 @@ const Viewer = (() => {
   return { cameraOf, decoder, fitted, motionOf, player, rendererOf, worldOf };
 })();
 
-// The page of a run holds the scene of its champion, and perhaps that of a generation. A button
-// chooses one.
+// The page of a run holds the scene of its champion.
 const champion = document.getElementById("scene");
 if (champion) {
-  const player = Viewer.player(document.getElementById("animal"));
-  const choices = [...document.querySelectorAll("[data-scene]")];
-  const choose = (name) => {
-    player?.show(JSON.parse(document.getElementById(name).textContent));
-    choices.forEach((each) => each.setAttribute("aria-pressed", each.dataset.scene === name));
-  };
-  choices.forEach((each) => each.addEventListener("click", () => choose(each.dataset.scene)));
-  choose("scene");
+  Viewer.player(document.getElementById("animal"))?.show(JSON.parse(champion.textContent));
 }

@@ -3,12 +3,10 @@
 Arrays are base64 of little-endian numbers. A function ``add`` stores an array of a kind, such as
 ``<f4``, and returns its name in the data, so that equal arrays are written once.
 
-Places in a crowd have 16 bits and rotations have 8 bits. If the numbers take too much room, there
-are fewer instants per second, and then fewer animals. The viewer interpolates between instants.
+The viewer interpolates between instants.
 """
 
 import base64
-import math
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -17,10 +15,7 @@ import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.view.camera import smooth
-from evo_cpg.view.ghosts import coarse
-from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import BodySurface, head_index, pieces
 from evo_cpg.view.offscreen import CELLS
 from evo_cpg.view.scene import Clip, Exhibit, Panel, quaternions, sample, scene_of
@@ -48,10 +43,6 @@ _LOOK = (
 
 # Number of points up to which triangles have numbers of 16 bits.
 _MANY = 65536
-# Most and least instants of a crowd per second, and most bytes of its numbers.
-_CROWD_RATE, _LEAST_RATE, _CROWD_BYTES = 15.0, 8.0, 3e6
-# Bytes of a body at an instant, and largest numbers of 16 and 8 bits.
-_SIZE, _HALF, _BYTE = 10, 65535, 127
 # Instants per second on a wall. Radius for the viewer's camera, relative to the visible height of
 # the wall, bearing at which the camera is in front of it, and its elevation, rad.
 WALL_RATE, _WHOLE, _FRONT, _LEVEL = 15.0, 0.43, -0.35, 0.1
@@ -89,8 +80,7 @@ class Arrays:
 def viewer_data(panel: Panel) -> dict[str, Any]:
     """Return all moving and fixed things in the scene of an animal."""
     clip = sample(panel.recording, RATE)
-    # The crowd has instants of its own.
-    scene, arrays = scene_of(panel._replace(crowd=None), clip), Arrays()
+    scene, arrays = scene_of(panel, clip), Arrays()
     level, head = scene.level, head_index(scene.creature)
     terrain = None
     if level is None:
@@ -126,9 +116,6 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
         "goal": None if scene.goal is None else [float(x) for x in scene.goal],
         "surface": None if scene.surface is None else float(scene.surface),
         "water": panel.world == "water" and scene.surface is None,
-        "crowd": None
-        if panel.crowd is None
-        else crowd_data(panel.creature, panel.crowd, scene.look, arrays.add),
         "look": {name: getattr(scene.look, name) for name in _LOOK},
         # Last, because the entries above add arrays.
         "arrays": arrays.written,
@@ -250,52 +237,3 @@ def surface_data(
         "normals": add(np.asarray(normals) * 127, "i1"),
         "triangles": add(faces, "<u4" if len(points) > _MANY else "<u2"),
     }
-
-
-def crowd_data(creature: Creature, crowd: CrowdMotion, look: Look, add: Add) -> dict[str, Any]:
-    """Return a crowd."""
-    crowd = thinned(crowd)
-    low, high = (end(crowd.position, axis=(0, 1, 2)) for end in (np.min, np.max))
-    size = np.maximum(high - low, 1e-9)
-    place = np.round((crowd.position - low) / size * _HALF)
-    hulls: list[dict[str, Any] | None] = []
-    for body in creature.bodies:
-        if not body.shape.exists:
-            hulls.append(None)
-            continue
-        points, faces = coarse(body.shape)
-        outwards = points / np.linalg.norm(points, axis=1, keepdims=True)
-        hulls.append(surface_data(points, outwards, faces, add))
-    return {
-        "bodies": hulls,
-        "count": crowd.count,
-        "frames": len(crowd.time),
-        "rate": 1 / float(np.diff(crowd.time[:2], append=1e9)[0]),
-        "low": low.tolist(),
-        "step": (size / _HALF).tolist(),
-        "position": add(place, "<u2"),
-        "rotation": add(np.round(quaternions(crowd.rotation) * _BYTE), "i1"),
-        "color": look.ghost,
-    }
-
-
-def thinned(crowd: CrowdMotion) -> CrowdMotion:
-    """Return a crowd of about 15 instants per second, or of as much as there is room for.
-
-    Fewer than 8 instants per second look jerky. So the rest are left out evenly among the animals.
-    """
-    instants, animals, bodies = crowd.position.shape[:3]
-    if instants < 2:
-        return crowd
-    step = float(crowd.time[1] - crowd.time[0])
-    room = _CROWD_BYTES / (_SIZE * bodies * animals)
-    every = max(round(1 / (_CROWD_RATE * step)), math.ceil(instants / max(room, 1)), 1)
-    every = min(every, max(math.floor(1 / (_LEAST_RATE * step)), 1))
-    shown = slice(None, None, every)
-    crowd = crowd._replace(
-        time=crowd.time[shown], position=crowd.position[shown], rotation=crowd.rotation[shown]
-    )
-    most = max(int(_CROWD_BYTES / (_SIZE * bodies * len(crowd.time))), 1)
-    if most >= animals:
-        return crowd
-    return crowd.of(np.linspace(0, animals - 1, most).round().astype(int))

@@ -124,28 +124,6 @@ def test_towed_stiff_body_has_its_drag_and_no_thrust(ribbon):
         assert row["thrust"] > 0.01 and 0 < row["efficiency"] < 1
 
 
-def test_cord_is_entrained_by_bending(ribbon):
-    """Strong feedback entrains over a range around f_0, and no feedback nowhere else."""
-    knobs = {"bend": ["tail*"], "u": [0.5], "feedback": [0.0, 1.0], "ratio": [0.8, 1.0, 1.2]}
-    answer = ask(ribbon, knobs)
-    assert [row["entrained"] for row in answer.rows] == [0, 1, 0, 1, 1, 1]
-    assert answer.notes[0].endswith("at no other ratio than 1 (f0 = 1.54 Hz)")
-    assert answer.notes[1].endswith("at ratios from 0.8 to 1.2 (f0 = 1.54 Hz)")
-    phases = [row["phase"] for row in answer.rows[3:]]
-    assert np.diff(phases).min() > 0
-
-
-@pytest.mark.slow
-def test_weight_of_the_feedback_is_a_knob_of_a_bent_cord(ribbon):
-    """A weight of 4 is a weight of 2 with the factor 2."""
-    knobs = {"bend": ["tail*"], "u": [0.5], "ratio": [0.9]}
-    key = "controller.cpg.feedback.stretch.0.angle_weight"
-    once, twice = (row["phase"] for row in ask(ribbon, knobs | {"feedback": [1.0, 2.0]}).rows)
-    same, more = (row["phase"] for row in ask(ribbon, knobs | {key: [2.0, 4.0]}).rows)
-    assert same == pytest.approx(once, abs=1e-4) and more == pytest.approx(twice, abs=1e-4)
-    assert abs(more - same) > 0.01
-
-
 @pytest.mark.slow
 def test_largest_drive_of_the_configuration_is_the_unit_of_the_drive(ribbon):
     """Outputs are proportional to the drive: u = 0.5 of 2 is u = 1 of 1."""
@@ -169,9 +147,6 @@ def test_joints_without_a_change_are_those_of_the_animal(ribbon):
         ({"u": [float("nan")]}, "u=nan: tonic input .* Allowed: from 0 to 1"),
         ({"behind": [0.5]}, "behind: needs cut=BODY"),
         ({"silence": ["light"]}, "silence=light: no effect, because no brain drives"),
-        ({"bend": ["tail1"], "tow": [1.0]}, "tow: no effect with bend"),
-        ({"bend": ["tail1"], "world.water.density": [1.0]}, "world.water.density: no effect"),
-        ({"bend": ["tail1"], "degrees": [0.0]}, "degrees=0: amplitude"),
         ({"v": [1.0]}, "'v' is no knob: "),
         ({"b": [-1.0]}, "b=-1: adaptation gain .* Allowed: at least 0"),
         ({"u": ["high"]}, "u=high: expected a number"),
@@ -180,7 +155,6 @@ def test_joints_without_a_change_are_those_of_the_animal(ribbon):
         ({"viscosity": [10.0]}, "viscosity: the water has none. Set world.water.viscosity"),
         ({"u": []}, "u: no value is given"),
         ({"u": np.ones(200).tolist(), "b": np.ones(51).tolist()}, "10200 settings. Allowed: up to"),
-        ({"bend": ["tail1"], "u": [0.0]}, "the straight cord has no rhythm at"),
     ],
 )
 def test_wrong_question_has_one_clear_line(ribbon, knobs, message):
@@ -189,12 +163,10 @@ def test_wrong_question_has_one_clear_line(ribbon, knobs, message):
     assert "\n" not in str(raised.value)
 
 
-def test_animal_without_feedback_cannot_be_entrained(tmp_path):
+def test_animal_without_feedback_has_no_knob_of_it(tmp_path):
     unfeeling = copy.deepcopy(SWIMMER)
     del unfeeling["controller"]["cpg"]["feedback"]
     animal = subject(tmp_path, unfeeling)
-    with pytest.raises(LabError, match="bend=tail1: the spinal cord does not feel these joints"):
-        ask(animal, {"bend": ["tail1"]})
     with pytest.raises(LabError, match=r"feedback: the spinal cord senses nothing. Set controller"):
         ask(animal, {"feedback": [2.0]})
 
