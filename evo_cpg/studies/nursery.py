@@ -17,10 +17,10 @@ from evo_cpg.control.body_brain import WEIGHTS, BodyBrain
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.control.limb_oscillators import LimbState
 from evo_cpg.creature.algebra.linear import expand_dims_like
+from evo_cpg.creature.algebra.numerics import xp
 from evo_cpg.io.load import complete_config, read_yaml
 from evo_cpg.io.plans import EvolvedPlans
 from evo_cpg.io.shipped import shipped
-from evo_cpg.native.machine_constants import LANES
 from evo_cpg.simulation.planned import PlanInputs
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import population_mesh
@@ -96,11 +96,12 @@ class Nursery(EvolvedPlans):
         data = read_yaml(source) | changes
         data["simulation"] |= {"seconds": seconds, "substeps": _SUBSTEPS}
         super().__init__(complete_config(data, source))
-        self._brain, self._gradients = brain, {}
+        self._brain = brain
         self.genes, self._drawn = self._draw(seed, count)
         self.lengths = self._drawn[2].length
         simulation = dataclasses.replace(self.inputs(self.sizes[-1]).common, plans=self)
         self._run = compile_trials(simulation, population_mesh())
+        self._slopes = compile_slopes(self, population_mesh())
 
     def _draw(self, seed: int, count: int) -> tuple[Float[np.ndarray, "g n"], tuple[Any, ...]]:
         """Return plans with enough bodies and axes, and their arrays (`EvolvedPlans.developed`)."""
@@ -132,8 +133,7 @@ class Nursery(EvolvedPlans):
     ) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "v k"]]:
         genes, values = super().given(found[:3], individuals, size)
         # The brain is the network's, without changes by genes.
-        genes = np.full_like(genes, 0.5)
-        return genes, np.concatenate([values, found[3][:, individuals]])
+        return xp.full_like(genes, 0.5), xp.concatenate([values, found[3][:, individuals]])
 
     def visits(
         self,
@@ -160,32 +160,10 @@ class Nursery(EvolvedPlans):
     def gradients(
         self, visits: Float[np.ndarray, "v n"]
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "w n"]]:
-        """Return the fraction that each plan covers, and its derivative by the weights.
-
-        The visits must fill whole vectors of `LANES`.
-        """
-        found = self.developed(visits)
-        order = np.argsort(found[0], kind="stable")
-        fits = np.searchsorted(self.sizes, found[0][order] + 1)
-        # A vector runs in the program of its largest plan.
-        fits = fits.reshape(-1, LANES).max(1).repeat(LANES)
-        parts = [
-            self._gradients_of(found, order[fits == i], self.sizes[i]) for i in np.unique(fits)
-        ]
-        value, slope = (np.concatenate(x, -1) for x in zip(*parts, strict=True))
-        back = np.argsort(order)
-        return 1.0 + value[back], slope[:, back]
-
-    def _gradients_of(
-        self, found: tuple[Any, ...], own: Int[np.ndarray, " k"], size: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the fitness of visits in one program, and its derivative by the weights."""
-        if size not in self._gradients:
-            self._gradients[size] = compile_slopes(self.inputs(size), population_mesh())
-        given = tuple(x.astype(np.float32) for x in self.given(found, own, size))
-        ones = np.ones(len(own), np.float32)
-        value, (_, slope) = self._gradients[size](given, ones, {"energy": ones}, None)
-        return value, slope[-sum(WEIGHTS) :]
+        """Return the fraction that each plan covers, and its derivative by the weights."""
+        ones = np.ones(visits.shape[1], np.float32)
+        value, slopes = self._slopes(visits, ones, {"energy": ones}, None)
+        return 1.0 + value, slopes[-1][-sum(WEIGHTS) :]
 
 
 def bearings(draw: np.random.Generator, count: int) -> Float[np.ndarray, "3 n"]:

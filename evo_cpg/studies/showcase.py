@@ -140,9 +140,9 @@ def speeds(
     # Horizontal positions of the centres of mass: control steps, two components, plans.
     path = (frames["position"][:, :2] * mass).sum(2) / mass.sum(0)
     path = path[-round(_COUNTED * rate) - 1 :]
-    way = path[-1] - path[0]
-    length = np.linalg.norm(way, axis=0)
-    along = (np.diff(path, axis=0) * way).sum(1) * rate / np.maximum(length, 1e-9)
+    net = path[-1] - path[0]
+    length = np.linalg.norm(net, axis=0)
+    along = (np.diff(path, axis=0) * net).sum(1) * rate / np.maximum(length, 1e-9)
     second = round(rate)
     smooth = (path[second:] - path[:-second])[:: second // 10]
     detour = np.linalg.norm(smooth, axis=1).mean(0) * (_COUNTED)

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, UInt32
 from evo_cpg.native.machine_constants import LANES
 from evo_cpg.simulation.backward import Backward
 from evo_cpg.simulation.judge import Scored
-from evo_cpg.simulation.planned import PlanInputs
+from evo_cpg.simulation.planned import PlanBuilder, PlanInputs
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.ascent import Climbed, ClimbSettings, GuardedAdam
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
@@ -29,21 +29,48 @@ from evo_cpg.training.experiment import ExperimentParts, mean_of_trials, situati
 
 
 def compile_slopes(
-    inputs: PlanInputs, mesh: Mesh, trials: int = 1, numbers: Any = None
-) -> Callable[..., tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]]:
-    """Return a function that differentiates the fitness of plans in one program.
+    plans: PlanBuilder, mesh: Mesh, trials: int = 1, numbers: Any = None
+) -> Callable[..., tuple[Float[np.ndarray, " n"], tuple[Any, ...]]]:
+    """Return a function that differentiates the fitness of plans, in the program that fits each.
 
     Args:
-        inputs: inputs of the program.
+        plans: the plans.
         mesh: the devices.
         trials: number of trials of a plan, over which the fitness is averaged.
         numbers: situation of each trial, or None.
 
     Returns:
-        A function of the controller's genes and the inputs (`PlanBuilder.given`), retentions
-        (`Backward`), the task's scales and keys of noise, all with plans on the last axis. It
-        returns the fitness, and its derivatives by the first two.
+        A function of genes, retentions (`Backward`), the task's scales and keys of noise, all with
+        plans on the last axis. It returns the fitness, and its derivatives by the arrays of
+        `PlanBuilder.developed` but the first.
     """
+
+    @functools.cache
+    def program(size: int) -> Callable[..., Any]:
+        return _differentiated(plans.inputs(size), mesh, trials, numbers)
+
+    def slopes(genes: Float[np.ndarray, "g n"], *more: Any) -> tuple[np.ndarray, Any]:
+        found = plans.developed(genes)
+        sizes = np.array(plans.sizes)[np.searchsorted(plans.sizes, found[0] + 1)]
+        value, slope = np.zeros(len(sizes), np.float32), jax.tree.map(np.zeros_like, found[1:])
+        for size in np.unique(sizes).tolist():
+            own = np.flatnonzero(sizes == size)
+            given, pull_back = jax.vjp(
+                lambda *x, own=own, size=size: plans.given((found[0], *x), own, size), *found[1:]
+            )
+            given = jax.tree.map(lambda x: np.asarray(x, np.float32), given)
+            value[own], raw = program(size)(given, *jax.tree.map(lambda x: x[..., own], more))
+            # Derivatives by the numbers of other plans are 0.
+            slope = jax.tree.map(lambda x, y: x + np.asarray(y), slope, pull_back(raw))
+        return value, slope
+
+    return slopes
+
+
+def _differentiated(
+    inputs: PlanInputs, mesh: Mesh, trials: int, numbers: Any
+) -> Callable[..., tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]]:
+    """Return the function of `compile_slopes` for one program, of `PlanBuilder.given`'s arrays."""
     common = inputs.common
     rough, slides = common.world.contact_model is not None, common.world.tree.root_slides
 
@@ -60,8 +87,7 @@ def compile_slopes(
             rollout(trial, replicas, keys, numbers, Scored(scales), backward=backward)
         )
 
-    each = jax.vmap(jax.value_and_grad(fitness), -1, -1)
-    program = sharded(each, mesh, ((2, 2), 1, 1, 3))
+    program = sharded(jax.vmap(jax.value_and_grad(fitness), -1, -1), mesh, ((2, 2), 1, 1, 3))
 
     def run(*given: Any) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         spread, count = Layout(mesh, max(1, LANES // trials)), len(given[1])
@@ -86,32 +112,7 @@ def compile_plan_ascent(
     plans, numbers = experiment.simulation.plans, situation_numbers(experiment)
     assert plans is not None
 
-    @functools.cache
-    def program(size: int) -> Callable[..., Any]:
-        return compile_slopes(plans.inputs(size), mesh, experiment.trials, numbers)
-
-    def slopes(genes: Float[np.ndarray, "g n"], *more: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the fitness after rounding, and its derivative by the genes."""
-        found = plans.developed(genes)
-        sizes = np.array(plans.sizes)[np.searchsorted(plans.sizes, found[0] + 1)]
-        value = np.zeros(len(sizes), np.float32)
-        slope = jax.tree.map(np.zeros_like, found[1:])
-        for size in np.unique(sizes).tolist():
-            own = np.flatnonzero(sizes == size)
-            mine = jax.tree.map(lambda x, own=own: x[..., own], found)
-            given, back = jax.vjp(
-                lambda *x, mine=mine, size=size: plans.given(
-                    (mine[0], *x), np.arange(len(mine[0])), size
-                ),
-                *mine[1:],
-            )
-            given = jax.tree.map(lambda x: np.asarray(x, np.float32), given)
-            picked = jax.tree.map(lambda x, own=own: x[..., own], more)
-            value[own], raw = program(size)(given, *picked)
-            for whole, part in zip(jax.tree.leaves(slope), jax.tree.leaves(back(raw)), strict=True):
-                whole[..., own] = part
-        return value, plans.pulled_back(genes, slope).astype(np.float32)
-
+    slopes = compile_slopes(plans, mesh, experiment.trials, numbers)
     adam = GuardedAdam()
     start = jax.jit(jax.vmap(lambda genes: adam.init(genes, None), -1, -1))
     query = jax.jit(jax.vmap(adam.query, -1, -1))
@@ -125,7 +126,8 @@ def compile_plan_ascent(
         state, place = start(genes), genes
         for _ in range(steps + 1):
             rounded = np.asarray(plans.layout.nearest(place), genes.dtype)
-            value, slope = slopes(rounded, settings.retentions, scales, keys)
+            value, found = slopes(rounded, settings.retentions, scales, keys)
+            slope = plans.pulled_back(rounded, found).astype(np.float32)
             # The best point is kept as the rounded genes.
             state = query(rounded, _Loss(-value, -slope), state)
             place = place + settings.sizes * state.move
