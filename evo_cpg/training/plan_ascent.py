@@ -59,7 +59,8 @@ def compile_slopes(
                 lambda *x, own=own, size=size: plans.given((found[0], *x), own, size), *found[1:]
             )
             given = jax.tree.map(lambda x: np.asarray(x, np.float32), given)
-            value[own], raw = program(size)(given, *jax.tree.map(lambda x: x[..., own], more))
+            picked = jax.tree.map(lambda x, own=own: x[..., own], more)
+            value[own], raw = program(size)(given, *picked)
             # Derivatives by the numbers of other plans are 0.
             slope = jax.tree.map(lambda x, y: x + np.asarray(y), slope, pull_back(raw))
         return value, slope
