@@ -72,6 +72,8 @@ _ENERGY_PERCENTILE = 95.0
 # ``any``: displacement in any direction. ``forward``: displacement along the world's +x, which an
 # animal faces at the start unless it is turned. Backwards is negative.
 Heading = Literal["any", "forward"]
+# Point whose displacement counts. A long animal moves its root by curling up once.
+Point = Literal["root", "centre_of_mass"]
 
 
 class LightTally(NamedTuple):
@@ -191,11 +193,13 @@ class Distance(Task):
         heading: ``any`` direction, or ``forward``.
         settle_seconds: time in which the displacement does not count yet, s. Otherwise a tall body
             scores by falling over.
+        point: point of the animal that moves.
     """
 
     light: None = eqx.field(default=None, init=False)
     heading: Heading = eqx.field(static=True, default="any")
     settle_seconds: Number = 0.0
+    point: Point = eqx.field(static=True, default="root")
 
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Displacement:
         """See `Task.begin`."""
@@ -205,7 +209,8 @@ class Distance(Task):
     def update(self, tally: Displacement, transition: Transition, steps: int) -> Displacement:
         """See `Task.update`."""
         del steps
-        before, place = transition.before, transition.before.state.position
+        before = transition.before
+        place = before.state.position if self.point == "root" else before.centre_of_mass
         starts = transition.step * before.control_step <= self.settle_seconds
         return tally.moved(starts, place, place)
 

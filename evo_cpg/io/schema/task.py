@@ -23,7 +23,7 @@ from evo_cpg.io.schema.section import (
 )
 from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.task import Task
-from evo_cpg.simulation.tasks import Distance, Heading, ReachLight, Walk
+from evo_cpg.simulation.tasks import Distance, Heading, Point, ReachLight, Walk
 
 
 class LightConfig(OpenSection):
@@ -146,11 +146,14 @@ class DistanceConfig(DescribedSection):
         heading: ``any`` direction, or ``forward``.
         settle_seconds: time from the start in which the displacement does not count yet, s, less
             than the trial. Otherwise a tall body scores by falling over.
+        point: point that moves: the ``root`` or the ``centre_of_mass``. A long animal moves its
+            root by curling up once.
     """
 
     type: Literal["distance"] = "distance"
     heading: Heading = "any"
     settle_seconds: NotNegative = 0.0
+    point: Point = "root"
 
     needs_ground: ClassVar[bool] = False
     described = Distance
