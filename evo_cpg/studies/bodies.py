@@ -114,6 +114,7 @@ def peaks(fitness: Float[np.ndarray, "a b c"]) -> int:
 
 _PARTS = {
     "controls": controls.PART,
+    "learning": controls.LEARNING,
     "newborns": Part("one brain drives bodies that it has never seen", (), report_newborns),
     "map": Part("best rhythm of each of 19,683 bodies", (), report_map),
     "searches": Part("searches that end near the best bodies", (), report_searches),

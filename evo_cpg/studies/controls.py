@@ -63,5 +63,37 @@ def _counted(workshop: "Workshop", name: str) -> list[list[float]]:
     return np.array(rows, float).T.tolist()
 
 
+def report_learning(workshop: "Workshop") -> list[Table]:
+    """Compare champions with and without learning after the same time."""
+    clocks = {name: workshop.column(name, "seconds").cumsum(0)[:, 0] for name in _LEARNING}
+    budget = min(clock[-1] for clock in clocks.values())
+    ends = {name: int(np.searchsorted(clock, budget)) for name, clock in clocks.items()}
+    fitness = {
+        words: workshop.column(name, "champion")[ends[name]].tolist()
+        for name, (words, _) in _LEARNING.items()
+    }
+    first = next(iter(fitness))
+    tests = beside(fitness, first)
+    rows = [
+        {
+            "search": words,
+            f"generations in {budget:.0f} s": str(end + 1),
+            "distance, m": middle(fitness[words]),
+            f"beside {first}": tests[words],
+        }
+        for words, end in zip(fitness, ends.values(), strict=True)
+    ]
+    return [tabled(rows)]
+
+
+# Name in tables, and changes, of each search by its run. Evolution alone has more generations.
+_LEARNING = {
+    "alone": ("evolution alone", ("evolution.generations=400",)),
+    "inherited": ("with learning, inherited", ("evolution.learning={}",)),
+    "forgotten": ("with learning, not inherited", ("evolution.learning.inherited=false",)),
+}
+_LEARNERS = 6
 RUNS = {name: Runs(_CONFIG, changes, _SEEDS) for name, (_, changes) in _ARMS.items()}
-PART = Part("bodies and brains that evolve, beside those that do not", tuple(RUNS), report)
+RUNS |= {name: Runs(_CONFIG, changes, _LEARNERS) for name, (_, changes) in _LEARNING.items()}
+PART = Part("bodies and brains that evolve, beside those that do not", tuple(_ARMS), report)
+LEARNING = Part("learning along gradients, after the same time", tuple(_LEARNING), report_learning)
