@@ -99,7 +99,6 @@ def test_diverged_individuals_are_counted_and_never_win_or_set_scales(small, gen
     assert float(found.scales["energy"][0]) == pytest.approx(np.percentile(living, 95), rel=1e-5)
     order = np.asarray(rank_order(fitness))
     assert int(generation.best[0]) == order[0] and order[-2:].tolist() == [3, 7]
-    np.testing.assert_array_equal(generation.best_genes[0], wild[:, order[0]])
     np.testing.assert_array_equal(generation.next_genes[:, :2], wild[:, order[:2]])
     assert np.isfinite(generation.next_genes).all()
     # Scales stay after the first generation.
