@@ -5,6 +5,7 @@ import csv
 import io
 import json
 import os
+import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -43,12 +44,34 @@ def require_place(path: Path) -> Path:
 
 
 @contextlib.contextmanager
+def beside(path: Path, folder: bool = False) -> Iterator[Path]:
+    """Yield an empty temporary file or folder beside a path, and delete it after the block.
+
+    Its name is unique, because several programs may write the same file. A killed process leaves
+    it behind.
+    """
+    prefix, suffix = f".{path.name}.part-", path.suffix.lower()
+    if folder:
+        partial = Path(tempfile.mkdtemp(dir=path.parent, prefix=prefix))
+    else:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=suffix)
+        os.close(handle)
+        partial = Path(name)
+    try:
+        yield partial
+    finally:
+        if folder:
+            shutil.rmtree(partial, ignore_errors=True)
+        else:
+            partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
 def in_one_piece(path: Path) -> Iterator[Path]:
     """Yield a temporary file in the same folder, which replaces the file after the ``with`` block.
 
     An existing file is replaced, and its permissions stay. If the path is a link, the file that it
-    leads to is replaced. The temporary file is empty and has the same suffix. Its name is unique,
-    because several programs may write the same file. A killed process leaves it behind.
+    leads to is replaced. The temporary file is empty and has the same suffix.
 
     Raises:
         OutputError: the file cannot be written, for instance because the disk is full.
@@ -56,20 +79,13 @@ def in_one_piece(path: Path) -> Iterator[Path]:
     if os.path.islink(path):
         path = resolved(path)
     try:
-        handle, name = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.name}.part-", suffix=path.suffix.lower()
-        )
-        os.close(handle)
-        partial = Path(name)
-        try:
+        with beside(path) as partial:
             yield partial
             mode = 0o644
             with contextlib.suppress(OSError):
                 mode = stat.S_IMODE(os.stat(path).st_mode)
             os.chmod(partial, mode)
             os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
     except OutputError:
         raise
     except OSError as error:

@@ -41,8 +41,8 @@ def render(
         typer.Option(
             "--output",
             "-o",
-            help="A .mp4, .webp, .gif or .png file (default: in RUN/videos). With --wall also a "
-            ".html file.",
+            help="A .mp4, .webp, .gif or .png file (default: in RUN/videos), or FOLDER/%04d.png "
+            "for one picture per frame. With --wall also a .html file.",
         ),
     ] = None,
     size: Annotated[

@@ -24,7 +24,7 @@ import jax
 import numpy as np
 from PIL import Image
 
-from evo_cpg.files import in_one_piece
+from evo_cpg.files import OutputError, in_one_piece
 from evo_cpg.view.camera import BodyBoxes, aspect_of, zoomed
 from evo_cpg.view.captions import captions, growth_captions, pointer, wall_captions
 from evo_cpg.view.drawing import set_scene
@@ -37,9 +37,11 @@ from evo_cpg.view.output import (
     SettingError,
     check_size,
     film_writer,
+    is_numbered,
     output_path,
     oversampling,
     picture_of,
+    save_numbered,
 )
 from evo_cpg.view.scene import Clip, Panel, check_panel, sample, scene_of
 from evo_cpg.view.signals import FRACTION, LOWEST, SMALLEST, Strip
@@ -276,7 +278,21 @@ def film_path(path: str | os.PathLike[str], film: Film, signals: bool = False) -
         SettingError: a setting is out of range.
         ValueError: the camera is unknown.
     """
-    path = output_path(path, FILM_SUFFIXES if film.sheet is None else PICTURE_SUFFIXES)
+    path = Path(path)
+    if film.sheet is None and is_numbered(path):
+        folder = path.parent
+        if folder.is_dir() and any(folder.iterdir()):
+            raise OutputError(
+                f"cannot write {path}: the folder {folder} is not empty. Name a new folder"
+            )
+        if not folder.is_dir() and not folder.parent.is_dir():
+            raise OutputError(
+                f"cannot write {path}: there is no folder {folder.parent}. Create it first"
+            )
+        if not os.access(folder.parent, os.W_OK):
+            raise OutputError(f"cannot write {path}: no permission to write in {folder.parent}")
+    else:
+        path = output_path(path, FILM_SUFFIXES if film.sheet is None else PICTURE_SUFFIXES)
     check_size(film.size)
     if signals:
         check_size(film.size, SMALLEST, " with signals")
@@ -301,14 +317,16 @@ def side_by_side(
 
     Args:
         panels: the animals.
-        path: ``.mp4`` (H.264), ``.webp`` or ``.gif`` for a film, ``.png`` for a still or a sheet.
+        path: ``.mp4`` (H.264), ``.webp`` or ``.gif`` for a film, ``.png`` for a still or a sheet. A
+            name such as ``frames/%04d.png`` gives a picture of every frame, counted from 0, in a
+            new folder.
         film: settings of the film.
         processes: number of processes that draw a film. Each takes some 400 MB of memory and a few
             seconds to start, so the calling process draws a still or a sheet.
         progress: function that receives the number of finished frames and their total.
 
     Returns:
-        The path.
+        The path, or the folder of the pictures.
 
     Raises:
         RenderError: one of several processes failed.
@@ -320,7 +338,8 @@ def side_by_side(
     path = film_path(path, film, any(panel.signals is not None for panel in panels))
     for panel in panels:
         check_panel(panel)
-    if path.suffix.lower() in PICTURE_SUFFIXES:
+    numbered = film.sheet is None and is_numbered(path)
+    if path.suffix.lower() in PICTURE_SUFFIXES and not numbered:
         image = picture(panels, film, progress)
         with in_one_piece(path) as partial:
             image.save(partial)
@@ -328,6 +347,9 @@ def side_by_side(
     frames = Frames(panels, film)
     with drawn_frames(frames, processes) as drawn:
         counted = _counted(drawn, frames.count, progress)
+        if numbered:
+            save_numbered((picture_of(frame, frames.size) for frame in counted), path)
+            return path.parent
         with film_writer(path, frames.size, frames.rendered, film.fps) as write:
             for frame in counted:
                 write(frame)

@@ -2,8 +2,9 @@
 
 import contextlib
 import os
+import re
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, cast
 
@@ -12,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from evo_cpg.errors import UserError
-from evo_cpg.files import OutputError, in_one_piece, require_place
+from evo_cpg.files import OutputError, beside, cannot_write, in_one_piece, require_place
 from evo_cpg.system import scratch_file
 
 # A palette for each frame. For one common palette, ffmpeg would hold the whole film in memory.
@@ -86,12 +87,42 @@ def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     return require_place(path)
 
 
+def is_numbered(path: Path) -> bool:
+    """Return whether a name such as ``%04d.png`` requests a picture of every frame."""
+    return re.fullmatch(r"[^%]*%(0\d)?d[^%]*\.png", path.name, re.IGNORECASE) is not None
+
+
 def picture_of(frame: np.ndarray, size: tuple[int, int]) -> Image.Image:
     """Return a picture of this width and height, averaged from the bytes of a frame.
 
     The frame is ``(height, width, 3)``, bottom row first as in OpenGL.
     """
     return Image.fromarray(frame[::-1]).resize(size, Image.Resampling.BOX)
+
+
+def save_numbered(pictures: Iterable[Image.Image], path: Path) -> None:
+    """Write pictures to files with numbers, all of them or none.
+
+    Args:
+        pictures: pictures, counted from 0.
+        path: path such as ``frames/%04d.png``, checked by
+            `evo_cpg.view.film.film_path`. The folder is new or empty.
+
+    Raises:
+        OutputError: the pictures cannot be written, for instance because the disk is full.
+    """
+    folder = path.parent.absolute()
+    try:
+        with beside(folder, folder=True) as kept:
+            partial = kept / "frames"
+            partial.mkdir()
+            for number, picture in enumerate(pictures):
+                picture.save(partial / (path.name % number))
+            if folder.is_dir():
+                folder.rmdir()
+            os.rename(partial, folder)
+    except OSError as error:
+        raise cannot_write(path, error) from None
 
 
 @contextlib.contextmanager

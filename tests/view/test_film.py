@@ -337,10 +337,28 @@ def test_a_sheet_shows_moments_from_the_first_to_the_last(creature, recording, t
         )
 
 
-def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch):
+def test_every_frame_gets_a_picture_of_its_own(creature, recording, tmp_path):
+    settings = {"size": SMALL, "title": "", "fps": 10, "seconds": 0.3}
+    folder = film(creature, recording, tmp_path / "frames" / "f%03d.png", **settings)
+    assert folder == tmp_path / "frames"
+    assert sorted(p.name for p in folder.iterdir()) == [f"f{i:03d}.png" for i in range(4)]
+    assert [p.name for p in tmp_path.iterdir()] == ["frames"]
+    movie = film(creature, recording, tmp_path / "film.mp4", **settings)
+    for i, frame in enumerate(decode(movie)):
+        difference = synthetic.read(folder / f"f{i:03d}.png").astype(int) - frame
+        # Loss of the film's compression.
+        assert np.abs(difference).mean() < 6
+    absent = tmp_path / "missing" / "frames"
+    for place, words in ((folder, "frames is not empty"), (absent, "no folder .*missing")):
+        with pytest.raises(OutputError, match=words):
+            film(creature, recording, place / "%04d.png", **settings)
+
+
+@pytest.mark.parametrize("name", ["swim.mp4", "frames/%04d.png"])
+def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch, name):
     monkeypatch.setattr("os.access", lambda *_: False)
     with pytest.raises(OutputError, match="no permission"):
-        film(creature, recording, tmp_path / "swim.mp4", size=SMALL)
+        film(creature, recording, tmp_path / name, size=SMALL)
 
 
 def test_a_folder_name_may_have_a_colon(creature, recording, tmp_path, monkeypatch):
@@ -357,7 +375,8 @@ def test_errors_of_ffmpeg_are_reported(creature, recording, tmp_path, monkeypatc
     assert not list(tmp_path.iterdir())
 
 
-def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path):
+@pytest.mark.parametrize("name", ["swim.mp4", "new/%d.png"])
+def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path, name):
     path = tmp_path / "swim.mp4"
     path.write_bytes(b"old")
 
@@ -365,7 +384,7 @@ def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        film(creature, recording, path, size=SMALL, seconds=0.2, progress=interrupt)
+        film(creature, recording, tmp_path / name, size=SMALL, seconds=0.2, progress=interrupt)
     assert path.read_bytes() == b"old"
     assert [file.name for file in tmp_path.iterdir()] == ["swim.mp4"]
 
