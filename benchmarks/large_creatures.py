@@ -101,12 +101,12 @@ def _measure(kind: str, count: int, size: int, plan: Plan) -> Row:
 def _prepare(
     kind: str, count: int, size: int
 ) -> tuple[dict[str, Any], Callable[[Any], dict[str, Any]]]:
-    from benchmarks.machine import children_watched, peak_memory
+    from benchmarks.machine import children_watched, monitored, peak_memory
     from evo_cpg.io.build import build_experiment
     from evo_cpg.io.load import complete_config
     from evo_cpg.native import engine
     from evo_cpg.native.backend import machine
-    from evo_cpg.native.stopwatch import measuring
+    from evo_cpg.native.native import COMPILING, WRITING
     from evo_cpg.training.devices import population_mesh, use_cores
     from evo_cpg.training.evaluate import compile_trials
 
@@ -123,7 +123,7 @@ def _prepare(
     live = functools.partial(trials, random_genes(simulation, size))
     with (
         warnings.catch_warnings(record=True) as caught,
-        measuring() as spent,
+        monitored(WRITING, COMPILING) as spent,
         children_watched() as compiler,
     ):
         warnings.simplefilter("always")
@@ -136,12 +136,12 @@ def _prepare(
         "memory": peak_memory(),
         "fallback": fallbacks[0] if fallbacks else None,
         "build": {
-            "operations": sum(each.operations for each in spent.programs) or None,
+            "operations": sum(more["operations"] for _, more in spent[WRITING]) or None,
             "building": building,
-            "writing": sum(each.writing for each in spent.programs),
-            "llvm": sum(each.compiling for each in spent.programs),
+            "writing": sum(duration for duration, _ in spent[WRITING]),
+            "llvm": sum(duration for duration, _ in spent[COMPILING]),
             "code": machine.code_bytes(),
-            "scratch": max((each.scratch for each in spent.programs), default=0),
+            "scratch": max((more["scratch"] for _, more in spent[WRITING]), default=0),
             "compiler": largest,
             "native": not fallbacks,
         },

@@ -73,6 +73,22 @@ def peak_memory() -> int:
 
 
 @contextlib.contextmanager
+def monitored(*names: str) -> Iterator[dict[str, list[tuple[float, dict[str, Any]]]]]:
+    """Yield the durations (s) and details of JAX's events of some names within the block."""
+    found: dict[str, list[tuple[float, dict[str, Any]]]] = {name: [] for name in names}
+
+    def note(event: str, duration_secs: float, **kwargs: str | int) -> None:
+        if event in found:
+            found[event].append((duration_secs, kwargs))
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    try:
+        yield found
+    finally:
+        jax.monitoring.unregister_event_duration_listener(note)
+
+
+@contextlib.contextmanager
 def children_watched() -> Iterator[Callable[[], int | None]]:
     """Watch the processes that this one starts within the block.
 

@@ -2,15 +2,11 @@
 
 import contextlib
 import csv
-import hashlib
 import io
 import json
 import os
-import platform
-import re
 import shutil
 import stat
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,11 +14,6 @@ from typing import IO, Any
 
 from evo_cpg.errors import UserError
 from evo_cpg.system import resolved
-
-# Part of the names of temporary files. It names the machine, because the locks of a network file
-# system may hold for one machine only. `tempfile` draws the characters that follow.
-_PARTIAL = f".part-{hashlib.sha256(platform.node().encode()).hexdigest()[:6]}-"
-_TEMPORARY = re.compile(rf"\..+{re.escape(_PARTIAL)}[a-z0-9_]{{8}}(\.\w+)?")
 
 
 class OutputError(UserError, OSError):
@@ -56,58 +47,23 @@ def require_place(path: Path) -> Path:
 def beside(path: Path, folder: bool = False) -> Iterator[Path]:
     """Yield an empty temporary file or folder beside a path, and delete it after the block.
 
-    A killed process leaves its temporary file behind, but loses its lock on the file. The next
-    block in the same folder therefore deletes all temporary files that nobody has locked.
+    Its name is unique, because several programs may write the same file. A killed process leaves
+    it behind.
     """
-    with contextlib.suppress(OSError), os.scandir(path.parent) as entries:
-        for abandoned in [each.path for each in entries if _TEMPORARY.fullmatch(each.name)]:
-            lock = _locked(abandoned, wait=False)
-            if lock is not None:
-                _delete(abandoned)
-                os.close(lock)
-    # A unique name, because several programs may write the same file.
-    prefix, suffix = f".{path.name}{_PARTIAL}", path.suffix.lower()
-    while True:
-        if folder:
-            name = tempfile.mkdtemp(dir=path.parent, prefix=prefix)
-        else:
-            handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=suffix)
-            os.close(handle)
-        lock = _locked(name, wait=True)
-        # Another process may have deleted it before it was locked.
-        if os.path.exists(name):
-            break
-    try:
-        yield Path(name)
-    finally:
-        _delete(name)
-        if lock is not None:
-            os.close(lock)
-
-
-def _delete(name: str) -> None:
-    if os.path.isdir(name):
-        shutil.rmtree(name, ignore_errors=True)
+    prefix, suffix = f".{path.name}.part-", path.suffix.lower()
+    if folder:
+        partial = Path(tempfile.mkdtemp(dir=path.parent, prefix=prefix))
     else:
-        Path(name).unlink(missing_ok=True)
-
-
-def _locked(name: str, wait: bool) -> int | None:
-    """Lock a file or folder, and return its descriptor, or None if it cannot be locked."""
-    if sys.platform == "win32":
-        return None
-    import fcntl
-
-    descriptor = None
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=suffix)
+        os.close(handle)
+        partial = Path(name)
     try:
-        # A network file system locks only what is open for writing, and so no folders.
-        descriptor = os.open(name, os.O_RDONLY if os.path.isdir(name) else os.O_RDWR)
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except OSError:
-        if descriptor is not None:
-            os.close(descriptor)
-        return None
-    return descriptor
+        yield partial
+    finally:
+        if folder:
+            shutil.rmtree(partial, ignore_errors=True)
+        else:
+            partial.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

@@ -8,7 +8,6 @@ On a file system without locks, a lock has no effect.
 """
 
 import contextlib
-import json
 import os
 import platform
 import shlex
@@ -35,8 +34,6 @@ FILE = ".lock"
 
 # Largest number of characters of a command line that a message shows.
 _LONGEST = 120
-# Largest number of bytes of the lock file that are read.
-_MOST = 1 << 14
 # Byte that Windows locks. No process can read a locked byte, so it lies beyond the text.
 _PLACE = 1 << 20
 
@@ -87,17 +84,14 @@ def locked(folder: Path, make: bool = False) -> Iterator[None]:
             command = [Path(sys.argv[0]).name if sys.argv else "", *sys.argv[1:]]
             if command[0] == "__main__.py":
                 command[0] = "evo-cpg"
-            own = {
-                "process": os.getpid(),
-                "host": platform.node(),
-                "command": shlex.join(command)[:_LONGEST],
-                "since": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-            }
+            since = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+            words = f"(`{shlex.join(command)[:_LONGEST]}`, since {since})"
+            own = f"process {os.getpid()} on {platform.node()} {words}"
             # The lock does not need the text, which a full disk cannot store.
             with contextlib.suppress(OSError):
                 os.ftruncate(descriptor, 0)
                 os.lseek(descriptor, 0, os.SEEK_SET)
-                os.write(descriptor, json.dumps(own).encode())
+                os.write(descriptor, own.encode(errors="backslashreplace"))
             _held.add(name)
             yield
         finally:
@@ -132,18 +126,14 @@ def _open(path: Path) -> int:
 
 
 def _holder(descriptor: int) -> str:
-    """Return a description of the holder of a lock."""
-    try:
+    """Return a description of the holder of a lock, as it wrote it into the file."""
+    words = b""
+    with contextlib.suppress(OSError):
         os.lseek(descriptor, 0, os.SEEK_SET)
-        holder = json.loads(os.read(descriptor, _MOST))
-        words = (
-            f"process {int(holder['process'])} on {holder['host']} (`{holder['command']}`, since "
-            f"{holder['since']})"
-        )
-    except (KeyError, OSError, RecursionError, TypeError, ValueError):
-        return "another process"
+        words = os.read(descriptor, 3 * _LONGEST)
     # Other users can write the file, so limit the description to one line of moderate length.
-    return "".join(each if each.isprintable() else "?" for each in words[: 3 * _LONGEST])
+    shown = (each if each.isprintable() else "?" for each in words.decode(errors="replace"))
+    return "".join(shown) or "another process"
 
 
 def _lock_alone(descriptor: int) -> bool:

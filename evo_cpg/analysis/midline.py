@@ -25,7 +25,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.analysis import stride
 from evo_cpg.analysis.body_wave import BodyWave, body_wave
 from evo_cpg.analysis.cycles import Cycles, finer, moving_mean, whole_cycles
 from evo_cpg.creature.creature import Creature
@@ -102,7 +101,7 @@ class MidlineMotion(NamedTuple):
 
 
 def midline_motion(
-    points: Float[np.ndarray, "t p 3"], step: float, frequency: float, length: float | None = None
+    points: Float[np.ndarray, "t p 3"], step: float, frequency: float
 ) -> MidlineMotion | None:
     """Return the motion of a midline, or None with less than two cycles or of a coiled body.
 
@@ -112,14 +111,13 @@ def midline_motion(
         points: paths of three or more points on the midline, from the head's tip to the tail's, m.
         step: time between samples, s.
         frequency: frequency of the cycles, Hz.
-        length: body length, m, or None for the mean length of the midline.
     """
     found = sway(points, step, frequency)
     if found is None or not (np.diff(found.place) > 0).all():
         return None
     segments = np.linalg.norm(np.diff(points, axis=1), axis=-1).mean(0)
     distance = np.concatenate([[0.0], np.cumsum(segments)])
-    length = float(distance[-1]) if length is None else length
+    length = float(distance[-1])
     cycles, place = found
     wave = body_wave(cycles.values, place, float(place[-1]), cycles.step, frequency)
     return MidlineMotion(
@@ -221,52 +219,3 @@ def midline_points(chain: SlenderChain, recording: Recording) -> Float[np.ndarra
     front = position + np.einsum("tbij,bj->tbi", rotation, np.asarray(chain.front, float))
     rear = position[:, -1] + rotation[:, -1] @ np.asarray(chain.rear[-1], float)
     return np.concatenate([front, rear[:, None]], axis=1)
-
-
-def swimming(
-    points: Float[np.ndarray, "t p 3"],
-    step: float,
-    frequency: float | None = None,
-    *,
-    speed: float | None = None,
-    length: float | None = None,
-    viscosity: float | None = None,
-) -> dict[str, float]:
-    """Return the numbers of a swimmer from the paths of points on its midline.
-
-    Pass only samples of the steady part, because the initial motion is no stride.
-
-    Args:
-        points: paths from the head's tip to the tail's tip in the world, m.
-        step: time between samples, s.
-        frequency: frequency of the beat, Hz, or None to measure it from the bending.
-        speed: speed through the water, m/s, or None for the speed of the midline's mean along its
-            path. Pass it if the water flows, or if the animal is towed.
-        length: body length, m, or None for the mean length of the midline.
-        viscosity: kinematic viscosity of the water, m^2/s, or None without viscosity.
-
-    Returns:
-        Numbers by name (docs/analysis.md), in SI units. NaN for a number that does not exist.
-    """
-    if frequency is None:
-        segments = np.diff(points, axis=1)
-        turns = np.cross(segments[:, :-1], segments[:, 1:]).reshape(len(points), -1)
-        frequency = stride.stride_frequency(turns, step)
-    if speed is None:
-        speed = stride.path_speed(points.mean(1), step, frequency)
-    names = ("tail_amplitude", "wave_speed", "wave_count", "travelling", "lag")
-    found = {"frequency": frequency, "speed": speed} | dict.fromkeys(names, np.nan)
-    motion = midline_motion(points, step, frequency, length)
-    if motion is not None:
-        wave, length = motion.wave, motion.length
-        numbers = (motion.tail_amplitude, wave.speed, wave.count, wave.travelling, motion.lag.mean)
-        found |= dict(zip(names, numbers, strict=True))
-    tail, size = found["tail_amplitude"], np.nan if length is None else length
-    nu = np.nan if viscosity is None else viscosity
-    found |= {
-        "strouhal": float(stride.strouhal_number(frequency, tail, speed)),
-        "slip": float(stride.slip(speed, found["wave_speed"])),
-        "reynolds": float(stride.reynolds_number(speed, size, nu)),
-        "swimming_number": float(stride.swimming_number(frequency, tail, size, nu)),
-    }
-    return found

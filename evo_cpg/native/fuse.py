@@ -41,7 +41,6 @@ from evo_cpg.native.frontend.primitives import (
     unset_p,
 )
 from evo_cpg.native.ir import Unsupported
-from evo_cpg.native.stopwatch import counted
 
 Value = TypeVar("Value")
 
@@ -69,8 +68,7 @@ def fuse(
     if is_tracing():
         return _bind(function, args, batch_ndim, name, tangents)
     try:
-        with counted():
-            return _bind(function, args, batch_ndim, name, tangents)
+        return _bind(function, args, batch_ndim, name, tangents)
     except Exception as error:
         # Fall back to plain JAX after any error. If JAX fails, too, it raises its own error.
         with engine.smallest_fallback(name, error):

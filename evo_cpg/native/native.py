@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.monitoring import record_event_duration_secs
 
 from evo_cpg.native import engine, machine_constants
 from evo_cpg.native import jax_internals as internals
@@ -35,7 +36,11 @@ from evo_cpg.native.frontend.primitives import (
 )
 from evo_cpg.native.fuse import fuse
 from evo_cpg.native.ir import Unsupported
-from evo_cpg.native.stopwatch import Made, counted
+
+# Events that `jax.monitoring` reports for every program: the time from the JAX program to LLVM IR,
+# with the program's name, its operations and its bytes of working memory, and the time from there
+# to machine code in memory.
+WRITING, COMPILING = "/evo_cpg/native/writing", "/evo_cpg/native/compiling"
 
 
 class Native(NamedTuple):
@@ -74,21 +79,20 @@ def compiled(program: Program, single: bool) -> Native:
     width = 1 if single else target.bytes // widest
     variant = Variant(target, width)
     if variant not in codes:
-        with counted() as spent:
-            start = time.perf_counter()
-            note = note_of(program, variant)
-            known = recalled(note)
-            if known is None:
-                module = _lowered(program, variant)
-            middle = time.perf_counter()
-            if known is None:
-                known = Known(*load(module.text, target), module.scratch, module.operations)
-                keep_note(note, known)
-            taken = middle - start, time.perf_counter() - middle
-            if spent is not None:
-                spent.programs.append(Made(program.name, known.operations, *taken, known.scratch))
-            name = engine.register(known.name, known.address)
-            codes[variant] = Native(name, known.address, known.scratch, width)
+        start = time.perf_counter()
+        note = note_of(program, variant)
+        known = recalled(note)
+        if known is None:
+            module = _lowered(program, variant)
+        middle = time.perf_counter()
+        if known is None:
+            known = Known(*load(module.text, target), module.scratch, module.operations)
+            keep_note(note, known)
+        made = {"operations": known.operations, "scratch": known.scratch}
+        record_event_duration_secs(WRITING, middle - start, name=program.name, **made)
+        record_event_duration_secs(COMPILING, time.perf_counter() - middle, name=program.name)
+        name = engine.register(known.name, known.address)
+        codes[variant] = Native(name, known.address, known.scratch, width)
     return codes[variant]
 
 

@@ -4,8 +4,6 @@ import functools
 import os
 import subprocess
 import sys
-import threading
-import time
 
 import jax
 import jax.numpy as jnp
@@ -13,11 +11,11 @@ import numpy as np
 import pytest
 from against_jax import sample, warned
 
+from benchmarks.machine import monitored
 from evo_cpg.native import engine, machine_constants, native
 from evo_cpg.native.backend import compiler_process, llvm, machine
 from evo_cpg.native.backend.compiler_process import Request
 from evo_cpg.native.fuse import fuse
-from evo_cpg.native.stopwatch import counted, measuring
 
 SEVEN = "define i32 @handler() { ret i32 7 }"
 
@@ -108,53 +106,15 @@ def test_code_cut_into_functions_gives_the_same_bits(texts, monkeypatch):
 # The time spent.
 
 
-def test_time_counts_within_the_block_alone():
-    with counted():
-        time.sleep(0.02)
-    with measuring() as spent, counted():
-        time.sleep(0.02)
-        with counted(compiler=True):
-            time.sleep(0.02)
-    assert 0.04 <= spent.seconds < 10
-    assert 0.02 <= spent.compiler <= spent.seconds - 0.02
-    before = spent.seconds
-    with counted():
-        time.sleep(0.01)
-    assert spent.seconds == before
-
-
-def test_other_threads_do_not_count():
-    def work():
-        with counted():
-            time.sleep(0.02)
-
-    with measuring() as spent:
-        thread = threading.Thread(target=work)
-        thread.start()
-        thread.join()
-    assert spent.seconds == 0
-
-
 @pytest.mark.skipif(not engine.is_native(), reason="no native code here")
-def test_the_compiler_counts_only_for_new_code():
-    """A second function with equal code needs no LLVM."""
-
-    def made():
-        # No other test uses this number, so its code does not exist yet.
-        function = functools.partial(fuse, lambda x: x * 1.2345678 + 8.7654321, batch_ndim=1)
-        return jax.jit(functools.partial(function, name="a sum"))
-
-    spents = []
-    for _ in range(2):
-        with measuring() as spent:
-            made()(jnp.arange(4.0))
-        spents.append(spent)
-    first, second = spents
-    assert 0 < first.compiler < first.seconds
-    assert second.compiler == 0 < second.seconds
-    (made,) = first.programs
-    assert made.name == "a sum" and made.operations == 1
-    assert 0 < made.writing < first.seconds and first.compiler <= made.compiling
+def test_new_code_reports_its_size_and_time():
+    with monitored(native.WRITING, native.COMPILING) as spent:
+        jax.jit(functools.partial(fuse, lambda x: x * 1.2345678, batch_ndim=1, name="a product"))(
+            jnp.arange(4.0)
+        )
+    ((writing, made),), ((compiling, named),) = spent.values()
+    assert made["name"] == named["name"] == "a product" and made["operations"] == 1
+    assert writing > 0 and compiling > 0
 
 
 # What XLA and the compiler refuse or warn about.

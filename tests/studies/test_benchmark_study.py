@@ -1,20 +1,17 @@
 """Benchmarks as a study: parts are the suite's cases, and need no runs."""
 
-import sys
-
 import pytest
 
-import evo_cpg
-from benchmarks import suite
+from benchmarks import study, suite
 from benchmarks.rows import Row
+from benchmarks.study import STUDY
 from evo_cpg.cli.repeat import make
-from evo_cpg.studies import benchmarks, provenance
-from evo_cpg.studies.benchmarks import STUDY, SuiteError, bench_suite
+from evo_cpg.studies import provenance
 
 
 def test_parts_are_the_cases_of_the_suite():
     assert list(STUDY.parts) == list(suite.CASES)
-    assert set(benchmarks._MOVING) == set(suite.ANIMALS)
+    assert set(study._MOVING) == set(suite.ANIMALS)
 
 
 def test_a_part_records_its_tables_and_provenance(tmp_path):
@@ -55,16 +52,3 @@ def test_an_interrupt_keeps_finished_parts_and_names_the_rest(tmp_path, monkeypa
     assert "| physics | 120 | 900 k |" in text
     assert "| physics | 120 | MuJoCo | 100 k | 9x (8x to 10x) |" in text
     assert not (tmp_path / "ga.md").exists()
-
-
-def test_a_missing_checkout_or_package_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(evo_cpg, "__file__", str(tmp_path / "evo_cpg" / "__init__.py"))
-    with pytest.raises(SuiteError, match=r"part of a checkout of evo_cpg, but .* is no checkout"):
-        make(STUDY, ["brain"], tmp_path / "out", True, False, 2)
-    monkeypatch.undo()
-    # None makes the import fail.
-    monkeypatch.setitem(sys.modules, "benchmarks.suite", None)
-    with pytest.raises(
-        SuiteError, match=r"suite needs benchmarks.suite. Install it: `.*\[test\]'`"
-    ):
-        bench_suite()

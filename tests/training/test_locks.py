@@ -1,6 +1,5 @@
 """One process at a time changes a folder. A refused process names the other."""
 
-import json
 import os
 import platform
 import subprocess
@@ -53,7 +52,7 @@ def test_the_lock_of_a_killed_process_is_released(tmp_path):
         holder.wait()
     assert (tmp_path / locks.FILE).exists()
     with locked(tmp_path):
-        assert json.loads((tmp_path / locks.FILE).read_text())["process"] == os.getpid()
+        assert f"process {os.getpid()} on " in (tmp_path / locks.FILE).read_text()
     assert not (tmp_path / locks.FILE).exists()
 
 
@@ -100,21 +99,27 @@ def test_a_path_that_cannot_hold_a_lock_is_refused(tmp_path):
             pass
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"process": "x"}', "[" * 9999, "\xff"])
-def test_a_holder_without_a_name_is_another_process(tmp_path, text):
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "another process"),
+        ("\xff", "\N{REPLACEMENT CHARACTER}"),
+        ("a\x1b[2J\nb", r"a\?\[2J\?b"),
+    ],
+)
+def test_text_from_the_lock_file_is_printable(tmp_path, text, words):
     with locked(tmp_path):
         (tmp_path / locks.FILE).write_text(text, encoding="latin-1")
-        with pytest.raises(LockedError, match="is in use by another process"), locked(tmp_path):
+        with pytest.raises(LockedError, match=f"is in use by {words}"), locked(tmp_path):
             pass
 
 
-def test_text_from_the_lock_file_stays_short_and_printable(tmp_path):
-    told = {"process": 1, "host": "a\x1b[2J\nb", "command": "c" * 5000, "since": "now"}
+def test_text_from_the_lock_file_stays_short(tmp_path):
     with locked(tmp_path):
-        (tmp_path / locks.FILE).write_text(json.dumps(told))
+        (tmp_path / locks.FILE).write_text("c" * 5000)
         with pytest.raises(LockedError) as refused, locked(tmp_path):
             pass
-    assert len(str(refused.value)) < 600 and str(refused.value).isprintable()
+    assert len(str(refused.value)) < 600
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="locks of POSIX systems")

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-
-from evo_cpg.system import lend_matplotlib_a_folder
+from PIL import Image
 
 # Codes of the specification: kinds of numbers, and uses of a stretch of the buffer.
 _FLOAT, _UNSIGNED, _SHORT = 5126, 5125, 5123
@@ -80,11 +79,8 @@ class Glb:
 
     def texture(self, image: UInt8[np.ndarray, "h w 3"]) -> int:
         """Add a picture ``(height, width, 3)`` of bytes that repeats without end."""
-        lend_matplotlib_a_folder()
-        from matplotlib.image import imsave
-
         png = io.BytesIO()
-        imsave(png, np.ascontiguousarray(image), format="png")
+        Image.fromarray(image).save(png, "PNG")
         view = self._view(png.getvalue())
         source = self._add("images", {"bufferView": view, "mimeType": "image/png"})
         # Linear filter with mipmaps, repeated both ways.

@@ -3,15 +3,13 @@
 import re
 from pathlib import Path
 
-import numpy as np
+import trimesh
+from trimesh.exchange.stl import export_stl
 
 from evo_cpg.files import write_text, write_whole
 from evo_cpg.io.models.compiled import printed
 from evo_cpg.io.models.mjcf_import import Imported
 from evo_cpg.io.yaml_text import to_yaml
-
-# Triangles of a binary STL file.
-_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("count", "<u2")])
 
 
 def write_imported(imported: Imported, source: Path, output: Path, alone: bool) -> list[Path]:
@@ -27,13 +25,8 @@ def write_imported(imported: Imported, source: Path, output: Path, alone: bool) 
         if not holder.get("shape") or holder["shape"]["type"] != "mesh":
             continue
         name = body["name"] + (f"_{i + 1}" if i else "")
-        corners = np.array(holder["shape"]["vertices"])[np.array(holder["shape"]["faces"], int)]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        rows = np.zeros(len(corners), _TRIANGLE)
-        rows["corners"] = corners
-        rows["normal"] = normal / np.maximum(length, np.finfo(float).tiny)
-        content = bytes(80) + np.array(len(rows), "<u4").tobytes() + rows.tobytes()
+        vertices, faces = holder["shape"]["vertices"], holder["shape"]["faces"]
+        content = export_stl(trimesh.Trimesh(vertices, faces, process=False))
         file = next((f for f, known in written.items() if known == content), None)
         if file is None:
             # A name that every file system takes.

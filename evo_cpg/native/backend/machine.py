@@ -30,7 +30,6 @@ from evo_cpg.native.backend import compiler_process
 from evo_cpg.native.backend.code import Target
 from evo_cpg.native.backend.compiler_process import Request
 from evo_cpg.native.ir import Unsupported
-from evo_cpg.native.stopwatch import counted
 
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
@@ -113,8 +112,7 @@ def load(text: str, target: Target) -> tuple[str, int]:
     if name not in _loaded:
         code = _kept(f"native-{name}")
         if code is None:
-            with counted(compiler=True):
-                code = object_code(Request(text, target.processor, target.features, effort))
+            code = object_code(Request(text, target.processor, target.features, effort))
             _keep(f"native-{name}", code)
         _link(name, code, text.startswith("@ticks"))
     return name, _loaded[name][0]

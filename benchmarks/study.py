@@ -1,16 +1,9 @@
 """Study of the program's speed: a part for each case of `python -m benchmarks`, without runs."""
 
-import importlib
-import sys
 from functools import partial
-from pathlib import Path
-from types import ModuleType
 
-import evo_cpg
-from evo_cpg.errors import UserError
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.studies.workshop import Workshop
-from evo_cpg.system import command_for
 
 # Cases that simulate an animal. Their rates are also drawn as a picture.
 _MOVING = (
@@ -24,34 +17,11 @@ _MOVING = (
 )
 
 
-class SuiteError(UserError):
-    """Missing suite of benchmarks, or missing package that the suite needs."""
-
-
-def bench_suite() -> ModuleType:
-    """Import and return ``benchmarks/suite.py`` of the checkout that this program lies in.
-
-    Raises:
-        SuiteError: the program lies in no checkout, or a package such as MuJoCo is missing.
-    """
-    checkout = Path(evo_cpg.__file__).parents[1]
-    if not (checkout / "benchmarks" / "suite.py").is_file():
-        raise SuiteError(
-            f"the benchmark suite is part of a checkout of evo_cpg, but {checkout} is no checkout"
-        )
-    if str(checkout) not in sys.path:
-        sys.path.insert(0, str(checkout))
-    try:
-        return importlib.import_module("benchmarks.suite")
-    except ModuleNotFoundError as error:
-        raise SuiteError(
-            f"the benchmark suite needs {error.name}. Install it: `{command_for('test')}`"
-        ) from None
-
-
 def measure(workshop: Workshop, case: str) -> list[Table]:
     """Measure a case and return its tables."""
-    suite = bench_suite()
+    # Peers such as MuJoCo are packages that a list of the studies does not need.
+    from benchmarks import suite
+
     request = suite.Selection((case,), quick=workshop.quick)
     machine, rows = suite.measure(request, workshop.devices, workshop.work)
     if case in _MOVING:
