@@ -21,6 +21,7 @@ from evo_cpg.simulation.task import term_names
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Checkpoint, genes_digest
 from evo_cpg.training.experiment import TABLE_COLUMNS, ExperimentParts
+from evo_cpg.training.memory import require_memory
 from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolderError
 
@@ -54,8 +55,10 @@ def begin_run(run: Run, devices: int, source: Path, start: Start | None = None) 
         ConfigError: there are no genes to evolve.
         OutputError: the folder cannot be written.
         RunFolderError: the folder holds a run or other files.
+        TooLargeError: the run needs more memory than the machine has.
     """
     require_genes(run.experiment, source)
+    require_memory(run.experiment)
     meta = _known(run, devices, source)
     if start is not None:
         meta["start"] = start.provenance
@@ -94,6 +97,7 @@ def reopen_run(run: Run, devices: int, source: Path | None = None) -> list[str]:
         ConfigError: there are no genes to evolve.
         OutputError: the folder cannot be written.
         RunFolderError: after a change, earlier individuals would have another fitness.
+        TooLargeError: the run needs more memory than the machine has.
     """
     folder = run.folder
     before = folder.read_meta()
@@ -108,6 +112,7 @@ def reopen_run(run: Run, devices: int, source: Path | None = None) -> list[str]:
             f"{folder.config} --from {folder.path} --start population --out ...`"
         )
     require_genes(run.experiment, folder.config)
+    require_memory(run.experiment)
     # Call this before writing anything: it starts JAX, which may find no device.
     here = machine_fingerprint(run.experiment.simulation.engine, devices)
     folder.reopen(dump_config(run.config))

@@ -41,6 +41,7 @@ from evo_cpg.io.trust import trusting
 from evo_cpg.system import resolved
 from evo_cpg.training import devices
 from evo_cpg.training.checkpoint import Checkpoint
+from evo_cpg.training.memory import require_memory
 from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError, read_checked
 from evo_cpg.training.team import device_count
@@ -243,6 +244,7 @@ def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
     Raises:
         RunFolderError: the configuration has changed since the sweep began.
         ConfigError: a setting is wrong.
+        TooLargeError: a setting needs more memory than the machine has.
     """
     source = Path(plan["config"])
     if _digest(source, plan["overrides"]) != plan["config_sha256"]:
@@ -257,6 +259,7 @@ def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
         config = config.model_copy(update={"name": f"{config.name} {name}"})
         experiment = build_experiment(config, source)
         require_genes(experiment, source)
+        require_memory(experiment)
         members.append(Member(RunFolder(folder / name), config, experiment, setting, source))
     return members
 

@@ -107,6 +107,7 @@ def train(
         LockedError: another process evolves into the folder.
         RunFolderError: the folder holds a run or other files, no individual has a fitness, or the
             earlier run does not fit.
+        TooLargeError: the experiment needs more memory than the machine has.
         UsageError: parts that the configuration does not name cannot go to a cluster.
     """
     if experiment.replaced and current_cluster():

@@ -24,8 +24,12 @@ _MISSING = (-9999.0, -32767.0, -32768.0, float(np.finfo(np.float32).min))
 _DECIMAL_COMMA = re.compile(r'\d,\d+[";\t]|[";\t] *-?\d+,\d|\d,\d+ +-?\d')
 _ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
+# Largest numbers of nodes, of triangles of all nodes, and of entries of all arrays.
+_MOST_NODES, _MOST_TRIANGLES, _MOST_ENTRIES = 1000, 1_000_000, 4_000_000
 # Axes of glTF (x left, y up, z ahead) in ours (x ahead, y left, z up).
 _TO_OURS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+# Modes of primitives that are triangles: lists, strips and fans.
+_TRIANGLES = (4, 5, 6)
 
 
 def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
@@ -75,10 +79,10 @@ def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _read_glb(path: Path) -> Any:
-    """Return the mesh of a file as a `trimesh.Trimesh`. Check the header first.
+    """Return the mesh of a file as a `trimesh.Trimesh`. Check the header's counts first.
 
     Raises:
-        ValueError: the file is no binary glTF, refers to other files, or needs extensions.
+        ValueError: the file is no binary glTF, refers to other files, or is too large.
     """
     import trimesh
 
@@ -93,11 +97,25 @@ def _read_glb(path: Path) -> Any:
             header = json.loads(file.read(length))
         except RecursionError:
             raise ValueError("its header is nested too deeply") from None
+    nodes, arrays = header.get("nodes", []), header.get("accessors", [])
     if any("uri" in each for each in header.get("buffers", [])):
         raise ValueError("it refers to other files or texts. Export one binary file")
     if header.get("extensionsRequired"):
         names = ", ".join(map(str, header["extensionsRequired"]))[:80]
         raise ValueError(f"it needs the extensions {names}. Export it without compression")
+    if len(nodes) > _MOST_NODES:
+        raise ValueError(f"it has {len(nodes)} nodes. Allowed: at most {_MOST_NODES}")
+    entries = sum(int(each["count"]) for each in arrays)
+    if entries > _MOST_ENTRIES:
+        raise ValueError(f"its arrays have {entries} entries. Allowed: at most {_MOST_ENTRIES}")
+    own = []
+    for mesh in header.get("meshes", []):
+        lists = [each for each in mesh["primitives"] if each.get("mode", 4) in _TRIANGLES]
+        corners = [each.get("indices", each["attributes"]["POSITION"]) for each in lists]
+        own.append(sum(int(arrays[i]["count"]) for i in corners) // 3)
+    count = sum(own[node["mesh"]] for node in nodes if "mesh" in node)
+    if count > _MOST_TRIANGLES:
+        raise ValueError(f"its nodes have {count} triangles. Allowed: at most {_MOST_TRIANGLES}")
     with path.open("rb") as file:
         # Without a resolver nothing outside of the file is read.
         scene = trimesh.load_scene(file, file_type="glb", process=False, skip_materials=True)

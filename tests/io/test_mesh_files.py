@@ -273,6 +273,8 @@ def test_the_hull_of_a_fine_mesh_has_few_triangles(folder):
 @pytest.mark.parametrize(
     ("header", "expected"),
     [
+        ({"nodes": [{"mesh": 0}] * 1001}, "it has 1001 nodes. Allowed: at most 1000"),
+        ({"accessors": [{"count": 10**9}]}, "its arrays have 1000000000 entries"),
         ({"buffers": [{"uri": "/etc/passwd", "byteLength": 9}]}, "it refers to other files"),
         ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "needs the extensions KHR_draco"),
         ({"meshes": [{"primitives": []}]}, "cannot be read as a mesh"),
@@ -281,7 +283,7 @@ def test_the_hull_of_a_fine_mesh_has_few_triangles(folder):
         ({"nodes": [{"mesh": 0, "children": [0]}]}, None),
     ],
 )
-def test_a_wrong_glb_is_refused(folder, header, expected):
+def test_a_wrong_or_huge_glb_is_refused(folder, header, expected):
     glb(folder / "bad.glb", header)
     if expected is None:
         # A node within itself is read, or refused, but never followed forever.
@@ -289,4 +291,11 @@ def test_a_wrong_glb_is_refused(folder, header, expected):
             load(folder, "creature.bodies.1.shape={type: mesh, file: bad.glb}")
         return
     with pytest.raises(ConfigError, match=f"creature.bodies.1.shape.file: bad.glb: .*{expected}"):
+        load(folder, "creature.bodies.1.shape={type: mesh, file: bad.glb}")
+
+
+def test_many_copies_in_a_glb_are_refused_before_they_are_made(folder):
+    ball = trimesh.creation.icosphere(4)
+    glb(folder / "bad.glb", {"nodes": [{"mesh": 0}] * 1000}, ball)
+    with pytest.raises(ConfigError, match="its nodes have 5120000 triangles"):
         load(folder, "creature.bodies.1.shape={type: mesh, file: bad.glb}")
