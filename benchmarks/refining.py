@@ -27,7 +27,7 @@ SWIMMER = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
 RUNS = 5
 # Six elites of each of five runs are 30 individuals, which almost fill the two vectors of 16 on two
 # cores.
-LEARNING = Learning(every=5, elites=6, steps=5)
+LEARNING = Learning(every=5, learners=6, steps=5)
 
 
 def main() -> None:
