@@ -194,12 +194,14 @@ class Distance(Task):
         settle_seconds: time in which the displacement does not count yet, s. Otherwise a tall body
             scores by falling over.
         point: point of the animal that moves.
+        length: longest extent of the animal at rest, m, if the displacement counts in lengths.
     """
 
     light: None = eqx.field(default=None, init=False)
     heading: Heading = eqx.field(static=True, default="any")
     settle_seconds: Number = 0.0
     point: Point = eqx.field(static=True, default="root")
+    length: Number | None = None
 
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Displacement:
         """See `Task.begin`."""
@@ -215,17 +217,24 @@ class Distance(Task):
         return tally.moved(starts, place, place)
 
     def terms(self, tally: Displacement, steps: int) -> dict[str, Float[Array, " *n"]]:
-        """Return ``distance`` and its ``forward`` part (m)."""
+        """Return ``distance`` and its ``forward`` part (m), and which one counts in ``lengths``."""
         del steps
         ahead, aside, _ = tally.end - tally.start
-        return {"distance": jnp.sqrt(ahead * ahead + aside * aside), "forward": ahead}
+        found = {"distance": jnp.sqrt(ahead * ahead + aside * aside), "forward": ahead}
+        if self.length is not None:
+            found["lengths"] = found[self._counted] / self.length
+        return found
+
+    @property
+    def _counted(self) -> str:
+        return "distance" if self.heading == "any" else "forward"
 
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
-        """Return D, m."""
+        """Return D, m or lengths."""
         del scales
-        return terms["distance" if self.heading == "any" else "forward"]
+        return terms[self._counted if self.length is None else "lengths"]
 
 
 class Walk(Task):

@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from evo_cpg.io.plans import EvolvedPlans
     from evo_cpg.studies.workshop import Workshop
 
+_UNIT = "task.unit=lengths"
 # Changes to a run that lasts about 20 min on two cores, and the least speed, in lengths per second.
 _CASES = {
-    "water": (("virtual_creatures_water", ("evolution.generations=2000",)), 0.5),
-    "land": (("virtual_creatures_land", ("evolution.generations=300",)), 0.25),
+    "water": (("virtual_creatures_water", (_UNIT, "evolution.generations=2000")), 0.5),
+    "land": (("virtual_creatures_land", (_UNIT, "evolution.generations=300")), 0.25),
 }
 # Duration of a trial, and of its end that counts, s.
 _SECONDS, _COUNTED = 15.0, 5.0

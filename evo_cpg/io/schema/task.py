@@ -11,7 +11,6 @@ from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.io.errors import KeyProblem
 from evo_cpg.io.schema.section import (
     CustomConfig,
-    DescribedSection,
     Direction,
     Finite,
     NotNegative,
@@ -138,7 +137,7 @@ class ReachLightConfig(Section):
         return self.into(ReachLight, light=light, final_steps=final_steps)
 
 
-class DistanceConfig(DescribedSection):
+class DistanceConfig(Section):
     """Fukui 2003: displacement from start to end, in any posture.
 
     Attributes:
@@ -148,15 +147,21 @@ class DistanceConfig(DescribedSection):
             than the trial. Otherwise a tall body scores by falling over.
         point: point that moves: the ``root`` or the ``centre_of_mass``. A long animal moves its
             root by curling up once.
+        unit: whether the displacement counts in ``m`` or in ``lengths`` of the animal at rest.
     """
 
     type: Literal["distance"] = "distance"
     heading: Heading = "any"
     settle_seconds: NotNegative = 0.0
     point: Point = "root"
+    unit: Literal["m", "lengths"] = "m"
 
     needs_ground: ClassVar[bool] = False
-    described = Distance
+
+    def build(self, creature: Creature, **_: Any) -> Task:
+        """Build the task for a creature."""
+        length = length_of(creature) if self.unit == "lengths" else None
+        return self.into(Distance, length=length)
 
 
 class WalkConfig(Section):
