@@ -131,7 +131,7 @@ def compile_plan_ascent(
             slope = plans.pulled_back(rounded, found).astype(np.float32)
             # The best point is kept as the rounded genes.
             state = query(rounded, _Loss(-value, -slope), state)
-            place = place + settings.sizes * state.move
+            place = place + settings.sizes[None] * state.move
         best, value = np.asarray(state.best), -np.asarray(state.least)
         return Climbed(best, value, np.asarray(state.finite))
 
