@@ -165,6 +165,7 @@ def test_html_of_a_run_is_escaped_in_a_named_page(cli, swimmer, tmp_path):
             assert not tab.complaints
 
 
+@pytest.mark.slow
 def test_a_page_replaces_nothing(cli, swimmer, tmp_path):
     (tmp_path / "folder.html").mkdir()
     (tmp_path / "there.html").write_text("mine")

@@ -85,6 +85,7 @@ def compared(inputs: AnimalInputs, data: dict[str, Any]) -> None:
     np.testing.assert_allclose(there, alone, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_animal_moves_as_in_its_own_simulation(x64, inputs):
     compared(inputs, animal())
 

@@ -98,6 +98,7 @@ def test_gradients_of_bodies_and_brains_equal_differences():
     assert error.max() < 1e-5, error
 
 
+@pytest.mark.slow
 def test_derivatives_of_growth_take_no_notice_of_rounding():
     """They are differences over one step of a gene, to the curvature of an exponential."""
     plans: EvolvedPlans = plans_of(WATER, 6, 0.1)

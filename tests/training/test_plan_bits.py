@@ -67,7 +67,8 @@ def test_a_plan_has_the_same_bits_in_any_population(case):
     assert bits(run(genes[:, many])) == [together[i] for i in many]
 
 
-@pytest.mark.parametrize("case", ["small land", pytest.param("land", marks=SLOW)])
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["small land", "land"])
 def test_a_recorded_plan_has_the_same_bits(case):
     """`verify` and films replay what training has evaluated."""
     simulation, genes = prepared(case)
