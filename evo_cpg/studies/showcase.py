@@ -55,8 +55,8 @@ def report(workshop: "Workshop") -> list[Table]:
             f"kinds_{name}", [name], lambda name=name, least=least: _rows(workshop, name, least)
         )
         passed = sum(row["audit"] == "passed" for row in rows)
-        title = f"In {name}: {passed} topologies pass the audit beyond {least:g} lengths a second"
-        tables.append(tabled(rows, title.replace("In land", "On land")))
+        title = f"{name}: {passed} topologies pass the audit beyond {least:g} lengths a second"
+        tables.append(tabled(rows, title.capitalize()))
     return tables
 
 
@@ -142,12 +142,11 @@ def speeds(
     path = (frames["position"][:, :2] * mass).sum(2) / mass.sum(0)
     path = path[-round(_COUNTED * rate) - 1 :]
     net = path[-1] - path[0]
-    length = np.linalg.norm(net, axis=0)
-    along = (np.diff(path, axis=0) * net).sum(1) * rate / np.maximum(length, 1e-9)
+    far = np.maximum(np.linalg.norm(net, axis=0), 1e-9)
+    along = (np.diff(path, axis=0) * net).sum(1) * rate / far
     second = round(rate)
-    smooth = (path[second:] - path[:-second])[:: second // 10]
-    detour = np.linalg.norm(smooth, axis=1).mean(0) * (_COUNTED)
-    return np.median(along, 0) / found[2].length, length / np.maximum(detour, 1e-9)
+    in_a_second = np.linalg.norm(path[second:] - path[:-second], axis=1).mean(0)
+    return np.median(along, 0) / found[2].length, far / np.maximum(_COUNTED * in_a_second, 1e-9)
 
 
 PART = Part("kinds of animals that move fast after 20 minutes", tuple(_CASES), report)

@@ -299,7 +299,8 @@ class PlanEvolutionConfig(MapSection):
         evolve: what may change: ``all``, only the ``body``, whose rhythm is then fixed, or only the
             ``brain``.
         founders: number of different bodies in the first generation (default: all differ).
-        protect: whether new topologies are protected: the best plan of each ranks first.
+        protect: whether new topologies are protected: the best plan of each ranks first. It has no
+            effect if only brains evolve.
         plan: what body plans may be like.
         learning: gradient ascent of some individuals (default: none).
         islands: sub-populations, to each of which all keys but ``population`` apply
