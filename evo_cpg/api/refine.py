@@ -95,6 +95,11 @@ def refine(
                 "bits have no derivative, so the genes count as graded. After a gain in fitness, "
                 "the configuration in RUN has controller.graded: true"
             )
+        if experiment.simulation.plans is not None:
+            raise UsageError(
+                f"{run}: genes of body plans have steps, so refine the exported animal: "
+                f"evo-cpg export {run} animal.yaml, then train animal.yaml --from {run}"
+            )
         if experiment.simulation.genome.misfit(champion.genes):
             raise UsageError(f"{run}: the body's genes are bits, which have no derivative")
         if keys and experiment.simulation.has_own_bodies:
