@@ -277,12 +277,16 @@ def configuration(study: Study, name: str, quick: bool = False) -> ExperimentCon
     source = shipped(declared.config).path
     overrides = [*declared.overrides, f"runs={declared.count}"]
     if quick:
-        evolution = load_config(source, overrides).evolution.model_dump()
+        full = load_config(source, overrides)
+        evolution, settling = full.evolution.model_dump(), getattr(full.task, "settle_seconds", 0)
         overrides += [
             f"runs={min(declared.count, _QUICK_RUNS)}",
             f"simulation.seconds={_QUICK_SECONDS}",
             f"evolution.generations={_QUICK_GENERATIONS}",
         ]
+        if settling:
+            fraction = settling / full.simulation.seconds
+            overrides.append(f"task.settle_seconds={fraction * _QUICK_SECONDS}")
         if evolution["population"] > _QUICK_POPULATION:
             overrides.append(f"evolution.population={_QUICK_POPULATION}")
             if "elites" in evolution:
