@@ -182,7 +182,7 @@ def audit(
     limits_from(limits)
     with trusting(trust):
         opened = open_champion(run, number, cell=cell)
-        (made,) = _audited(opened, [opened.champion], limits)
+        (made,) = audited(opened, [opened.champion], limits)
     return made
 
 
@@ -205,10 +205,11 @@ def audit_runs(run: Path | str, limits: Sequence[str] = (), trust: bool = False)
         for number, champion in enumerate(champions):
             if champion is None:
                 advise(f"{run}: run {number} has no champion to audit: every individual diverged")
-        return _audited(opened, found, limits)
+        return audited(opened, found, limits)
 
 
-def _audited(opened: Run, champions: Sequence[Champion], limits: Sequence[str]) -> list[Audit]:
+def audited(opened: Run, champions: Sequence[Champion], limits: Sequence[str] = ()) -> list[Audit]:
+    """Audit individuals of a run, each with the fitness that it had there."""
     opened.require_configured()
     allowed = limits_from(limits, opened.config.audit.limits())
     source, folders = opened.folder.config, class_folders(opened.folder)

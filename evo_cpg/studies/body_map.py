@@ -38,8 +38,8 @@ RHYTHM = len(limb_oscillators.GENES)
 _BODIES, _CONFIG = 7, "virtual_creatures_water"
 _OVERRIDES = (
     f"evolution.plan.bodies={_BODIES} evolution.plan.parts=3 evolution.plan.connections=2 "
-    "evolution.plan.joints=[hinge] controller.time_scale=0.5 controller.rate_gain=15 "
-    "controller.max_rate=10 controller.min_adaptation_gain=2 controller.steering_range=0.25"
+    "evolution.plan.joints=[hinge] controller.max_rate=10 controller.min_adaptation_gain=2 "
+    "controller.steering_range=0.25 task.settle_seconds=0 task.unit=m"
 )
 
 # Half extents of the trunk, and those across a part of the tail or of a limb, m. A part of the tail

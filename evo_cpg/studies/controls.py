@@ -39,7 +39,7 @@ def report(workshop: "Workshop") -> list[Table]:
         rows.append(
             {
                 "evolves": words,
-                "distance, m": middle(fitness[words]),
+                "distance, lengths": middle(fitness[words]),
                 f"beside {_RANDOM}": tests[words],
                 "topologies of the best 30": middle(best, 0),
                 "of all": middle(every, 0),
@@ -78,7 +78,7 @@ def report_learning(workshop: "Workshop") -> list[Table]:
         {
             "search": words,
             f"generations in {budget:.0f} s": str(end + 1),
-            "distance, m": middle(fitness[words]),
+            "distance, lengths": middle(fitness[words]),
             f"beside {first}": tests[words],
         }
         for words, end in zip(fitness, ends.values(), strict=True)

@@ -20,11 +20,10 @@ if TYPE_CHECKING:
     from evo_cpg.io.plans import EvolvedPlans
     from evo_cpg.studies.workshop import Workshop
 
-_UNIT = "task.unit=lengths"
 # Changes to a run that lasts about 20 min on two cores, and the least speed, in lengths per second.
 _CASES = {
-    "water": (("virtual_creatures_water", (_UNIT, "evolution.generations=2000")), 0.5),
-    "land": (("virtual_creatures_land", (_UNIT, "evolution.generations=300")), 0.25),
+    "water": (("virtual_creatures_water", ("evolution.generations=2000",)), 0.5),
+    "land": (("virtual_creatures_land", ("evolution.generations=300",)), 0.25),
 }
 # Duration of a trial, and of its end that counts, s.
 _SECONDS, _COUNTED = 15.0, 5.0
@@ -62,35 +61,30 @@ def report(workshop: "Workshop") -> list[Table]:
 
 def _rows(workshop: "Workshop", name: str, least: float) -> list[dict[str, str]]:
     """Return a row for each topology that is fast and straight."""
-    from evo_cpg.api.audit import audits
-    from evo_cpg.io.build import build_experiment
+    from evo_cpg.api.audit import audited
+    from evo_cpg.api.runs import open_champion
     from evo_cpg.io.plans import plans_of
-    from evo_cpg.training.checkpoint import Champion
 
     member = workshop.member(name)
     longer = member.config.simulation.model_copy(update={"seconds": _SECONDS})
     plans = plans_of(member.config.model_copy(update={"simulation": longer}))
     kinds = _kinds(plans, member.folder.path)
-    genes = np.stack([kind.genes for kind in kinds], 1)
-    speed, straight = speeds(plans, genes)
-    rows = []
-    for i in np.argsort(-speed):
-        if len(rows) < _AUDITED and speed[i] >= least and straight[i] >= _STRAIGHT:
-            config, own = plans.alone(genes[:, i])
-            limits, source = config.audit.limits(), member.source
-            champion = Champion(own, kinds[i].fitness, 0, {}, {}, 0, 0)
-            (done,) = audits(build_experiment(config, source), [champion], limits, config, source)
-            verdict = "passed" if done.passed else "; ".join(done.verdict.reasons)
-            workshop.work.reached(len(rows) + 1, _AUDITED)
-            rows.append(
-                {
-                    "topology": kinds[i].topology,
-                    "lengths a second": f"{speed[i]:.2f}",
-                    "straight": f"{100 * straight[i]:.0f} %",
-                    "audit": verdict,
-                }
-            )
-    return rows
+    speed, straight = speeds(plans, np.stack([kind.genes for kind in kinds], 1))
+    fast = np.flatnonzero((speed >= least) & (straight >= _STRAIGHT))
+    fast = fast[np.argsort(-speed[fast])][:_AUDITED]
+    opened = open_champion(member.folder.path)
+    one = opened.champion
+    shown = [one._replace(genes=kinds[i].genes, fitness=kinds[i].fitness) for i in fast]
+    audits = audited(opened, shown) if shown else []
+    return [
+        {
+            "topology": kinds[i].topology,
+            "lengths a second": f"{speed[i]:.2f}",
+            "straight": f"{100 * straight[i]:.0f} %",
+            "audit": "passed" if done.passed else "; ".join(done.verdict.reasons),
+        }
+        for i, done in zip(fast, audits, strict=True)
+    ]
 
 
 def _kinds(plans: "EvolvedPlans", folder: Path) -> list[Kind]:
