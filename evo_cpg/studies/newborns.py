@@ -86,7 +86,8 @@ def climbing(nursery: Nursery) -> Direction:
         plans = draw.integers(len(nursery.lengths), size=_BATCH)
         visits = nursery.visits(plans, bearings(draw, _BATCH), weights[:, None])
         _, slopes = nursery.gradients(visits)
-        length = np.linalg.norm(slopes, axis=0)
+        # The squares of some slopes overflow in float32.
+        length = np.linalg.norm(slopes.astype(float), axis=0)
         finite = np.isfinite(length)
         most = np.median(length[finite])
         factor = np.minimum(1.0, most / np.maximum(length[finite], most))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Changes to a run that lasts about 20 min on two cores, and the least speed, in lengths per second.
 _CASES = {
     "water": (("virtual_creatures_water", ("evolution.generations=2000",)), 0.5),
-    "land": (("virtual_creatures_land", ("evolution.generations=300",)), 0.25),
+    "land": (("virtual_creatures_land", ("evolution.generations=220",)), 0.25),
 }
 # Duration of a trial, and of its end that counts, s.
 _SECONDS, _COUNTED = 15.0, 5.0

@@ -157,6 +157,7 @@ def test_honest_animals_pass(honest, swimming):
     assert failed(swimming) == set()
 
 
+@pytest.mark.slow
 def test_energies_are_relative_to_the_motors_work(honest):
     made, (trial,) = honest
     checks = {check.key: check for check in books(made, champion(), (trial,), Limits())}

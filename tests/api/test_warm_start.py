@@ -60,6 +60,7 @@ def test_a_population_is_cut_or_filled(earlier, size):
     assert provenance["generation"] == 2
 
 
+@pytest.mark.slow
 def test_more_runs_all_begin_with_the_best_champion(earlier):
     _, (genes, _) = start(earlier, "champion", "runs=3")
     for run in range(3):

@@ -186,8 +186,9 @@ def test_numbers_in_json_python_and_terminal_agree(swimmer):
             assert row["value"] == pytest.approx(each.value, rel=1e-6), each.key
 
 
+@pytest.mark.slow
 @browsing
-@pytest.mark.parametrize("animal", ["swimmer", pytest.param("walker", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("animal", ["swimmer", "walker"])
 def test_the_page_plays_and_scrubs_in_a_browser_without_a_network(request, tmp_path, animal):
     run = request.getfixturevalue(animal)
     with chromium.browser(tmp_path / "profile") as tab:

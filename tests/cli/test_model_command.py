@@ -16,6 +16,7 @@ from evo_cpg.view.run_page.server import PageServer
 from tiny_run import REPOSITORY
 
 
+@pytest.mark.slow
 def test_a_page_is_served_until_an_interrupt(tmp_path, interruptible):
     path = [sys.executable, "-m", "evo_cpg", "model", "new.yaml"]
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}

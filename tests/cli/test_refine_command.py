@@ -58,6 +58,7 @@ def test_the_folder_records_the_gain_and_keeps_the_earlier_champion(refined, fin
     assert done["command"][0] == "refine" and str(folder.path) in done["command"]
 
 
+@pytest.mark.slow
 def test_evolution_continues_from_the_refined_champion(refined, cli, tmp_path):
     folder = RunFolder(shutil.copytree(refined[0].path, tmp_path / "run"))
     done = folder.load()

@@ -140,7 +140,7 @@ def bodies_of(genes: np.ndarray) -> np.ndarray:
 
 def test_protected_elites_are_the_best_of_their_topologies():
     """Trees that are compared joint by joint are the oracle. Then come the others, best first."""
-    plans = plans_of(WATER, 6, 0.1)
+    plans = plans_of(WATER, 4, 0.1)
     genes = random_genes(plans, SIZE).astype(np.float32)
     draw = np.random.default_rng(0)
     fitness = draw.integers(0, 400, SIZE).astype(np.float32)

@@ -150,7 +150,7 @@ def test_a_part_of_every_array_may_be_traced(name, overrides):
 
 
 @pytest.mark.parametrize(
-    "case", ["swimmer", "hopper", pytest.param("walker", marks=pytest.mark.slow)]
+    "case", ["hopper", *(pytest.param(x, marks=pytest.mark.slow) for x in ("swimmer", "walker"))]
 )
 def test_a_traced_build_equals_a_numpy_build(case):
     config, path, keys = configured(case)
