@@ -49,7 +49,7 @@ def bodies_figure(
         frames = np.stack([x, y], -1)[np.array(np.nonzero(best[own])).T, [0, 1]]
         frames = frames[:, None] + _CORNERS[None, :, :2] * [(x[1] - x[0]) / 2, (y[1] - y[0]) / 2]
         panel.add_collection(PolyCollection([*frames], facecolors="none", edgecolors=RED, lw=1.2))
-        panel.set_title(f"{axes[2][0]} {values[int(k)]:.0f} {axes[2][1]}", fontsize=9.5)
+        panel.set_title(f"{axes[2][0]} {values[int(k)]:z.0f} {axes[2][1]}", fontsize=9.5)
     above[0].supxlabel("{} ({})".format(*axes[0]), fontsize=10)
     above[0].supylabel("{} ({})".format(*axes[1]), fontsize=10)
     bar = above[0].colorbar(ScalarMappable(scale, _COLOURS), ax=panels, label=label, shrink=0.8)
