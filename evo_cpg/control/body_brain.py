@@ -175,7 +175,8 @@ class BodyBrain(Controller):
     def _network(self, like: Float[Array, "c d *n"]) -> Float[Array, "c d *n"]:
         """Return the network's output for all axes."""
         inner, outer = jnp.split(jnp.asarray(self.weights, like.dtype), [WEIGHTS[0]])
-        place = expand_dims_like(places(self.tree), like)
+        # A network is not to be trusted outside the range in which it was trained.
+        place = expand_dims_like(jnp.clip(places(self.tree), -1.0, 1.0), like)
         values = jnp.broadcast_to(place, (len(place), *like.shape[1:]))
         for layer in (inner.reshape(HIDDEN, -1), outer.reshape(len(CHARACTER), -1)):
             weights = expand_dims_like(layer, like)

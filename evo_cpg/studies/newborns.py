@@ -31,8 +31,8 @@ from evo_cpg.studies.study import Table, tabled
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
 
-# Number of plans to train on, and seconds of a trial.
-_PLANS, _SECONDS = 2048, 20.0
+# Number of plans to train on, fraction of chains among them, and seconds of a trial.
+_PLANS, _CHAINS, _SECONDS = 2048, 0.35, 20.0
 # Pairs of opposite changes, plans that each change drives, size of the changes, and step size.
 _PAIRS, _EACH, _SIGMA, _STEP = 64, 16, 0.1, 0.02
 # Gradients: seconds of a trial, visits in a step, and step size.
@@ -67,8 +67,8 @@ def evolving(nursery: Nursery, sight: float = 1.0) -> Direction:
     def direction(draw: np.random.Generator, weights: np.ndarray) -> np.ndarray:
         changes = draw.normal(size=(len(weights), _PAIRS))
         brains = weights[:, None] + _SIGMA * np.concatenate([changes, -changes], 1)
-        plans, lights = draw.integers(len(nursery.lengths), size=_EACH), bearings(draw, _EACH)
-        count = brains.shape[1]
+        plans, count = draw.integers(len(nursery.lengths), size=_EACH), brains.shape[1]
+        lights = nursery.lights(draw, plans)
         visits = nursery.visits(
             np.tile(plans, count), np.tile(lights, count), brains.repeat(_EACH, 1), sight
         )
@@ -84,7 +84,7 @@ def climbing(nursery: Nursery) -> Direction:
 
     def direction(draw: np.random.Generator, weights: np.ndarray) -> np.ndarray:
         plans = draw.integers(len(nursery.lengths), size=_BATCH)
-        visits = nursery.visits(plans, bearings(draw, _BATCH), weights[:, None])
+        visits = nursery.visits(plans, nursery.lights(draw, plans), weights[:, None])
         _, slopes = nursery.gradients(visits)
         # The squares of some slopes overflow in float32.
         length = np.linalg.norm(slopes.astype(float), axis=0)
@@ -193,7 +193,7 @@ def report(workshop: "Workshop") -> list[Table]:
     quick, folder = workshop.quick, workshop.folder / "runs" / "newborns"
     make_folder(folder)
     minutes, blind = (_QUICK_MINUTES if quick else x for x in (_MINUTES, _BLIND_MINUTES))
-    nursery, short = Nursery(0, _PLANS, _SECONDS), Nursery(0, _PLANS, _SHORT)
+    nursery, short = (Nursery(0, _PLANS, x, chains=_CHAINS) for x in (_SECONDS, _SHORT))
     makers = {
         "evolution": (evolving(nursery), _STEP, minutes),
         "gradients": (climbing(short), _FINE, minutes),

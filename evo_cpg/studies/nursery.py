@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
 from evo_cpg.control.body_brain import WEIGHTS, BodyBrain
@@ -18,6 +18,7 @@ from evo_cpg.control.controller import Command, Observation
 from evo_cpg.control.limb_oscillators import LimbState
 from evo_cpg.creature.algebra.linear import expand_dims_like
 from evo_cpg.creature.algebra.numerics import xp
+from evo_cpg.creature.graph import GraphLayout, PlanGraph
 from evo_cpg.io.load import complete_config, read_yaml
 from evo_cpg.io.plans import EvolvedPlans
 from evo_cpg.io.shipped import shipped
@@ -37,6 +38,8 @@ AWAY = 5.0
 _BODIES, _AXES = 4, 3
 # Random plans that are drawn for each plan that is kept.
 _DRAWN = 2
+# Fractions of the chains that have a second kind of part, and fins.
+_LONGER, _FINNED = 0.6, 0.7
 # Physics steps in a control step. Trainings exploit the error of longer steps.
 _SUBSTEPS = 4
 
@@ -76,16 +79,23 @@ class Nursery(EvolvedPlans):
         count: number of plans.
         seconds: duration of a trial, s.
         brain: class of the brain.
+        chains: fraction of the plans that become chains with fins (`chained`).
 
     Attributes:
         genes: genomes of the plans.
+        chain: whether each plan is such a chain.
         lengths: longest extent of each plan at rest, m.
     """
 
     inputs_type = Visits
 
     def __init__(
-        self, seed: int, count: int, seconds: float = 20.0, brain: type[BodyBrain] = BodyBrain
+        self,
+        seed: int,
+        count: int,
+        seconds: float = 20.0,
+        brain: type[BodyBrain] = BodyBrain,
+        chains: float = 0.0,
     ):
         source = shipped("virtual_creatures_water").path
         changes = {
@@ -97,20 +107,26 @@ class Nursery(EvolvedPlans):
         data["simulation"] |= {"seconds": seconds, "substeps": _SUBSTEPS}
         super().__init__(complete_config(data, source))
         self._brain = brain
-        self.genes, self._drawn = self._draw(seed, count)
+        self.genes, self.chain, self._drawn = self._draw(seed, count, chains)
         self.lengths = self._drawn[2].length
         simulation = dataclasses.replace(self.inputs(self.sizes[-1]).common, plans=self)
         self._run = compile_trials(simulation, population_mesh())
         self._slopes = compile_slopes(self, population_mesh())
 
-    def _draw(self, seed: int, count: int) -> tuple[Float[np.ndarray, "g n"], tuple[Any, ...]]:
-        """Return plans with enough bodies and axes, and their arrays (`EvolvedPlans.developed`)."""
+    def _draw(
+        self, seed: int, count: int, chains: float
+    ) -> tuple[Float[np.ndarray, "g n"], Bool[np.ndarray, " n"], tuple[Any, ...]]:
+        """Return plans with enough bodies and axes, which are chains, and their arrays."""
         draw = jax.jit(lambda key: self.random(key, (_DRAWN * count,), float))
-        genes = np.asarray(draw(jax.random.key(seed)))
+        genes = np.array(draw(jax.random.key(seed)))
+        chance = np.random.default_rng(seed)
+        chain = chance.random(_DRAWN * count) < chains
+        genes[:, chain] = chained(self.layout, genes[:, chain], chance)
         found = super().developed(genes)
         axes = (np.abs(found[2].walk.turns) > 0).sum(0)
         kept = np.flatnonzero((found[0] >= _BODIES) & (axes >= _AXES))[:count]
-        return genes[:, kept], jax.tree.map(lambda x: np.asarray(x)[..., kept], found)
+        drawn = jax.tree.map(lambda x: np.asarray(x)[..., kept], found)
+        return genes[:, kept], chain[kept], drawn
 
     @override
     def inputs(self, size: int) -> PlanInputs:
@@ -148,6 +164,14 @@ class Nursery(EvolvedPlans):
         rows = plans[None], light, np.full((1, count), sight), weights
         return np.concatenate(rows).astype(np.float32)
 
+    def lights(
+        self, draw: np.random.Generator, plans: Int[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "3 n"]:
+        """Return random bearings. Those of chains are level, because no chain rises."""
+        found = bearings(draw, len(plans))
+        found[2, self.chain[plans]] = 0.0
+        return found / np.linalg.norm(found, axis=0)
+
     def covered(self, visits: Float[np.ndarray, "v n"]) -> Float[np.ndarray, " n"]:
         """Return the fraction of the distance to the light that each plan covers.
 
@@ -170,3 +194,27 @@ def bearings(draw: np.random.Generator, count: int) -> Float[np.ndarray, "3 n"]:
     """Return directions that are spread evenly over the sphere."""
     found = draw.normal(size=(3, count))
     return found / np.linalg.norm(found, axis=0)
+
+
+def chained(
+    layout: GraphLayout, genes: Float[np.ndarray, "g n"], draw: np.random.Generator
+) -> Float[np.ndarray, "g n"]:
+    """Return plans of the same parts as chains with fins, which users draw more than chance does.
+
+    Node 0 is the trunk, 1 and 3 are the tail, which bends to the sides, and 2 is a pair of fins.
+    """
+    graph = jax.tree.map(np.array, layout.unpack(genes)._asdict())
+    count, ahead = genes.shape[1], np.array([[127 / 128], [0], [0]])
+    for name in ("on", "to", "reflect", "scale", "terminal", "used"):
+        graph[name][:] = 0
+    graph["used"][:4], graph["kind"][[1, 3]], graph["recursion"][0] = 1, 0, 1
+    graph["recursion"][1:4] = draw.integers(1, [[5], [3], [5]], (3, count))
+    for node, link, part in ((0, 0, 1), (1, 0, 1), (1, 1, 3), (3, 0, 3), (0, 1, 2), (2, 0, 2)):
+        graph["on"][node, link], graph["to"][node, link] = 1, part
+        graph["place"][node, link] = ahead if node else -ahead
+        graph["turn"][node, link] *= node == 2 or part == 2
+    graph["terminal"][1, 1] = graph["reflect"][0, 1] = 1
+    graph["on"][[1, 0], 1] = draw.random((2, count)) < [[_LONGER], [_FINNED]]
+    along, up = np.round(draw.uniform([[-100], [-60]], [[100], [60]], (2, count))) / 128
+    graph["place"][0, 1] = along, np.full(count, 127 / 128), up
+    return np.asarray(layout.pack(PlanGraph(**graph)))

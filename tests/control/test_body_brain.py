@@ -1,6 +1,7 @@
 """The brain that fits any body: places of axes, strokes towards the light, and symmetry."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -99,6 +100,15 @@ def test_places_do_not_depend_on_scale():
     np.testing.assert_allclose(small[same], large[same], atol=1e-4)
     grown = (large - small)[PLACE.index("size")]
     np.testing.assert_allclose(grown, 3 * np.log(2), atol=1e-4)
+
+
+def test_places_beyond_the_training_count_as_its_edge(monkeypatch):
+    found = []
+    for factor in (1e3, 1e6):
+        beyond = functools.partial(lambda factor, tree: factor * (places(tree) + 0.01), factor)
+        monkeypatch.setattr("evo_cpg.control.body_brain.places", beyond)
+        found.append(commands(brain(chain()), lit(chain(), (0.6, 0.8, 0.0)))[0])
+    np.testing.assert_array_equal(*found)
 
 
 def test_parts_move_faster_away_from_the_light():

@@ -58,7 +58,12 @@ def test_evolution_moves_along_the_gradient():
         assert lights.shape == (3, len(plans)) and sight == 1.0
         return np.concatenate([plans[None], lights, np.full((1, len(plans)), sight), weights])
 
-    nursery: Any = SimpleNamespace(lengths=np.ones(9), covered=covered, visits=visits)
+    def lights(draw, plans):
+        return bearings(draw, len(plans))
+
+    nursery: Any = SimpleNamespace(
+        lengths=np.ones(9), covered=covered, visits=visits, lights=lights
+    )
     found = sum(evolving(nursery)(np.random.default_rng(i), np.zeros(COUNT)) for i in range(40))
     cosine = found @ GOAL / np.linalg.norm(found) / np.linalg.norm(GOAL)
     assert cosine > 0.95
@@ -69,6 +74,23 @@ def test_bearings_have_no_preferred_side():
     np.testing.assert_allclose(np.linalg.norm(found, axis=0), 1.0)
     np.testing.assert_allclose(found.mean(1), 0.0, atol=0.02)
     np.testing.assert_allclose((found**2).mean(1), 1 / 3, atol=0.02)
+
+
+@pytest.mark.slow
+def test_chains_bend_to_the_sides_behind_a_trunk():
+    plans = Nursery(0, 60, seconds=0.5, chains=0.5)
+    lights = plans.lights(np.random.default_rng(0), np.arange(60))
+    np.testing.assert_allclose(np.linalg.norm(lights, axis=0), 1.0)
+    assert (lights[2, plans.chain] == 0).all() and (lights[2, ~plans.chain] != 0).all()
+    assert 15 < plans.chain.sum() < 45
+    numbers = set()
+    for genes in plans.genes[:, plans.chain].T:
+        plan, graph = plans.plan(genes), plans.layout.unpack(genes)
+        tail = np.isin(plan.label, np.asarray(graph.label)[[1, 3]]) & plan.present
+        assert (plan.axes[tail] == [False, False, True]).all()
+        assert all(parent == 0 or tail[parent] for parent in plan.parent[tail])
+        numbers.add(int(tail.sum()))
+    assert min(numbers) < 4 and max(numbers) > 6
 
 
 @pytest.fixture(scope="module")

@@ -488,7 +488,7 @@ const View = (() => {
     if (!given.light) return;
     // The camera stands still and the animal leaves a trail, so that its way to the light is seen.
     const centres = Array.from({ length: given.count }, (_, i) => middle(i));
-    trail = new THREE.Line(new THREE.BufferGeometry().setFromPoints(centres), new THREE.LineBasicMaterial({ color: "#e0342b" }));
+    trail = new THREE.Line(new THREE.BufferGeometry().setFromPoints(centres), new THREE.LineBasicMaterial({ color: "#d6249f" }));
     swim.add(lamp(vector(given.light), centres[0]), trail);
     look("light", vector(given.light));
     seek(0);
