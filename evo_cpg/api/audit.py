@@ -209,7 +209,11 @@ def audit_runs(run: Path | str, limits: Sequence[str] = (), trust: bool = False)
 
 
 def audited(opened: Run, champions: Sequence[Champion], limits: Sequence[str] = ()) -> list[Audit]:
-    """Audit individuals of a run, each with the fitness that it had there."""
+    """Audit individuals of a run, each with the fitness that it had there, in their order.
+
+    Raises:
+        LimitError: there is no such limit, or its value is wrong.
+    """
     opened.require_configured()
     allowed = limits_from(limits, opened.config.audit.limits())
     source, folders = opened.folder.config, class_folders(opened.folder)

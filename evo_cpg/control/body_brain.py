@@ -175,7 +175,7 @@ class BodyBrain(Controller):
     def _network(self, like: Float[Array, "c d *n"]) -> Float[Array, "c d *n"]:
         """Return the network's output for all axes."""
         inner, outer = jnp.split(jnp.asarray(self.weights, like.dtype), [WEIGHTS[0]])
-        # A network is not to be trusted outside the range in which it was trained.
+        # Without limits the network extrapolates badly to animals of other sizes than in training.
         place = expand_dims_like(jnp.clip(places(self.tree), -1.0, 1.0), like)
         values = jnp.broadcast_to(place, (len(place), *like.shape[1:]))
         for layer in (inner.reshape(HIDDEN, -1), outer.reshape(len(CHARACTER), -1)):

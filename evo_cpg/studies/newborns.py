@@ -89,6 +89,8 @@ def climbing(nursery: Nursery) -> Direction:
         # The squares of some slopes overflow in float32.
         length = np.linalg.norm(slopes.astype(float), axis=0)
         finite = np.isfinite(length)
+        if not finite.any():
+            return np.zeros(len(weights))
         most = np.median(length[finite])
         factor = np.minimum(1.0, most / np.maximum(length[finite], most))
         return (slopes[:, finite] * factor).mean(1)
