@@ -296,6 +296,6 @@ def configuration(study: Study, name: str, quick: bool = False) -> ExperimentCon
 
 def markdown(table: Table) -> str:
     """Return a table in Markdown."""
-    lines = [table.head, ["---"] * len(table.head), *table.rows]
+    lines = [table.head, ["---"] * len(table.head), *table.rows] if table.rows else []
     body = "\n".join("| " + " | ".join(map(str, row)) + " |" for row in lines)
     return f"{table.title}\n\n{body}" if table.title else body

@@ -14,7 +14,8 @@ from evo_cpg.io.load import load_config
 from evo_cpg.io.shipped import shipped
 from evo_cpg.studies import fukui2003, search
 from evo_cpg.studies.parts import audit_table, evaluate, kept_table
-from evo_cpg.studies.workshop import Workshop
+from evo_cpg.studies.study import tabled
+from evo_cpg.studies.workshop import Workshop, markdown
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.view import search_plots
 from tiny_run import CONFIG, PAIR
@@ -67,6 +68,11 @@ def test_an_animal_without_drive_stays_where_it_is():
         controller.brain, controller.decode(jnp.asarray(genes)).brain, jnp.asarray(inputs)
     )
     assert np.abs(controller.cpg_inputs(outputs)[0]).max() < 1e-12
+
+
+def test_a_table_without_rows_is_its_title():
+    assert markdown(tabled([], "None passed")) == "None passed\n\n"
+    assert markdown(tabled([{"a": "1"}])) == "| a |\n| --- |\n| 1 |"
 
 
 def test_audit_tables_show_fractions_and_reasons():
