@@ -180,44 +180,30 @@ class LimbOscillators(Controller):
         return moved, Command(jnp.clip(rate, -own.max_rate, own.max_rate), signal, None, active)
 
     def advanced(self, decoded: LimbRhythm, state: LimbState) -> LimbState:
-        """Return the neurons after one control step."""
-        x, z, count = state.potential, state.adaptation, self._substeps
-        for _ in range(count):
-            x, z = self._advanced(decoded, x, z, self.control_step / count)
-        return LimbState(x, z, jnp.ones_like(state.started))
-
-    @property
-    def _times(self) -> tuple[float, float]:
-        """T_r and T_a, s."""
-        rise, adaptation = TIME_CONSTANTS["swapped"]
-        return self.settings.time_scale * rise, self.settings.time_scale * adaptation
-
-    @property
-    def _substeps(self) -> int:
-        return max(1, math.ceil(self.control_step / (SUBSTEP_FRACTION * min(self._times))))
-
-    def _advanced(self, own: LimbRhythm, x: Array, z: Array, h: float) -> tuple[Array, Array]:
-        """Take one classical Runge-Kutta step."""
-        rise, adaptation = self._times
+        """Return the neurons after one control step, in classical Runge-Kutta steps."""
+        rise, adaptation = (self.settings.time_scale * time for time in TIME_CONSTANTS["swapped"])
+        count = max(1, math.ceil(self.control_step / (SUBSTEP_FRACTION * min(rise, adaptation))))
+        x, z, h = state.potential, state.adaptation, self.control_step / count
 
         def change(x: Array, z: Array) -> tuple[Array, Array]:
             firing = jnp.maximum(x, 0.0)
             felt = self._received(firing)
             inhibition = _PAIR_WEIGHT * firing[::-1]
-            inhibition = inhibition + jnp.maximum(own.coupling, 0.0)[None] * felt[::-1]
-            inhibition = inhibition + jnp.maximum(-own.coupling, 0.0)[None] * felt
-            excess = own.tonic_input - x - inhibition - own.adaptation_gain[None] * z
+            inhibition = inhibition + jnp.maximum(decoded.coupling, 0.0)[None] * felt[::-1]
+            inhibition = inhibition + jnp.maximum(-decoded.coupling, 0.0)[None] * felt
+            excess = decoded.tonic_input - x - inhibition - decoded.adaptation_gain[None] * z
             return excess / rise, (firing - z) / adaptation
 
-        first = change(x, z)
-        second = change(x + 0.5 * h * first[0], z + 0.5 * h * first[1])
-        third = change(x + 0.5 * h * second[0], z + 0.5 * h * second[1])
-        last = change(x + h * third[0], z + h * third[1])
-        x, z = (
-            old + h / 6 * (a + 2 * b + 2 * c + d)
-            for old, a, b, c, d in zip((x, z), first, second, third, last, strict=True)
-        )
-        return x, z
+        for _ in range(count):
+            first = change(x, z)
+            second = change(x + 0.5 * h * first[0], z + 0.5 * h * first[1])
+            third = change(x + 0.5 * h * second[0], z + 0.5 * h * second[1])
+            last = change(x + h * third[0], z + h * third[1])
+            x, z = (
+                old + h / 6 * (a + 2 * b + 2 * c + d)
+                for old, a, b, c, d in zip((x, z), first, second, third, last, strict=True)
+            )
+        return LimbState(x, z, jnp.ones_like(state.started))
 
     def _received(self, firing: Float[Array, "2 d *n"]) -> Float[Array, "2 d *n"]:
         """Return the firing of the driver of each axis, 0 for a limb on the root."""

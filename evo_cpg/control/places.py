@@ -54,7 +54,7 @@ def directions(tree: Tree) -> Directions:
     if tree.walk is not None:
         axes = axes * tree.walk.turns[None]
     along = _unit(tree.centre[:, bodies])
-    sweep = _unit(xp.where(tree.slides[None], axes, _cross(axes, along)))
+    sweep = _unit(xp.where(tree.slides[None], axes, xp.cross(axes, along, axis=0)))
     lower, upper = xp.maximum(tree.lower, -_WIDEST), xp.minimum(tree.upper, _WIDEST)
     return Directions(sweep, along, 0.5 * (lower + upper), xp.maximum(0.5 * (upper - lower), _TINY))
 
@@ -112,8 +112,3 @@ def _extents(tree: Tree) -> Float[Numbers, "3 b"]:
 def _unit(vectors: Float[Numbers, "3 k"]) -> Float[Numbers, "3 k"]:
     """Return unit vectors, and 0 for vectors of no length."""
     return vectors / xp.sqrt((vectors * vectors).sum(0) + _TINY**2)[None]
-
-
-def _cross(a: Float[Numbers, "3 k"], b: Float[Numbers, "3 k"]) -> Float[Numbers, "3 k"]:
-    pairs = (1, 2), (2, 0), (0, 1)
-    return xp.stack([a[i] * b[j] - a[j] * b[i] for i, j in pairs])
