@@ -113,11 +113,6 @@ class GraphLayout:
         return {name: owners[name] + components.get(name, ()) for name in _NAMES}
 
     @property
-    def choices(self) -> dict[str, tuple[int, ...]]:
-        """Allowed values of the genes that are choices among numbers, by name."""
-        return {"kind": self.kinds, "recursion": tuple(range(1, MOST_RECURSION + 1))}
-
-    @property
     def count(self) -> int:
         """Number of genes."""
         return sum(map(prod, self.shapes.values()))
@@ -134,12 +129,6 @@ class GraphLayout:
         ends = np.cumsum([prod(shape) for shape in shapes])[:-1]
         parts = zip(jnp.split(jnp.asarray(genes), ends), shapes, strict=True)
         return PlanGraph(*(part.reshape(*shape, *genes.shape[1:]) for part, shape in parts))
-
-    @property
-    def is_control(self) -> Bool[np.ndarray, " g"]:
-        """Whether each gene is a control gene."""
-        counts = [prod(shape) for shape in self.shapes.values()]
-        return np.repeat([name == "control" for name in _NAMES], counts)
 
     def as_bytes(self, genes: Float[Any, "g *n"]) -> UInt8[Array, "b *n"]:
         """Return the genes as bytes, three for a label and one for any other number."""

@@ -206,12 +206,13 @@ def _altered(
     brain, fixed = {"control"}, {"used", "label", "on"}
     kept = {"all": fixed, "body": fixed | brain, "brain": genes.keys() - brain}[altered]
     names = [name for name in genes if name not in kept]
+    choices = {"kind": layout.kinds, "recursion": tuple(range(1, MOST_RECURSION + 1))}
     sites = sum(masks[name].sum() for name in names)
     probability = rate * (1 - _ADDED - _REMOVED) / sites
     for name in names:
         value = targets if name == "to" else _moved(name, genes[name], normal[name])
-        if name in ("kind", "recursion"):
-            value = _another(genes[name], choice[name], layout.choices[name])
+        if name in choices:
+            value = _another(genes[name], choice[name], choices[name])
         hit = masks[name] & (chance[name] < probability)
         genes[name] = jnp.where(hit, value, genes[name])
     return PlanGraph(**genes)
