@@ -122,7 +122,10 @@ class AnimalInputs(TreeInputs):
         world, tree, size = own.world, own.world.tree, self.common.world.tree.body_count
         if tree.body_count > size or not _is_common(world):
             return None
-        places, walk = _walked(tree, size)
+        parents = np.full(size, -1)
+        parents[: tree.body_count] = tree.parents
+        places, walk = jax.tree.map(np.asarray, _walk(parents))
+        places = places[: tree.body_count]
         bodies = np.array(tree.dof_bodies, int)
         # The axes of a body come one after the other.
         dofs = _AXES * (places[bodies] - 1) + np.arange(len(bodies))
@@ -175,16 +178,9 @@ def _is_common(world: World) -> bool:
     )
 
 
-def _walked(tree: Tree, size: int) -> tuple[Int[np.ndarray, " b"], TreeWalk]:
-    """Return the places of the bodies of a tree in a program, and the walk without axes."""
-    parents = np.full(size, -1)
-    parents[: tree.body_count] = tree.parents
-    places, walk = jax.tree.map(np.asarray, _walk(parents))
-    return places[: tree.body_count], walk
-
-
 @jax.jit
 def _walk(parents: Int[Array, " n"]) -> tuple[Int[Array, " n"], TreeWalk]:
+    """Return the places of the bodies of a tree in a program, and the walk without axes."""
     order, slots = walk_order(parents)
     places, own = jnp.argsort(order), parents[order]
     moved = jnp.where(own >= 0, places[own], -1)

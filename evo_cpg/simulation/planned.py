@@ -177,15 +177,10 @@ def numbers_of(plan: Plan, physics: PlanPhysics) -> PlanNumbers:
         _separate(plan, half, pose) if physics.meet else half[:0, 0],
         -low[2],
         (low + high).max(),
-        _sight(plan, walk) if physics.eyes else half[:0, 0],
+        # A body senses the light if an eye is on it or on an ancestor.
+        (walk.above * plan.eye[None]).max(1) if physics.eyes else half[:0, 0],
         walk,
     )
-
-
-def _sight(plan: Plan, walk: TreeWalk) -> Float[Array, " b"]:
-    """Return 1 for each body with an eye on it or on an ancestor, else 0."""
-    above = jnp.asarray(walk.above, plan.half.dtype)
-    return (above * plan.eye[None]).max(1)
 
 
 def _neutral_pose(
@@ -428,12 +423,6 @@ class PlanInputs(TreeInputs):
             self._forces(self.common, tree, known)
         self._varying = self._find_varying()
 
-    def values(self, plan: Plan) -> Float[Array, " v"]:
-        """Return the inputs of a plan, as a vector."""
-        return jnp.concatenate(
-            [x.reshape(-1) for x in jax.tree.leaves(numbers_of(plan, self.physics))]
-        )
-
     @override
     def put(self, common: Simulation, values: list[Array]) -> Simulation:
         numbers = self._numbers(values)
@@ -472,11 +461,8 @@ class PlanInputs(TreeInputs):
         found = []
         for law in common.world.forces:
             assert isinstance(law, Drag)
-            given = (
-                (numbers.form, self.physics.form_resolution),
-                (numbers.skin, self.physics.skin_resolution),
-            )
-            form, skin = (_surfaces(tree, numbers.half, *each) for each in given)
+            form = _surfaces(tree, numbers.half, numbers.form, self.physics.form_resolution)
+            skin = _surfaces(tree, numbers.half, numbers.skin, self.physics.skin_resolution)
             patches = make_patches(tree, form, skin, law.law, False, "complete")
             found.append(dataclasses.replace(law, patches=patches))
         return tuple(found)

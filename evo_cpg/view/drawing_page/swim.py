@@ -72,8 +72,7 @@ def swim(own: Simulation, length: float) -> Swim:
     assert goal is not None
     start = np.array(begin.start_position)
     away = np.array(goal) - start
-    nearer = start + min(1.0, _FARTHEST * length / np.linalg.norm(away)) * away
-    light = as_vector(nearer)
+    light = as_vector(start + min(1.0, _FARTHEST * length / np.linalg.norm(away)) * away)
     own = dataclasses.replace(own, situations=(begin._replace(light=light),))
     inputs = _common_inputs()
     if found := inputs.values(own):
