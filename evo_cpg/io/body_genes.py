@@ -45,7 +45,7 @@ from evo_cpg.io.schema.shape import (
     SphereConfig,
 )
 from evo_cpg.simulation.simulation import BodyBuilder, BodyGenes, Simulation
-from evo_cpg.training.devices import Layout, population_mesh, run_in_blocks, sharded
+from evo_cpg.training.devices import Layout, population_mesh, run_on, sharded
 
 _SECTION = "evolution", "body"
 
@@ -455,9 +455,8 @@ class EvolvedBodies(BodyBuilder):
 
     @override
     def values(self, genes: Float[np.ndarray, "b n"]) -> list[Float[np.ndarray, "_ n"]]:
-        spread, own = Layout(self._mesh, _WIDTH), genes.astype(float)
         with jax.enable_x64(True):
-            return run_in_blocks(self._run, spread, own.shape[1], lambda lanes: (own[:, lanes],))
+            return run_on(self._run, Layout(self._mesh, _WIDTH), (genes.astype(float),))
 
     @override
     def traced(self, genes: Float[Array, " b"]) -> list[Array]:

@@ -46,7 +46,7 @@ from evo_cpg.simulation.planned import (
 )
 from evo_cpg.simulation.recording import NERVE
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training.devices import Layout, population_mesh, run_in_blocks, sharded
+from evo_cpg.training.devices import Layout, population_mesh, run_on, sharded
 
 # Recorded arrays of bodies, contact points and joint axes.
 _OF_BODIES = ("position", "rotation", "velocity", "angular_velocity")
@@ -100,9 +100,8 @@ class EvolvedPlans(PlanBuilder):
         self._develop = sharded(jax.vmap(self._one, -1, -1), self._mesh, (2,))
         self._pull_back: Callable[..., Any] | None = None
         self._grow = jax.jit(lambda x: developed(self.layout.unpack(x), self.layout, self.bounds))
-        self._grow_kept = jax.jit(
-            lambda stored: jax.vmap(self._grow, -1)(self.layout.from_bytes(stored))
-        )
+        grow = jax.vmap(lambda stored: self._grow(self.layout.from_bytes(stored)), -1, -1)
+        self._grow_kept = sharded(grow, self._mesh, (2,))
 
     @override
     def random(self, key: Array, batch: tuple[int, ...], dtype: Any) -> Float[Array, "g *n"]:
@@ -134,9 +133,8 @@ class EvolvedPlans(PlanBuilder):
 
     @override
     def developed(self, genes: Float[np.ndarray, "g n"]) -> tuple[Any, ...]:
-        spread, own = Layout(self._mesh, _WIDTH), genes.astype(float)
         with jax.enable_x64(True):
-            return run_in_blocks(self._develop, spread, own.shape[1], lambda x: (own[:, x],))
+            return run_on(self._develop, Layout(self._mesh, _WIDTH), (genes.astype(float),))
 
     @override
     def given(
@@ -154,18 +152,12 @@ class EvolvedPlans(PlanBuilder):
     def pulled_back(
         self, genes: Float[np.ndarray, "g n"], slopes: tuple[Any, ...]
     ) -> Float[np.ndarray, "g n"]:
-        spread, given = Layout(self._mesh, _WIDTH), (genes.astype(float), slopes)
-        ranks = jax.tree.map(np.ndim, given)
-        self._pull_back = self._pull_back or sharded(
-            jax.vmap(self._slope, -1, -1), self._mesh, ranks
-        )
+        given = genes.astype(float), slopes
+        if self._pull_back is None:
+            ranks = jax.tree.map(np.ndim, given)
+            self._pull_back = sharded(jax.vmap(self._slope, -1, -1), self._mesh, ranks)
         with jax.enable_x64(True):
-            return run_in_blocks(
-                self._pull_back,
-                spread,
-                genes.shape[1],
-                lambda own: jax.tree.map(lambda x: x[..., own], given),
-            )
+            return run_on(self._pull_back, Layout(self._mesh, _WIDTH), given)
 
     def plan(self, genes: Float[np.ndarray, " g"]) -> Plan:
         """Return the plan of one genome, in float64."""
@@ -174,15 +166,12 @@ class EvolvedPlans(PlanBuilder):
 
     def kept(self, genomes: UInt8[np.ndarray, "n b"]) -> list[Plan]:
         """Return the plans of genomes of a family tree, without places for absent bodies."""
-        found = []
+        if not len(genomes):
+            return []
         with jax.enable_x64(True):
-            for first in range(0, len(genomes), _WIDTH):
-                block = genomes[first : first + _WIDTH]
-                # The last block is as wide as the others, so that nothing compiles again.
-                full = np.pad(block, ((0, _WIDTH - len(block)), (0, 0)), "edge")
-                plans = jax.tree.map(np.asarray, self._grow_kept(full.T))
-                found += [jax.tree.map(lambda x, i=i: x[i], plans) for i in range(len(block))]
-        return [Plan(*(x[plan.present] for x in plan)) for plan in found]
+            found = run_on(self._grow_kept, Layout(self._mesh, _WIDTH), (genomes.T,))
+        plans = (Plan(*(x[..., i] for x in found)) for i in range(len(genomes)))
+        return [Plan(*(x[plan.present] for x in plan)) for plan in plans]
 
     def creature(self, plan: Plan) -> Creature:
         """Return a plan as a creature."""
@@ -216,14 +205,8 @@ class EvolvedPlans(PlanBuilder):
     def frames_of(self, own: Simulation, frames: dict[str, Any]) -> dict[str, Any]:
         tree, axes = own.world.tree, self.section.axes
         slots = np.array([int(name.removeprefix("part")) for name in tree.names])
-        named = [name.rsplit(".", 1) for name in tree.dof_names]
-        dofs = np.array(
-            [
-                (int(body.removeprefix("part")) - 1) * len(axes) + axes.index("xyz".index(axis[-1]))
-                for body, axis in named
-            ],
-            int,
-        )
+        bodies, turns = _dofs_of(tree.dof_names)
+        dofs = (bodies - 1) * len(axes) + np.searchsorted(axes, turns)
         points = (slots[:, None] * CORNERS + np.arange(CORNERS)).reshape(-1)
         kept = {**dict.fromkeys(_OF_BODIES, slots), **dict.fromkeys(_OF_POINTS, points)}
         kept |= dict.fromkeys(_OF_AXES, dofs)
@@ -289,17 +272,14 @@ def plans_of(config: ExperimentConfig) -> EvolvedPlans:
         KeyProblem: the configuration has a part that plans cannot have.
     """
     assert isinstance(config.evolution, PlanEvolutionConfig)
-    world, ground = config.world, config.world.ground
+    world, ground, controller = config.world, config.world.ground, config.controller
+    blind = config.evolution.plan.eyes and controller.type != "body_brain"
     uneven = ground and (ground.obstacles or ground.floor != PlaneConfig())
     water = world.water
     refused: list[tuple[Key, Any, str]] = [
-        (("controller", "type"), config.controller.type not in _CONTROL, ", ".join(_CONTROL)),
-        (
-            ("evolution", "plan", "eyes"),
-            config.evolution.plan.eyes and config.controller.type != "body_brain",
-            "true with the controller body_brain",
-        ),
-        (("controller", "eyes"), getattr(config.controller, "eyes", None), "null"),
+        (("controller", "type"), controller.type not in _CONTROL, ", ".join(_CONTROL)),
+        (("evolution", "plan", "eyes"), blind, "true with the controller body_brain"),
+        (("controller", "eyes"), getattr(controller, "eyes", None), "null"),
         (("world", "water", "law"), water and water.law is None, "normal, isotropic"),
         (("world", "water", "surface"), water and water.surface is not None, "null"),
         (("world", "forces"), world.forces, "none"),
@@ -383,9 +363,11 @@ def creature_of(plan: Plan, section: PlanConfig) -> dict[str, Any]:
 
 def genes_of(plan: Plan, dof_names: tuple[str, ...]) -> Float[np.ndarray, " c"]:
     """Return the controller's genes for the creature of a plan, by its degrees of freedom."""
-    columns = []
-    for name in dof_names:
-        body, axis = name.rsplit(".", 1)
-        columns.append(plan.control[int(body.removeprefix("part")), "xyz".index(axis[-1])])
-    shape = len(dof_names), plan.control.shape[-1]
-    return (0.5 + 0.5 * np.array(columns).reshape(shape).T).reshape(-1)
+    return (0.5 + 0.5 * np.asarray(plan.control)[_dofs_of(dof_names)].T).reshape(-1)
+
+
+def _dofs_of(dof_names: tuple[str, ...]) -> tuple[Int[np.ndarray, " d"], Int[np.ndarray, " d"]]:
+    """Return the bodies and the axes of a creature's degrees of freedom in its plan."""
+    named = [name.removeprefix("part").rsplit(".", 1) for name in dof_names]
+    bodies, axes = [int(body) for body, _ in named], ["xyz".index(axis[-1]) for _, axis in named]
+    return np.array(bodies, int), np.array(axes, int)

@@ -23,7 +23,7 @@ from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.judge import Scored
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training.devices import Layout, run_in_blocks, sharded
+from evo_cpg.training.devices import Layout, run_on, sharded
 from evo_cpg.training.experiment import ExperimentParts, mean_of_trials, situation_numbers
 
 # Range of step sizes in water, in units of genes. They are drawn evenly on a logarithmic scale.
@@ -269,12 +269,7 @@ def compile_ascent(
         keys: UInt32[np.ndarray, "w trials n"] | None = None,
     ) -> Climbed:
         given = genes, settings, scales, keys
-        best, value, finite = run_in_blocks(
-            program,
-            Layout(mesh, width),
-            genes.shape[1],
-            lambda lanes: jax.tree.map(lambda x: x[..., lanes], given),
-        )
+        best, value, finite = run_on(program, Layout(mesh, width), given)
         bound = getattr(experiment.strategy, "gene_bound", None)
         if bound is not None:
             bounded = np.clip(best[:gene_count], -bound, bound)

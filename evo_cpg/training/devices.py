@@ -189,6 +189,14 @@ def run_in_blocks(
     )
 
 
+def run_on(program: Callable[..., Tree], spread: Layout, given: tuple) -> Tree:
+    """Run a program on host arrays, all of which have the population on the last axis."""
+    count = jax.tree.leaves(given)[0].shape[-1]
+    return run_in_blocks(
+        program, spread, count, lambda own: jax.tree.map(lambda x: x[..., own], given)
+    )
+
+
 def _spec(rank: int) -> PartitionSpec:
     """Return the sharding: arrays are split on the last axis, numbers are copied to all devices."""
     return PartitionSpec(*(None,) * (rank - 1), POPULATION_AXIS) if rank else PartitionSpec()

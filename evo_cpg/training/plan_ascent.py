@@ -24,7 +24,7 @@ from evo_cpg.simulation.judge import Scored
 from evo_cpg.simulation.planned import PlanBuilder, PlanInputs
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.ascent import Climbed, ClimbSettings, GuardedAdam
-from evo_cpg.training.devices import Layout, run_in_blocks, sharded
+from evo_cpg.training.devices import Layout, run_on, sharded
 from evo_cpg.training.experiment import ExperimentParts, mean_of_trials, situation_numbers
 
 
@@ -91,10 +91,7 @@ def _differentiated(
     program = sharded(jax.vmap(jax.value_and_grad(fitness), -1, -1), mesh, ((2, 2), 1, 1, 3))
 
     def run(*given: Any) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        spread, count = Layout(mesh, max(1, LANES // trials)), len(given[1])
-        return run_in_blocks(
-            program, spread, count, lambda own: jax.tree.map(lambda x: x[..., own], given)
-        )
+        return run_on(program, Layout(mesh, max(1, LANES // trials)), given)
 
     return run
 
