@@ -97,9 +97,7 @@ def _problem(body: Body) -> str:
     """Return why a plan cannot have a body, or nothing."""
     if not body.shape.exists:
         return "has no shape"
-    if body.joint is None:
-        return ""
-    if body.joint.kind not in ("turns", "ball"):
+    if body.joint is not None and body.joint.kind not in ("turns", "ball"):
         return "has a joint that does not only turn"
     return ""
 
@@ -114,10 +112,9 @@ def _frames(creature: Creature) -> dict[str, _Frame]:
             reach = -np.array(body.joint.child_anchor, float)
             along = int(np.argmax(np.abs(reach) if reach.any() else half))
             ahead = np.eye(3)[along] * (np.sign(reach[along]) or 1.0)
-            if along == 2:
-                axes = np.stack([ahead, np.eye(3)[1], np.cross(ahead, np.eye(3)[1])], 1)
-            else:
-                axes = np.stack([ahead, np.cross(np.eye(3)[2], ahead), np.eye(3)[2]], 1)
+            _, y, z = np.eye(3)
+            own = [ahead, y, np.cross(ahead, y)] if along == 2 else [ahead, np.cross(z, ahead), z]
+            axes = np.stack(own, 1)
         turned = np.asarray(rotation, float) @ axes
         found[body.name] = _Frame(np.abs(axes.T) @ half, axes, turned)
     return found
@@ -210,10 +207,7 @@ def _graph(parts: list[_Part], layout: GraphLayout) -> PlanGraph:
     for i, part in enumerate(parts):
         genes["used"][i] = genes["recursion"][i] = 1
         genes["label"][i], genes["kind"][i], genes["strength"][i] = i + 1, part.kind, 0.5
-        genes["size"][i], genes["limits"][i] = (
-            np.divide(part.size, 256),
-            np.divide(part.limits, 256),
-        )
+        genes["size"][i], genes["limits"][i] = np.divide((part.size, part.limits), 256)
         for k, link in enumerate(part.links):
             genes["on"][i, k], genes["to"][i, k] = 1, parts.index(link.part)
             genes["place"][i, k], genes["turn"][i, k] = np.divide((link.place, link.turn), 128)

@@ -30,15 +30,8 @@ _HEAD = 8
 
 def record_of(genome_bytes: int) -> np.dtype:
     """Return the type of an individual: its fitness and genome, and who is born in its place."""
-    return np.dtype(
-        [
-            ("fitness", np.float32),
-            ("genome", np.uint8, (genome_bytes,)),
-            ("first", np.int32),
-            ("second", np.int32),
-            ("kind", np.uint8),
-        ]
-    )
+    origin = [("first", np.int32), ("second", np.int32), ("kind", np.uint8)]
+    return np.dtype([("fitness", np.float32), ("genome", np.uint8, (genome_bytes,)), *origin])
 
 
 def extend_family(folder: Path, fitness: Float[np.ndarray, "runs n"], births: Births) -> None:

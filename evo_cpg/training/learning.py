@@ -43,14 +43,10 @@ def compile_learning(
     ) -> Float[np.ndarray, "g all"]:
         population = genes.shape[1] // runs
         places = (population * np.arange(runs)[:, None] + np.arange(learners)).ravel()
-        draws = [
-            draw_settings(
-                np.random.default_rng((experiment.seed + run, generation, _CLIMB)),
-                experiment.simulation,
-                learners,
-            )
-            for run in range(runs)
-        ]
+        draws = []
+        for run in range(runs):
+            draw = np.random.default_rng((experiment.seed + run, generation, _CLIMB))
+            draws.append(draw_settings(draw, experiment.simulation, learners))
         settings = jax.tree.map(lambda *x: np.concatenate(x), *draws)
         own_scales = {
             name: np.repeat(np.array(values, np.float32), learners)

@@ -113,25 +113,20 @@ class PlanConfig(Section):
         """Return a creature of some bodies, by default of the most, with all parts on the root."""
         edge = math.sqrt(self.edges[0] * self.edges[1])
         box = {"shape": {"type": "box", "size": [edge] * 3}, "material": "body"}
+        motor = self.physics(None, 0.0).actuator(1.0, [edge] * 3, edge**3)
         joint = {
             "parent": "part0",
             "at": [0, 0, 0],
             "child_at": [-edge / 2, 0, 0],
             "axes": ["xyz"[axis] for axis in self.axes],
             "limits_deg": [-self.largest_angle_deg, self.largest_angle_deg],
-            "actuator": actuator_section(
-                self.physics(None, 0.0).actuator(1.0, [edge] * 3, edge**3)
-            ),
+            "actuator": actuator_section(motor),
         }
         parts = [{"name": f"part{i}", **box} for i in range(bodies or self.bodies)]
         for part in parts[1:]:
             part["joint"] = joint
-        return {
-            "name": PLANS,
-            "materials": self.materials,
-            "bodies": parts,
-            "self_collision": False,
-        }
+        given = {"materials": self.materials, "bodies": parts, "self_collision": False}
+        return {"name": PLANS} | given
 
 
 def actuator_section(actuator: Actuator | Muscle) -> dict[str, Any]:
