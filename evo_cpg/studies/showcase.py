@@ -8,7 +8,7 @@ displacement in a second, times 5. Lengths are the longest extents at rest.
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -30,20 +30,6 @@ _SECONDS, _COUNTED = 15.0, 5.0
 _STRAIGHT = 0.9
 # Fittest topologies that are measured, and fastest ones that are audited.
 _MEASURED, _AUDITED = 48, 16
-
-
-class Kind(NamedTuple):
-    """Fittest plan of a topology.
-
-    Attributes:
-        topology: its tree, in words.
-        genes: its genome.
-        fitness: its fitness in the run.
-    """
-
-    topology: str
-    genes: Float[np.ndarray, " g"]
-    fitness: float
 
 
 def report(workshop: "Workshop") -> list[Table]:
@@ -68,17 +54,17 @@ def _rows(workshop: "Workshop", name: str, least: float) -> list[dict[str, str]]
     member = workshop.member(name)
     longer = member.config.simulation.model_copy(update={"seconds": _SECONDS})
     plans = plans_of(member.config.model_copy(update={"simulation": longer}))
-    kinds = _kinds(plans, member.folder.path)
-    speed, straight = speeds(plans, np.stack([kind.genes for kind in kinds], 1))
+    kinds, genes, fitness = _kinds(plans, member.folder.path)
+    speed, straight = speeds(plans, genes)
     fast = np.flatnonzero((speed >= least) & (straight >= _STRAIGHT))
     fast = fast[np.argsort(-speed[fast])][:_AUDITED]
     opened = open_champion(member.folder.path)
     one = opened.champion
-    shown = [one._replace(genes=kinds[i].genes, fitness=kinds[i].fitness) for i in fast]
+    shown = [one._replace(genes=genes[:, i], fitness=float(fitness[i])) for i in fast]
     audits = audited(opened, shown) if shown else []
     return [
         {
-            "topology": kinds[i].topology,
+            "topology": in_words(kinds[i]),
             "lengths a second": f"{speed[i]:.2f}",
             "straight": f"{100 * straight[i]:.0f} %",
             "audit": "passed" if done.passed else "; ".join(done.verdict.reasons),
@@ -87,19 +73,23 @@ def _rows(workshop: "Workshop", name: str, least: float) -> list[dict[str, str]]
     ]
 
 
-def _kinds(plans: "EvolvedPlans", folder: Path) -> list[Kind]:
-    """Return the fittest topologies of a run's last generation, the best first."""
+def _kinds(
+    plans: "EvolvedPlans", folder: Path
+) -> "tuple[list[Topology], Float[np.ndarray, 'g n'], Float[np.ndarray, ' n']]":
+    """Return the fittest topologies of a run's last generation, with their fittest plans' genes.
+
+    The best is first. The last of the results is the fitness.
+    """
     from evo_cpg.analysis.diversity import topology_of
     from evo_cpg.training.family import read_family
 
     found, last = {}, read_family(folder)[-1][0]
     order = np.argsort(-last["fitness"], kind="stable")
-    genes = np.asarray(plans.layout.from_bytes(last["genome"].T))
     for i, plan in zip(order, plans.kept(last["genome"][order]), strict=True):
-        topology = topology_of(plan)
-        if np.isfinite(last["fitness"][i]) and topology not in found:
-            found[topology] = Kind(in_words(topology), genes[:, i], float(last["fitness"][i]))
-    return list(found.values())[:_MEASURED]
+        if np.isfinite(last["fitness"][i]):
+            found.setdefault(topology_of(plan), i)
+    kinds, best = [*found][:_MEASURED], last[[*found.values()][:_MEASURED]]
+    return kinds, np.asarray(plans.layout.from_bytes(best["genome"].T)), best["fitness"]
 
 
 def in_words(topology: "Topology") -> str:
