@@ -88,11 +88,11 @@ def report_learning(workshop: "Workshop") -> list[Table]:
 
 # Name in tables, and changes, of each search by its run. Evolution alone has more generations.
 _LEARNING = {
-    "alone": ("evolution alone", ("evolution.generations=400",)),
+    "alone": ("evolution alone", ("evolution.generations=200",)),
     "inherited": ("with learning, inherited", ("evolution.learning={}",)),
     "forgotten": ("with learning, not inherited", ("evolution.learning.inherited=false",)),
 }
-_LEARNERS = 6
+_LEARNERS = 4
 RUNS = {name: Runs(_CONFIG, changes, _SEEDS) for name, (_, changes) in _ARMS.items()}
 RUNS |= {name: Runs(_CONFIG, changes, _LEARNERS) for name, (_, changes) in _LEARNING.items()}
 PART = Part("bodies and brains that evolve, beside those that do not", tuple(_ARMS), report)
