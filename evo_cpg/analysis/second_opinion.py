@@ -12,6 +12,7 @@ Both programs solve the same equations of motion. They differ in these points:
 - Contacts are MuJoCo's own, without restitution. By default they are much softer than ours: they
   yield over 20 ms, and creep. Hard contacts yield within one of our steps. They need much finer
   steps of MuJoCo, because its stiff motors are inaccurate at ours.
+- Joint limits are MuJoCo's own, which yield more if water or a motor presses against them.
 - Buoyancy and force laws (`evo_cpg.physics.water.force_law`) are ours, applied to MuJoCo's bodies
   at every MuJoCo step. Laws with an inertia, such as added mass, act by a force on MuJoCo's degrees
   of freedom (`evo_cpg.io.models.mujoco_state`). The impact of water that a body enters is left

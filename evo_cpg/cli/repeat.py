@@ -20,7 +20,7 @@ def reproduce(
         typer.Argument(
             metavar="STUDY",
             help="One of iwadate2010, fukui2003, salamander, hexapod, starfish, turtle, animals,"
-            " search, benchmarks.",
+            " bodies, search, benchmarks.",
         ),
     ] = None,
     parts: Annotated[

@@ -427,9 +427,8 @@ class PlanInputs(TreeInputs):
     def put(self, common: Simulation, values: list[Array]) -> Simulation:
         numbers = self._numbers(values)
         parts = self._mixed(common, numbers)
-        rules, world, task = common.rules, parts["world"], common.task
-        if getattr(task, "length", None) is not None:
-            task = dataclasses.replace(task, length=numbers.length)
+        rules, world = common.rules, parts["world"]
+        task = common.task.of_length(numbers.length)
         if rules is not None:
             pairs = _pairs(self._pairs, world.tree, numbers)
             rules = self._rules(numbers.length, numbers.mass.sum(), pairs)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from evo_cpg.control.controller import Command, Observation
+from evo_cpg.creature.algebra.numerics import Number
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 
 
@@ -126,6 +127,14 @@ class Task(eqx.Module):
         """
         del terms, scales
         return {}
+
+    def of_length(self, length: Number) -> "Task":
+        """Return the task of an animal whose longest extent at rest is a length, m.
+
+        By default it is the same task. Plans have different lengths.
+        """
+        del length
+        return self
 
     @abc.abstractmethod
     def fitness(

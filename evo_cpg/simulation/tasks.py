@@ -50,6 +50,7 @@ of 1, in torso lengths of displacement.
 | e, g | ``slip_weight``, ``cost_weight`` |
 """
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
@@ -224,6 +225,10 @@ class Distance(Task):
         if self.length is not None:
             found["lengths"] = found[self._counted] / self.length
         return found
+
+    def of_length(self, length: Number) -> Task:
+        """See `Task.of_length`."""
+        return self if self.length is None else dataclasses.replace(self, length=length)
 
     @property
     def _counted(self) -> str:
