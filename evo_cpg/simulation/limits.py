@@ -94,7 +94,12 @@ class Limits:
 
 
 def rules_of(
-    names: Sequence[str], limits: Limits, length: Number, mass: Number, pairs: Pairs | None
+    names: Sequence[str],
+    limits: Limits,
+    length: Number,
+    mass: Number,
+    pairs: Pairs | None,
+    fraction: float = 1.0,
 ) -> Rules:
     """Return the limits of some names as rules for an animal.
 
@@ -104,7 +109,8 @@ def rules_of(
         length: its length, m.
         mass: its mass, kg.
         pairs: pairs of bodies that are checked for overlap.
+        fraction: fraction of the limits that is allowed.
     """
     limits, units = limits.of_length(length), {"speed": length, "power": mass}
-    most = {name: getattr(limits, name) * units.get(name, 1.0) for name in names}
+    most = {name: fraction * getattr(limits, name) * units.get(name, 1.0) for name in names}
     return Rules(**most, pairs=pairs if "overlap" in most else None)
