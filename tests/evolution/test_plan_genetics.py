@@ -145,12 +145,13 @@ def bodies_of(genes: np.ndarray) -> np.ndarray:
 def test_protected_elites_are_the_best_of_their_topologies():
     """Trees that are compared joint by joint are the oracle. Then come the others, best first."""
     plans = plans_of(WATER, 4, 0.1)
-    genes = random_genes(plans, SIZE).astype(np.float32)
+    size = 300
+    genes = random_genes(plans, size).astype(np.float32)
     draw = np.random.default_rng(0)
-    fitness = draw.integers(0, 400, SIZE).astype(np.float32)
+    fitness = draw.integers(0, 120, size).astype(np.float32)
     fitness[:5] = -np.inf
     search = PlanGenetics(
-        SIZE, plans.layout, ELITES, 0.2, 0.0, 0.0, 0.0, bounds=plans.bounds, protect=True
+        size, plans.layout, ELITES, 0.2, 0.0, 0.0, 0.0, bounds=plans.bounds, protect=True
     )
     run = quick_jit(lambda *given: search.births(*given[:2], Evaluation(given[2], {}, {})).first)
     found = np.asarray(run(jax.random.key(0), genes, fitness))[:ELITES]
@@ -161,7 +162,7 @@ def test_protected_elites_are_the_best_of_their_topologies():
     first = list(best.values())
     others = [i for i in np.argsort(-fitness, kind="stable") if i not in first]
     np.testing.assert_array_equal(found, [*first, *others][:ELITES])
-    assert 10 < len(first) < SIZE - 20
+    assert 10 < len(first) < size - 20
 
 
 @pytest.mark.parametrize(("evolve", "fixed"), [("brain", False), ("body", True)])

@@ -12,7 +12,7 @@ from evo_cpg.control.postures import PostureController, one_posture
 from evo_cpg.io.build import build_experiment
 from evo_cpg.io.load import load_config
 from evo_cpg.io.shipped import shipped
-from evo_cpg.studies import fukui2003, search
+from evo_cpg.studies import controls, fukui2003, search
 from evo_cpg.studies.parts import audit_table, evaluate, kept_table
 from evo_cpg.studies.study import tabled
 from evo_cpg.studies.workshop import Workshop, markdown
@@ -106,3 +106,12 @@ def test_figure_and_table_of_searches_show_expected_fitness(monkeypatch):
     (made,) = search.searches(workshop, "two_eyes")
     assert drawn and all(curve.final.tolist() == [0.7, 0.8] for curve in drawn)
     assert made.rows[0][2] == "0.750 (0.700 to 0.800)"
+
+
+def test_time_of_learning_leaves_out_compilation():
+    """The first generation compiles the trials, and the first round of learning its gradient."""
+    usual = np.tile([2.0, 2.0, 2.0, 2.0, 5.0], 4)
+    measured = usual.copy()
+    measured[[0, 4]] += 60.0
+    np.testing.assert_array_equal(controls._clock(measured), usual.cumsum())
+    np.testing.assert_array_equal(controls._clock(measured[1:3]), [2.0, 4.0])
