@@ -9,6 +9,9 @@ INSTALLING := Installing into $(VENV); the first time this takes a minute or two
 CORE := $(VENV)/.installed-core
 DEV := $(VENV)/.installed-dev
 
+# Tests start many processes, and each would compile the package's bytecode again.
+unexport PYTHONDONTWRITEBYTECODE
+
 # `train` never writes into a used folder, so every `make swim` gets a new one.
 RUN := runs/swim-$(shell date +%Y%m%d-%H%M%S)
 
