@@ -2,8 +2,8 @@
 
 Each topology is shown by its fittest plan of the last generation. It moves for 15 s. Its *speed* is
 the median over the last 5 s of the velocity of its centre of mass, horizontal and along the net
-displacement of these seconds. It is *straight* if this displacement is at least 90 % of the mean
-displacement in a second, times 5. Lengths are the longest extents at rest.
+displacement of these seconds. It is *straight* if this displacement is at least 90 % of the sum of
+the displacements in each of these seconds. Lengths are the longest extents at rest.
 """
 
 import dataclasses
@@ -128,9 +128,8 @@ def speeds(
     net = path[-1] - path[0]
     far = np.maximum(np.linalg.norm(net, axis=0), 1e-9)
     along = (np.diff(path, axis=0) * net).sum(1) * rate / far
-    second = round(rate)
-    in_a_second = np.linalg.norm(path[second:] - path[:-second], axis=1).mean(0)
-    return np.median(along, 0) / found[2].length, far / np.maximum(_COUNTED * in_a_second, 1e-9)
+    in_seconds = np.linalg.norm(np.diff(path[:: round(rate)], axis=0), axis=1).sum(0)
+    return np.median(along, 0) / found[2].length, far / np.maximum(in_seconds, 1e-9)
 
 
 PART = Part("kinds of animals that move fast after 20 minutes", tuple(_CASES), report)
