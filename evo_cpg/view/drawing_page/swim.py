@@ -28,7 +28,7 @@ from evo_cpg.training.evaluate import compile_trials
 RATE = 30.0
 """Frames per second, 1/s."""
 
-STEPS = {"control_rate_hz": 60, "substeps": 4, "seconds": 10}
+STEPS = {"control_rate_hz": 60, "substeps": 4, "seconds": 20}
 """Section of the simulation of a swim. The brain needs short steps (docs/models/body-brain.md)."""
 
 # Most bodies in the common program, and distance of the farthest light in lengths of the animal.
