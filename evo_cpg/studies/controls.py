@@ -97,8 +97,8 @@ def _clock(seconds: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
     return usual[place].cumsum()
 
 
-# Name in tables, and changes, of each search by its run. Evolution alone has more generations,
-# because a generation with learning takes about three times as long.
+# Name in tables, and changes, of each search by its run. Evolution alone has more generations, so
+# that it certainly lasts as long as the others.
 _LEARNING = {
     "alone": ("evolution alone", ("evolution.generations=240",)),
     "inherited": (

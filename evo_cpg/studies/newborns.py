@@ -107,10 +107,11 @@ def trained(
     seed: int = 0,
     start: Float[np.ndarray, " w"] | None = None,
 ) -> Float[np.ndarray, " w"]:
-    """Return the weights after some minutes of training, by optax's Adam.
+    """Return the weights after some minutes of training from ``start``, by optax's Adam.
 
-    The minutes are processor time, so that other work on the machine costs a training nothing. The
-    file keeps the progress. An interrupted training goes on from there.
+    Without a start, the weights are random and the output is 0. The minutes are processor time, so
+    that other work on the machine costs a training nothing. The file keeps the progress. An
+    interrupted training goes on from there.
     """
     adam = optax.adam(step, b2=0.99)
     if start is None:
@@ -218,12 +219,9 @@ def report(workshop: "Workshop") -> list[Table]:
     own = brains["evolution"]
     for number, (minutes, chains, step) in enumerate(_COURSES, 1):
         work.doing("training the brain by evolution with chains")
-        direction, file = (
-            evolving(Nursery(0, _PLANS, _SECONDS, chains=chains)),
-            f"chains_{number}.npz",
-        )
-        duration = _QUICK_MINUTES if quick else minutes
-        own = trained(direction, step, duration, folder / file, work, number, own)
+        direction = evolving(Nursery(0, _PLANS, _SECONDS, chains=chains))
+        file, duration = folder / f"chains_{number}.npz", _QUICK_MINUTES if quick else minutes
+        own = trained(direction, step, duration, file, work, number, own)
     brains["shipped: evolution, then chains"] = own
     write_text(folder / "newborn.txt", "".join(f"{x:.4f}\n" for x in own))
     digest = hashlib.sha256(b"".join(x.tobytes() for x in brains.values())).digest()

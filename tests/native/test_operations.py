@@ -255,7 +255,14 @@ SMOOTH = {
 }
 
 
-@pytest.mark.parametrize("name", sorted({*MOVES, *SMOOTH} - {"any", "place of the largest"}))
+# The fast tests differentiate every second move.
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in MOVES and number % 2))
+        for number, name in enumerate(sorted({*MOVES, *SMOOTH} - {"any", "place of the largest"}))
+    ],
+)
 def test_forward_and_reverse_derivatives_equal_those_of_jax(name, x64):
     function = (MOVES | SMOOTH)[name]
     x, along = (sample((3, 3, 5), seed, np.float64) for seed in (0, 1))

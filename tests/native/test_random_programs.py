@@ -159,7 +159,7 @@ def check_derivatives(program, operations):
 
 
 EVERY = {**SMOOTH, **KINKED, **WHOLE}
-FEW, MANY = settings(max_examples=25), settings(max_examples=1000)
+FEW, MANY = settings(max_examples=12), settings(max_examples=1000)
 
 
 @FEW
@@ -168,7 +168,7 @@ def test_values(program):
     check(program, EVERY)
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(programs({**SMOOTH, **KINKED}))
 def test_derivatives(program):
     check_derivatives(program, {**SMOOTH, **KINKED})

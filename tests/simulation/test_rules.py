@@ -20,6 +20,7 @@ from evo_cpg.simulation.limits import Limits, rules_of
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Rules
+from plans import WATER, plans_of, random_genes
 from tiny_run import CONFIG, PAIR
 from trials import experiment
 
@@ -109,6 +110,17 @@ def test_limits_scale_with_the_size_and_mass_of_the_animal():
     assert rules.power == pytest.approx(50 * swimmer.creature.mass)
     limb = rules_of(("joint_rate",), Limits(), 0.42, 1.0, None)
     assert limb.joint_rate == pytest.approx(10 * np.sqrt(9.81 / 0.42)) and limb.speed is None
+
+
+def test_rules_of_plans_are_a_tenth_stricter():
+    plans = plans_of(WATER, 3, 0.1)
+    found, inputs = plans.developed(random_genes(plans, 1)), plans.inputs(3)
+    _, values = plans.given(found, np.arange(1), 3)
+    rules = inputs.put(inputs.common, [jnp.asarray(values[:, 0])]).rules
+    length = float(found[2].length[0])
+    limits = Limits().of_length(length)
+    assert float(rules.speed) == pytest.approx(0.9 * limits.speed * length)
+    assert float(rules.overlap) == pytest.approx(0.9 * limits.overlap)
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ def fish(tmp_path) -> Document:
     return Document.open(tmp_path / "fish.yaml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(each.stem for each in CONFIGS.glob("*.yaml")))
 def test_the_data_are_those_that_the_program_loads(name):
     document = Document.open(CONFIGS / f"{name}.yaml")
