@@ -39,6 +39,7 @@ if os.environ.get("EVO_CPG_TESTS_SHAPES"):
 from costs import Costs
 from evo_cpg.native import engine
 from evo_cpg.native.backend.machine import keep_code_in
+from first_cases import mark_others
 
 # Tests import the rest of the package later.
 rounding.nudge()
@@ -81,8 +82,13 @@ def pytest_configure(config):
         engine.is_native = lambda: False
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Skip tests of runs from other processes, which `rounding` does not change."""
+    """Leave later cases of dear tests to the slow tests.
+
+    Skip tests of runs from other processes, which `rounding` does not change.
+    """
+    mark_others(items)
     if rounding.of_this_process_alone():
         skip = pytest.mark.skip(reason="compares with a process that rounds as usual")
         exact = "test_resume.py", "test_verify.py"

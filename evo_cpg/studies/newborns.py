@@ -224,9 +224,15 @@ def report(workshop: "Workshop") -> list[Table]:
         own = trained(direction, step, duration, file, work, number, own)
     brains["shipped: evolution, then chains"] = own
     write_text(folder / "newborn.txt", "".join(f"{x:.4f}\n" for x in own))
+    found = _results(brains, own, _QUICK_TESTED if quick else _TESTED)
+    return [tabled([{"brain": name} | test.cells for name, test in found.items()])]
+
+
+def _results(brains: dict[str, np.ndarray], own: np.ndarray, count: int) -> dict[str, Test]:
+    """Test all brains, and the shipped one (``own``) with changes, on as many new plans."""
     digest = hashlib.sha256(b"".join(x.tobytes() for x in brains.values())).digest()
     # The plans depend on the brains, so that no brain can have been trained for them.
-    seed, count = int.from_bytes(digest[:3]), _QUICK_TESTED if quick else _TESTED
+    seed = int.from_bytes(digest[:3])
     plans, alike, chained = (
         Nursery(seed, count, _SECONDS, brain, fraction)
         for brain, fraction in ((BodyBrain, 0.0), (AllAlike, 0.0), (BodyBrain, 1.0))
@@ -240,4 +246,4 @@ def report(workshop: "Workshop") -> list[Table]:
     found["shipped, all axes alike"] = tested(alike, own)
     found["shipped, chains with fins"] = tested(chained, own)
     found["evolution, chains with fins"] = tested(chained, brains["evolution"])
-    return [tabled([{"brain": name} | test.cells for name, test in found.items()])]
+    return found

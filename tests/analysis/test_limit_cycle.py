@@ -49,6 +49,7 @@ def simulate(network, tonic, gain, seconds, start=None, h=H):
 
 
 @pytest.mark.parametrize("gain", [pytest.param(1.5, marks=pytest.mark.slow), 4.0, 10.0])
+@pytest.mark.slow
 def test_frequency_and_lag_equal_simulation(gain, x64):
     network = chain(9)
     tonic, gains = drive(network, gain)

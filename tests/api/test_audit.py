@@ -213,6 +213,7 @@ def test_the_push_out_does_not_lift_a_standing_animal():
 
 
 @pytest.mark.parametrize("source", ["limbs", "limits"])
+@pytest.mark.slow
 def test_a_constraint_that_adds_energy_is_flagged(honest, source):
     made, (trial,) = honest
     (key,) = {"limbs": ["limb_energy"], "limits": ["limit_energy"]}[source]

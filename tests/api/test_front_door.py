@@ -64,6 +64,7 @@ def test_every_public_name_exists_and_others_raise():
         evo.lode  # noqa: B018  # pyright: ignore
 
 
+@pytest.mark.slow
 def test_fitness_in_a_population_equals_fitness_alone(experiment, genomes, evaluation):
     assert evaluation.fitness.shape == (COUNT,)
     np.testing.assert_array_equal(evaluation.trial_fitness, evaluation.fitness[None])
@@ -126,6 +127,7 @@ def shell(*arguments: object) -> object:
     return stopped.value.code
 
 
+@pytest.mark.slow
 def test_train_equals_the_command(experiment, tmp_path):
     seen = []
     trained = evo.train(experiment, tmp_path / "python", seen.extend)

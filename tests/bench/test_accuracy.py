@@ -71,6 +71,7 @@ def test_errors_are_in_body_lengths(chain, places):
     assert mujoco_error(chain, WET[0], 1) == pytest.approx(peer)
 
 
+@pytest.mark.slow
 def test_a_chains_body_length_is_from_centre_to_centre(chain):
     tree = chain.experiment.simulation.world.tree
     offset = tree.joint_offset[:, 1] + tree.joint_orientation[..., 1] @ tree.com[:, 1]

@@ -53,6 +53,7 @@ def test_a_cluster_that_cannot_be_joined_is_refused(given, cli, tmp_path):
     assert "cannot be joined" in words and str(given) in words
 
 
+@pytest.mark.slow
 def test_workers_give_the_bits_of_one_process(threads, tmp_path):
     experiment = evo.load(CONFIG, PAIR)
     together = evo.train(experiment, tmp_path / "together")

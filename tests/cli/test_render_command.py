@@ -97,6 +97,7 @@ def test_the_name_of_a_film_contains_its_options(cli, finished_run, tmp_path):
         assert (code, out) == (0, f"{run / 'videos' / name}\n"), err
 
 
+@pytest.mark.slow
 def test_a_replay_with_another_fitness_is_a_warning(film, two_runs, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(two_runs, run)

@@ -226,6 +226,7 @@ def test_another_sweep_or_a_used_folder_is_refused(swept, tmp_path):
         sweep(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_changed_configuration_is_refused(tmp_path):
     own = shutil.copytree(CONFIG.parent, tmp_path / "configs") / CONFIG.name
     run_sweep(own, SHORT, GRID, out=tmp_path / "sweep", only=["mutation_rate=0.02"])

@@ -121,6 +121,7 @@ def test_parts_move_faster_away_from_the_light():
         assert away > 1.5 * back
 
 
+@pytest.mark.slow
 def test_parts_sense_the_light_below_an_eye():
     """With an eye on the middle, both joints sense the light, and with one on the tip, one does."""
     tree, bearing = chain(), lit(chain(), (0.6, 0.8, 0.0))
@@ -139,6 +140,7 @@ def test_an_eye_on_no_body_is_refused():
         brain(chain(), eyes=("hed",))
 
 
+@pytest.mark.slow
 def test_an_axis_turned_round_commands_the_opposite():
     """A chain about -z moves as the chain about z does, with all angles negative."""
     tree = chain()

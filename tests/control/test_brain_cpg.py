@@ -208,6 +208,7 @@ def test_neurons_command_angles_to_motors_with_a_spring(chain):
 
 
 @pytest.mark.parametrize("drive", ["shared", "per_dof"])
+@pytest.mark.slow
 def test_batch_equals_single_and_vmap(chain, drive):
     grown = build_brain_cpg(chain(5, "xyz"), 1, 10, BrainCpgSettings(drive=drive))
     sense = observe(np.random.default_rng(4), 12, (3,))
@@ -253,6 +254,7 @@ def test_closed_loop_keeps_senses_in_range_and_oscillates(chain):
     assert np.mean(reversing.min(axis=0) > 0.2) > 0.7
 
 
+@pytest.mark.slow
 def test_gradient_flows_through_brain_and_cord(chain):
     grown = build_brain_cpg(chain(3, "yz"), 1, 10, BrainCpgSettings())
     sense = observe(np.random.default_rng(6), 4)

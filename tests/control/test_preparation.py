@@ -47,6 +47,7 @@ def outputs(controller, genes, observed):
 
 
 @pytest.mark.parametrize("feedback", [None, FEEDBACK])
+@pytest.mark.slow
 def test_intact_preparation_is_the_animal(chain, feedback):
     animal = animal_of(chain(5, "z"), feedback)
     rng = np.random.default_rng(0)

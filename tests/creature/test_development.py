@@ -135,6 +135,7 @@ def reference(graph: PlanGraph, bodies: int) -> list[tuple[int, int, int]]:
     return grown
 
 
+@pytest.mark.slow
 def test_growth_follows_the_rules_of_connections():
     graphs = random_graphs(0)
     plans, graphs = as_numpy(develop(FREE)(graphs)), jax.tree.map(np.asarray, graphs)

@@ -75,6 +75,7 @@ def touches(place, turn=0.0, radius=0.0):
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("turn", [0.0, 0.01, 0.03, 0.3])
+@pytest.mark.slow
 def test_bodies_within_a_tenth_of_a_millimetre_touch(turn):
     """The lowest edge of a turned box is above the other box's face."""
     height = 2 * HALF[2] + HALF[0] * np.sin(turn) + HALF[2] * (np.cos(turn) - 1)

@@ -88,6 +88,7 @@ def test_lexicase_frequencies_equal_the_mean_over_orders_of_trials(trials):
     assert chisquare(counts[chances > 0], DRAWS * chances[chances > 0]).pvalue > 0.01
 
 
+@pytest.mark.slow
 def test_lexicase_draws_no_diverged_individual_while_others_are_finite():
     trial_fitness = jnp.asarray([[9.0, -1.0, -2.0, jnp.nan], [-jnp.inf, -1.0, 0.5, 3.0]])
     fitness = trial_fitness.mean(0)

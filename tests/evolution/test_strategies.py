@@ -414,6 +414,7 @@ def test_evosax_starts_with_given_genomes_and_learns_of_replaced_ones():
     np.testing.assert_allclose(after.state.fitness, -sphere(moved).fitness)
 
 
+@pytest.mark.slow
 def test_a_distribution_starts_at_the_mean_of_the_better_half():
     strategy = evosax("Sep_CMA_ES")
     given = jax.random.normal(jax.random.key(0), (GENES, SIZE))

@@ -54,6 +54,7 @@ def grown(creature: dict, layout: GraphLayout, bounds):
     return graph, jax.tree.map(np.asarray, plan)
 
 
+@pytest.mark.slow
 def test_legs_become_one_part_on_both_sides():
     plans = experiment(DOG).simulation.plans
     graph, plan = grown(DOG, plans.layout, plans.bounds)

@@ -130,6 +130,7 @@ def experiment():
     return evo.load(CONFIG, SHORT)
 
 
+@pytest.mark.slow
 def test_a_body_has_the_same_bits_in_any_population(experiment):
     bodies, rng = experiment.parts.simulation.bodies, np.random.default_rng(0)
     genes = rng.uniform(-3, 3, (2, 150)).astype(np.float32)
@@ -179,6 +180,7 @@ def test_a_run_is_verified_and_its_body_exported(tmp_path):
     assert own.creature.bodies[0].shape.size[0] == pytest.approx(sizes["head.length"], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_body_that_does_not_fit_counts_as_diverged(experiment, monkeypatch):
     simulation = experiment.parts.simulation
     kind, build = type(simulation.bodies), type(simulation.bodies).values

@@ -10,11 +10,13 @@ import yaml
 
 from evo_cpg.io.file_schema import file_schema
 from evo_cpg.io.load import dump_config, load_config
-from evo_cpg.io.shipped import shipped, shipped_names
+from evo_cpg.io.shipped import shipped
 from tiny_run import REPOSITORY
 
 sys.path.insert(0, str(REPOSITORY / "docs" / "tools"))
 import configuration_tables
+
+from shipped_configs import some_configs
 
 SCHEMA = file_schema()
 CHECK = jsonschema.Draft202012Validator(SCHEMA)
@@ -34,18 +36,17 @@ def test_schema_is_valid():
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
 
 
-@pytest.mark.parametrize("name", shipped_names())
-def test_schema_accepts_shipped_configurations(name):
-    data = written(name)
+@some_configs
+def test_schema_accepts_shipped_configurations(path):
+    data = written(path.stem)
     assert mistakes(data) == []
     # Also with the creature included, and with all defaults.
-    folder = shipped(name).path.parent
     given = data.get("creature")
     if given is not None:
         file = given if isinstance(given, str) else given["file"]
-        data["creature"] = yaml.safe_load((folder / file).read_text())
+        data["creature"] = yaml.safe_load((path.parent / file).read_text())
     assert mistakes(data) == []
-    assert mistakes(yaml.safe_load(dump_config(load_config(shipped(name).path)))) == []
+    assert mistakes(yaml.safe_load(dump_config(load_config(path)))) == []
 
 
 def test_schema_accepts_names_of_other_files():

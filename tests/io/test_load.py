@@ -19,6 +19,7 @@ from evo_cpg.physics.water.fluid import Drag
 from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
 from evo_cpg.physics.water.viscous_drag import ViscousDrag
 from evo_cpg.simulation.tasks import Distance, ReachLight, Walk
+from shipped_configs import PATHS, some_configs
 from tiny_run import CONFIG, REPOSITORY
 from wrong_values import SMALL, built, small
 
@@ -35,7 +36,6 @@ def test_noise_is_in_radians_and_trials_require_noise():
 
 
 JOINT = "creature.bodies.1.joint."
-SHIPPED = sorted((REPOSITORY / "configs").glob("*.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ SHIPPED = sorted((REPOSITORY / "configs").glob("*.yaml"))
     [
         # The search for a start among boulders takes six seconds.
         pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * path.stem.endswith("boulders"))
-        for path in SHIPPED
+        for path in PATHS
     ],
 )
 def test_shipped_configs_build(path):
@@ -53,7 +53,7 @@ def test_shipped_configs_build(path):
     assert experiment.simulation.steps == config.simulation.steps
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+@some_configs
 def test_shipped_configs_are_read_back_unchanged(path, tmp_path):
     config = load_config(path)
     copy = tmp_path / "copy.yaml"

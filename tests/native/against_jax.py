@@ -17,27 +17,51 @@ def sample(shape, seed=0, dtype=np.float32):
     return jnp.asarray(np.random.default_rng(seed).normal(size=shape), dtype)
 
 
-def fused(function, *args, batch_ndim=1):
-    """Return the leaves of the results that native code computes, mapped over the last axes."""
+def by_native(function, *args, batch_ndim=1):
+    """Return the results that native code computes, mapped over the last axes, as arrays."""
     run = jax.jit(functools.partial(fuse, function, batch_ndim=batch_ndim))
-    return [np.asarray(leaf) for leaf in jax.tree.leaves(run(*args))]
+    return jax.tree.map(np.asarray, run(*args))
 
 
-def plain(function, *args, batch_ndim=1):
-    """Return the leaves of the results that plain JAX computes, mapped over the last axes."""
+def by_jax(function, *args, batch_ndim=1):
+    """Return the results that plain JAX computes, mapped over the last axes, as arrays."""
     for _ in range(batch_ndim):
         function = jax.vmap(function, in_axes=-1, out_axes=-1)
-    return [np.asarray(leaf) for leaf in jax.tree.leaves(jax.jit(function)(*args))]
+    return jax.tree.map(np.asarray, jax.jit(function)(*args))
+
+
+def fused(*given, **options):
+    """Return the leaves of `by_native`."""
+    return jax.tree.leaves(by_native(*given, **options))
+
+
+def plain(*given, **options):
+    """Return the leaves of `by_jax`."""
+    return jax.tree.leaves(by_jax(*given, **options))
 
 
 def assert_agrees(function, *args, batch_ndim=1, rtol=1e-6, atol=1e-6):
     """Assert that native code and JAX agree in numbers, types, shapes, NaN and infinities."""
-    got, expected = (run(function, *args, batch_ndim=batch_ndim) for run in (fused, plain))
-    assert [x.dtype for x in got] == [x.dtype for x in expected]
-    for one, other in zip(got, expected, strict=True):
-        exact = one.dtype.kind != "f"
+    got, expected = (run(function, *args, batch_ndim=batch_ndim) for run in (by_native, by_jax))
+    assert_equal(got, expected, rtol, atol)
+
+
+def assert_equal(got, expected, rtol, atol):
+    """Assert that trees of arrays agree. Whole numbers and truth values are equal."""
+
+    def compare(path, one, other):
+        exact = other.dtype.kind != "f"
         tolerance = {"rtol": 0, "atol": 0} if exact else {"rtol": rtol, "atol": atol}
-        np.testing.assert_allclose(one, other, strict=True, **tolerance)
+        name = jax.tree_util.keystr(path)
+        assert one.dtype == other.dtype, name
+        np.testing.assert_allclose(one, other, err_msg=name, strict=True, **tolerance)
+
+    jax.tree_util.tree_map_with_path(compare, got, expected)
+
+
+def every(functions):
+    """Return a function that computes all of these, because one program compiles faster."""
+    return lambda *args: {name: function(*args) for name, function in functions.items()}
 
 
 def with_instructions(instructions, run):

@@ -100,6 +100,7 @@ def test_vmap_over_some_arguments_agrees_with_jax():
         np.testing.assert_allclose(got, jax.vmap(function, axes)(*values), rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_closed_over_values_may_be_traced_and_differentiated(x64):
     x = sample((3, 4), dtype=np.float64)
 

@@ -108,6 +108,7 @@ def test_parts_are_one_body_with_the_merged_inertia():
             )
 
 
+@pytest.mark.slow
 def test_parts_accelerate_as_bodies_of_several_geoms_in_mujoco():
     """Compare with MuJoCo's bodies of several geoms, and with our export, to 1e-9."""
     creature = built()

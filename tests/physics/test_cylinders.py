@@ -45,6 +45,7 @@ def drag_coefficients(shape: Cylinder, reynolds: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("ratio", "measured"), CYLINDER_ALONG)
+@pytest.mark.slow
 def test_drag_along_a_cylinder_is_as_measured(ratio, measured):
     """Compare with Kritzinger and the data book at Re 1e4 and 1e5, within 15 %."""
     for reynolds in (1e4, 1e5):

@@ -27,6 +27,7 @@ def moved(world: World, torque: float, rate: float, count: int):
 
 
 @pytest.mark.parametrize("armature", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
+@pytest.mark.slow
 def test_a_coasting_wheel_slows_steadily_and_stops(armature):
     """Rate w - F t / I until it stops at w I / F, after an angle of I w^2 / 2 F."""
     world, inertia = wheel(armature)
@@ -49,6 +50,7 @@ def test_a_torque_below_the_loss_moves_nothing():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.slow
 def test_a_torque_above_the_loss_accelerates_by_the_rest(sign):
     world, inertia = wheel()
     _, qd = moved(world, sign * 1.5 * LOSS, 0.0, 60)

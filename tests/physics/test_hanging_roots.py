@@ -159,6 +159,7 @@ def test_the_state_of_a_hanging_root_needs_its_base():
 
 
 @pytest.mark.usefixtures("x64")
+@pytest.mark.slow
 def test_pendulum_swings_with_its_period():
     """The period at any amplitude is ``4 K(sin^2(a/2)) sqrt(I/(m g l))``.
 

@@ -101,6 +101,7 @@ def theirs_of(creature: Creature, gravity: float):
         for i, name in enumerate(CASES)
     ],
 )
+@pytest.mark.slow
 def test_joints_of_every_kind_accelerate_as_in_mujoco(name):
     """Gravity, springs, dampers and torques, with and without rotors: 1e-9."""
     for rotor in (0.0, 0.01):

@@ -122,6 +122,7 @@ def test_force_is_the_stated_formula(lengths, x64):
         np.testing.assert_allclose(moment, scale * whole * lever, rtol=1e-6, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_derivatives_equal_finite_differences(x64):
     """Of the wrench, and of the two parts of the step: D and the averaged rest."""
     wing = Body("b0", Box((0.1, 0.2, 0.005)), Material(WATER))

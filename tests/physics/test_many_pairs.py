@@ -90,6 +90,7 @@ def test_loops_on_plain_jax_find_the_same_step(x64, loops):
 
 
 @pytest.mark.parametrize("shape", LIMBS)
+@pytest.mark.slow
 def test_loops_measure_the_same_gaps(x64, loops, shape):
     world, state = clapping(shape, "yz")
     tree, pairs = world.tree, world.pairs

@@ -362,6 +362,7 @@ def test_momentum_and_energy_of_body_and_carried_water():
         assert float(power) == pytest.approx(float(work), rel=1e-9) and work < 0
 
 
+@pytest.mark.slow
 def test_accelerations_agree_with_mujoco():
     """MuJoCo gets the wrenches of our laws, with the added mass at our accelerations."""
     creature = patchwork()

@@ -129,6 +129,7 @@ def test_a_small_margin_stops_bodies_too():
         pytest.param("box", "level", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_no_body_enters_a_floor(name, floor):
     """Centres stay outside at 50 m/s, although one step would move them 0.2 m into the floor."""
     shape, _ = SHAPES[name]
@@ -190,6 +191,7 @@ def test_slow_parts_are_not_swept():
             np.testing.assert_array_equal(swept.gap[:, 0], still.gap[:, 0])
 
 
+@pytest.mark.slow
 def test_a_swept_contact_has_the_right_derivative():
     """Differentiate v* by height and speed. It is the distance to the boulder over the step."""
     world = alone(Sphere(0.05), obstacles=(Boulder((0.0, 0.0, 0.0), 0.1),), floor=ABYSS)

@@ -59,6 +59,7 @@ def test_torque_motors_work_beside_limited_servos():
     np.testing.assert_allclose(spins * own, np.array([0.5, 0.2, 0.0]) * H, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_gradients_pass_a_torque():
     world, inertia = wheels(TorqueMotor())
 

@@ -137,6 +137,7 @@ def test_long_capsule_follows_the_long_cylinder():
 
 
 @pytest.mark.parametrize(("slender", "measured"), [(5, 0.74), (10, 0.82), (20, 0.93)])
+@pytest.mark.slow
 def test_short_capsule_has_less_drag_across(slender, measured):
     """Cylinders with free ends at Re 1e5 (data book)."""
     world = in_viscous_water(single(Capsule(D / 2, (slender - 1) * D)))
@@ -290,6 +291,7 @@ def test_no_jumps_between_shapes():
 
 
 @pytest.mark.parametrize("direction", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_chain_has_the_drag_of_one_body(direction):
     """Fourteen capsules or boxes and one of their outline, within 10 % at any speed."""
     pairs = (
@@ -325,6 +327,7 @@ def test_drag_never_drives(anything):
     assert np.linalg.eigvalsh(matrices).min() > -1e-12
 
 
+@pytest.mark.slow
 def test_derivative_equals_finite_differences(anything):
     world, velocity = anything
     velocity = velocity / np.abs(velocity).max((0, 1))

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from evo_cpg.simulation.simulation import Genome, Phenotype
 from evo_cpg.training.evaluate import compile_replay
@@ -33,6 +34,7 @@ def test_a_genome_of_another_length_does_not_fit():
     assert genome.misfit(np.zeros(3)) == "the genome has 3 genes, not 2"
 
 
+@pytest.mark.slow
 def test_genes_outside_the_controller_evolve_and_replay(tmp_path, monkeypatch):
     """Only `Genome` changes. Its last two genes do not belong to the controller."""
     alone = Genome.random

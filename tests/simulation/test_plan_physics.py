@@ -295,6 +295,7 @@ def place_of(name: str, axes: tuple[int, ...]) -> int:
 @pytest.mark.parametrize(
     ("bodies", "count"), [(3, 20), pytest.param(20, 2000, marks=pytest.mark.slow)]
 )
+@pytest.mark.slow
 def test_plans_accelerate_as_in_mujoco(bodies, count):
     """MuJoCo simulates the exported creatures, with motors at random target rates: 1e-9."""
     plans, _ = mechanics(bodies)

@@ -201,6 +201,7 @@ def test_velocities_equal_central_differences(x64):
     assert np.abs(over).max() == 1.0
 
 
+@pytest.mark.slow
 def test_load_of_a_body_at_rest_is_its_whole_weight():
     with jax.enable_x64(True):
         world = alone(Box((0.2, 0.1, 0.1)))

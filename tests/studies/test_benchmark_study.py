@@ -30,6 +30,7 @@ def test_a_part_records_its_tables_and_provenance(tmp_path):
     assert provenance.problems(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_finished_parts_and_names_the_rest(tmp_path, monkeypatch, capsys):
     """The second of three parts is interrupted. The first part has a picture."""
 

@@ -34,6 +34,7 @@ def valley(y):
 
 
 @pytest.mark.usefixtures("x64")
+@pytest.mark.slow
 def test_the_steps_equal_the_published_algorithm():
     # Algorithm 1 of Kingma and Ba 2015.
     y, size, decays = np.array([-1.2, 1.0]), 0.01, (0.9, 0.99)

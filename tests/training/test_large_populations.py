@@ -121,6 +121,7 @@ def test_results_return_in_order_and_once(count):
     np.testing.assert_array_equal(places[count:], count - 1)
 
 
+@pytest.mark.slow
 def test_chunks_change_no_result(large, narrow):
     """50 trials in two blocks of 32 equal some of the trials, and one alone, to the last bit."""
     genes = np.asarray(begin(large)[0])

@@ -203,6 +203,7 @@ def test_a_run_stopped_before_the_choice_chooses_equally(evolved, tmp_path):
     assert [one and one.lives for one in loaded.chosen] == [6, 6]
 
 
+@pytest.mark.slow
 def test_sweeps_and_watchers_wait_for_the_choice(evolved, tmp_path):
     """A run that was stopped between the last generation and the choice is not finished."""
     _, done, _ = evolved

@@ -34,6 +34,7 @@ def refined(evolved):
     return champion, compile_refinement(MADE, SETTINGS)(champion, rounds.append), rounds
 
 
+@pytest.mark.slow
 def test_evaluation_repeats_the_results_of_training(evolved):
     _, checkpoint = evolved
     evaluate = compile_evaluation(MADE, population_mesh(), 2)

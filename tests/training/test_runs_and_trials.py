@@ -107,6 +107,7 @@ def test_breeding_several_runs_equals_breeding_each_alone(genetics, trials):
             np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_evolving_several_runs_equals_evolving_each_alone(pair, tmp_path):
     """Results are equal up to rounding, which depends on the width of a chunk."""
     _, done = pair
@@ -162,6 +163,7 @@ def test_more_trials_than_a_chunk_holds_replay_exactly():
         np.testing.assert_array_equal(again.terms[name], values)
 
 
+@pytest.mark.slow
 def test_random_keys_belong_to_seed_generation_individual_and_trial():
     def keys(generation=2, **changes):
         made = noisy(alone(SEED))._replace(trials=3)._replace(**changes)

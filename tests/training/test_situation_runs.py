@@ -82,6 +82,7 @@ def test_fitness_and_terms_are_means_over_the_situations(evolved):
     np.testing.assert_allclose(scale, expected, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_resumed_run_equals_an_uninterrupted_one(evolved, tmp_path):
     made, _, done = evolved
     evolve(made._replace(generations=1), tmp_path / "run")
@@ -90,6 +91,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(evolved, tmp_path):
     assert untimed(resumed.history) == untimed(done.history)
 
 
+@pytest.mark.slow
 def test_champions_replay_as_recorded_in_any_trial(evolved):
     made, _, done = evolved
     for trial, champion in zip((2, 0), done.champions, strict=False):

@@ -90,6 +90,7 @@ def test_a_team_has_the_bits_of_one_process(kind, tmp_path):
     require_equal(alone, together)
 
 
+@pytest.mark.slow
 def test_genomes_travel_once_and_fitness_is_small(tmp_path):
     workers = Workers("a", "b")
     with using(workers):

@@ -84,6 +84,7 @@ def similar_accelerations(tree: Tree, size: float) -> np.ndarray:
     return found / np.concatenate([np.ones((3, 1)), np.full((3, 1), size), own])
 
 
+@pytest.mark.slow
 def test_slides_and_tendons_move_similarly_in_all_sizes(tree_of):
     expected = similar_accelerations(tree_of(1.0), 1.0)
     for size in (0.5, 3.0):

@@ -66,6 +66,7 @@ def test_integration_is_exact_for_a_constant_rate(speed):
         np.testing.assert_allclose(np.linalg.norm(result, axis=0), 1, rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_integration_has_a_gradient_at_rest():
     """The derivative of the vector part, h w / 2, at w = 0 is h / 2, not NaN."""
     identity = jnp.array([1.0, 0.0, 0.0, 0.0])

@@ -23,6 +23,7 @@ from evo_cpg.io.models.rigid import _top
 from evo_cpg.physics.contact.contact_model import Combination, Ground, combine
 from evo_cpg.physics.water.water import Water
 from imported import creature_of
+from shipped_configs import some_configs
 from tiny_run import REPOSITORY
 
 CONFIGS = sorted((REPOSITORY / "configs").glob("*.yaml"))
@@ -126,7 +127,7 @@ def test_export_and_import_preserve_a_creature(read, number):
     assert (found.experiment["name"], found.left_out) == ("random", ())
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+@some_configs
 def test_export_and_import_preserve_shipped_animals(read, path):
     """Bodies, axes and colours, and mass and friction of each body to 1e-6."""
     creature = build_creature(load_config(path), path)

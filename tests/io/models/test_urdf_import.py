@@ -117,6 +117,7 @@ def test_bodies_equal_an_independent_reading(robot):
     assert compare(robot, read_urdf(text), drop=False) == (["inertia of upper"], [])
 
 
+@pytest.mark.slow
 def test_urdf_accelerations_equal_mujocos(robot):
     assert largest_difference(robot, states=10) < 1e-10
 

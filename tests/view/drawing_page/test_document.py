@@ -11,6 +11,7 @@ from evo_cpg.view.drawing_page.commands import edit
 from evo_cpg.view.drawing_page.document import Document, EditError, Texts
 from evo_cpg.view.drawing_page.session import problems
 from evo_cpg.view.drawing_page.yaml_edit import equal
+from shipped_configs import some_configs
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 
@@ -28,13 +29,12 @@ def fish(tmp_path) -> Document:
     return Document.open(tmp_path / "fish.yaml")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(each.stem for each in CONFIGS.glob("*.yaml")))
-def test_the_data_are_those_that_the_program_loads(name):
-    document = Document.open(CONFIGS / f"{name}.yaml")
+@some_configs
+def test_the_data_are_those_that_the_program_loads(path):
+    document = Document.open(path)
     assert not document.is_changed
     assert problems(document.data, document.path, thorough=False) is not None
-    copied = Document.copy_of(CONFIGS / f"{name}.yaml", Path("elsewhere.yaml"))
+    copied = Document.copy_of(path, Path("elsewhere.yaml"))
     assert equal(copied.data, document.data) and copied.texts.creature is None
 
 

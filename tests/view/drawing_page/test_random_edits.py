@@ -139,6 +139,7 @@ def require_motion(document: Document) -> bool:
         ),
     ],
 )
+@pytest.mark.slow
 def test_random_edits_leave_an_animal_that_runs_or_is_refused(tmp_path, start, count, sense):
     document = opened(start, tmp_path)
     session, first = DrawingSession(document), document.texts
