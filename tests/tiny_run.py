@@ -28,6 +28,15 @@ TINY = (
 # Two bodies on a hinge, for tests of commands. Programs and compilation times are half as large.
 PAIR = (*TINY, "creature.bodies.1.repeat=1", "creature.bodies.1.joint.axes=[z]")
 
+# The same two bodies as overrides by key.
+SMALL = {
+    "creature.bodies.1.repeat": 1,
+    "creature.bodies.1.joint.axes": ["z"],
+    "world.water.form_resolution": 1,
+    "controller.brain.hidden": [4],
+    "simulation.seconds": 0.5,
+}
+
 # A viscosity has a drag law of its own. The swimmer names another law, and a coefficient.
 VISCOUS = ("world.water.viscosity=0.001", "world.water.law=null", "world.water.skin_drag=null")
 

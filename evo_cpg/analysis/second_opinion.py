@@ -60,7 +60,13 @@ from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.muscle import pull_of
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.force_law import buoyancy_alone, in_body_axes
-from evo_cpg.simulation.control_step import act, begin_episode, motor_command, sense
+from evo_cpg.simulation.control_step import (
+    act,
+    begin_episode,
+    motor_command,
+    sense,
+    with_acceleration,
+)
 from evo_cpg.simulation.observers import PhysicsSteps
 from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
@@ -148,17 +154,28 @@ class ControllerInLoop:
         # The force of a body is put on its first contact point. Pressure sensors and loads sum the
         # forces of all points of a body.
         self._first = {body: int(np.flatnonzero(owners == body)[0]) for body in set(owners)}
-        self._points, self._nerves = len(owners), animal.nerves
+        self._points = len(owners)
+        self._kept, self._before, self._count = (animal.nerves, animal.memories), None, 0
 
-        def think(state: State, nerves: Any, forces: Array) -> tuple[Any, Command]:
+        def think(
+            state: State, before: State, kept: Any, forces: Array, index: Array
+        ) -> tuple[Any, Command]:
             with using(simulation.engine):
                 kin = kinematics(simulation.world.tree, state)
                 last, mean = forces
                 felt = pressure_readings(simulation.sensors, simulation.world, kin, last)
-                there = animal._replace(state=state, nerves=nerves, pressure=felt)
+                nerves, memories = kept
+                there = animal._replace(
+                    state=state, nerves=nerves, pressure=felt, memories=memories
+                )
                 if there.forces is not None:
-                    there = there._replace(forces=there.forces._replace(contact_force=mean))
-                return act(simulation, constants, there, sense(simulation, constants, there))
+                    borne = there.forces._replace(contact_force=mean)
+                    if borne.acceleration is not None:
+                        borne = with_acceleration(simulation, borne, before, state)
+                    there = there._replace(forces=borne)
+                seen, memories = sense(simulation, constants, there, index)
+                nerves, command = act(simulation, constants, there, seen)
+                return (nerves, memories), command
 
         self._think = jax.jit(think)
 
@@ -174,7 +191,10 @@ class ControllerInLoop:
         for body, point in self._first.items():
             forces[:, 2, point, 0] = borne[-1, body], borne[:, body].mean()
         here = jax.tree.map(lambda x: np.asarray(x, np.float32)[..., None], state)
-        self._nerves, command = jax.device_get(self._think(here, self._nerves, forces))
+        before = here if self._before is None else self._before
+        given = here, before, self._kept, forces, np.int32(self._count)
+        self._kept, command = jax.device_get(self._think(*given))
+        self._before, self._count = here, self._count + 1
         return motor_command(command).filled()
 
 

@@ -80,6 +80,8 @@ class Environment:
             each part (see `evo_cpg.Observation`).
         observation_size: count of numbers in an observation.
         episode_length: control steps of a trial.
+        actions: quantity that an action sets.
+        tree: bodies and joints of the animal.
     """
 
     def __init__(
@@ -98,7 +100,7 @@ class Environment:
         situations = simulation.situations
         own = situations[trial if len(situations) > 1 else 0]
         self._simulation = dataclasses.replace(simulation, situations=(own,))
-        self._scales, self._actions = scales, actions
+        self._scales, self.actions, self.tree = scales, actions, tree
         self.action_names = tree.dof_names
         if actions == "activations":
             self.action_names = tuple(f"{name}{side}" for side in "+-" for name in tree.dof_names)
@@ -113,7 +115,7 @@ class Environment:
     def __repr__(self) -> str:
         senses = ", ".join(f"{name} {size}" for name, size in self.observation_sizes.items())
         return (
-            f"Environment({self.action_size} actions ({self._actions}), {self.observation_size} "
+            f"Environment({self.action_size} actions ({self.actions}), {self.observation_size} "
             f"observations ({senses}), {self.episode_length} steps of "
             f"{1 / self._simulation.control_rate:.4g} s)"
         )
@@ -158,17 +160,18 @@ class Environment:
             animal: AnimalState, tally: Any, number: Array, keys: Array | None, action: Array
         ):
             still = jnp.zeros_like(animal.state.q)
-            if self._actions == "activations":
+            if self.actions == "activations":
                 both = jnp.clip(action, 0.0, 1.0).reshape(2, -1)
                 command = Command(still, both[0] - both[1], activation=both)
-            elif self._actions == "angles":
+            elif self.actions == "angles":
                 command = Command(still, still, action)
-            elif self._actions == "torques":
+            elif self.actions == "torques":
                 command = Command(still, action, torque=action)
             else:
                 command = Command(action, still)
             constants = self._constants(keys)
-            seen = sense(self._simulation, constants, animal)
+            seen, memories = sense(self._simulation, constants, animal, number)
+            animal = animal._replace(memories=memories)
             animal, effects = move(self._simulation, constants, animal, seen, command)
             happened = transition(self._simulation, constants, effects, number)
             tally = update_tally(self._simulation, tally, happened)
@@ -212,7 +215,7 @@ class Environment:
         """Return the animal after the random push of a control step, and its observation."""
         constants = self._constants(keys)
         animal = push(self._simulation, constants, animal, jnp.asarray(number))
-        return animal, sense(self._simulation, constants, animal)
+        return animal, sense(self._simulation, constants, animal, number)[0]
 
     def _judge(self, tally: Any) -> tuple[dict[str, Array], Array]:
         """Return the terms so far and their fitness. A fitness that is not finite becomes 0."""

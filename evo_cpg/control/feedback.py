@@ -71,7 +71,7 @@ from evo_cpg.creature.algebra.numerics import Number, Numbers
 from evo_cpg.creature.tree import Tree
 
 # Longest delay, s. A delay costs one stored sample of each oscillator per control step.
-_LONGEST = 1.0
+LONGEST_DELAY = 1.0
 
 # A number, or the lowest and highest value of a number that evolves.
 Weight = float | tuple[float, float]
@@ -91,8 +91,8 @@ class _Sense:
                     raise ValueError(f"{name} must be {allowed}, got {list(value)}")
             elif name.startswith("from_") and not value >= 0:
                 raise ValueError(f"{name} must not be negative, got {value}")
-        if not 0 <= self.delay <= _LONGEST:
-            raise ValueError(f"delay must be from 0 to {_LONGEST:g} s, got {self.delay}")
+        if not 0 <= self.delay <= LONGEST_DELAY:
+            raise ValueError(f"delay must be from 0 to {LONGEST_DELAY:g} s, got {self.delay}")
 
 
 class Gain(eqx.Module):

@@ -24,6 +24,7 @@ from evo_cpg.io.own_checks import check_own_forces, check_own_returns, check_own
 from evo_cpg.io.schema.evolution import PlanEvolutionConfig, RealEvolutionConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.section import CustomConfig
+from evo_cpg.io.senses import build_imperfections
 from evo_cpg.io.situations import build_situations
 from evo_cpg.io.trust import code_folders, require_code
 from evo_cpg.native.engine import Engine, target, using
@@ -213,10 +214,12 @@ def build_simulation(
             tilt=xp.deg2rad(noise.tilt_deg),
             push=noise.push,
             friction=noise.friction,
+            senses=config.creature.senses.noisy,
         ),
         situations=situations,
         engine=engine,
         extra_sensors=extra_sensors,
+        imperfections=build_imperfections(config, creature, tree, extra_sensors, controller),
         rules=_build_rules(config, creature, world, plan),
         measures=_build_measures(config, task, creature, world),
     )

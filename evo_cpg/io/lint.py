@@ -23,6 +23,7 @@ from evo_cpg.io.schema.creature import BodyConfig
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.schema.joint import JointConfig
 from evo_cpg.io.schema.section import ROUNDING, SOLID, TURN, CustomConfig, Direction, TypicalRange
+from evo_cpg.io.schema.sensor import kind_of
 from evo_cpg.simulation.judge import WILDEST_SPEED
 
 # Range of the longest edge of a body, from the limb of a small insect to a whale, m.
@@ -444,12 +445,41 @@ def trials_alike(case: Case) -> Found:
     trials = case.config.simulation.trials
     alike = isinstance(trials, int) or trials.count(trials[0]) == len(trials)
     count = trials if isinstance(trials, int) else len(trials)
-    if case.config.noise.silent and alike and count > 1:
+    if case.config.silent and alike and count > 1:
         yield (
             ("simulation", "trials"),
             f"without noise all {count} trials are alike, so one is enough. Give noise, or a list "
             "of situations that differ",
         )
+
+
+# What each kind of sense needs in the world.
+_NEEDS = {"flow": "water", "depth": "surface", "rays": "ground", "load": "ground"}
+_GIVE = {
+    "water": "there is no water. Give world.water",
+    "surface": "the water has no surface. Give world.water.surface",
+    "ground": "there is no ground. Give world.ground",
+}
+
+
+def senseless(case: Case) -> Found:
+    """Warn of senses that never fire in this world."""
+    world, creature = case.config.world, case.config.creature
+    missing = {"ground"} if world.ground is None else set()
+    if world.water is None:
+        missing |= {"water", "surface"}
+    elif world.water.surface is None:
+        missing.add("surface")
+    senses: list[tuple[str, Key]] = [
+        ("depth", ("depth_sensors", i)) for i in range(len(creature.depth_sensors))
+    ]
+    if creature.pressure_sensors != "all" and creature.pressure_sensors:
+        senses.append(("load", ("pressure_sensors",)))
+    senses += [(kind_of(sensor), ("sensors", i)) for i, sensor in enumerate(creature.sensors)]
+    for kind, key in senses:
+        need = _NEEDS.get(kind, "")
+        if need in missing:
+            yield ("creature", *key), f"never fires, because {_GIVE[need]}, or leave it out"
 
 
 RULES: tuple[Callable[[Case], Found], ...] = (
@@ -468,4 +498,5 @@ RULES: tuple[Callable[[Case], Found], ...] = (
     nothing_to_hold_it,
     walk_without_ground,
     trials_alike,
+    senseless,
 )

@@ -95,7 +95,7 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
             snapshot = snapshot_of(simulation, constants, animal.state)
             readings = _is_like(_numbers(sensor.count))
             methods(sensor, "creature", "sensors", i).call("sense", snapshot, forces, test=readings)
-        observation = put("observation", sense(simulation, constants, animal))
+        observation = put("observation", sense(simulation, constants, animal, 0)[0])
 
         def is_act(found: Any) -> str | None:
             if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], Command)):

@@ -276,7 +276,7 @@ def changes_of_fitness(before: Any, config: ExperimentConfig) -> list[str]:
         *(_SOURCE + module for module in _code_digests(parts)),
     ]
     harmful += [f"audit.{name}" for name in ("disqualify", *config.audit.disqualify)]
-    if not config.noise.silent:
+    if not config.silent:
         # The seed determines the noise with which an individual was evaluated.
         harmful.append("seed")
     found = changes(before, fingerprint(config))

@@ -109,38 +109,54 @@ def _lowered(program: Program, variant: Variant) -> Module:
 
 
 class Stepper:
-    """Repeated calls of ``state = function(state, given)`` for one individual, without XLA.
+    """Repeated calls of ``state = function(state, given)`` for individuals, without XLA.
 
     A call through JAX costs more than a step of a small animal. The results of a call are the
     arguments of the next one, so that nothing is copied.
 
+    Args:
+        function: function of one individual.
+        state: first state, with the individuals on the last axes if there are several.
+        given: argument of the first call, in the same way.
+        name: name of the function for messages.
+        count: number of individuals, or None for one without an axis.
+
     Attributes:
-        leaves: arrays of the present state. The next two calls overwrite them.
+        leaves: arrays of the present state. The next two calls overwrite them. They have further
+            individuals, copies of the last one, if there are fewer than a vector has.
         structure: the state's structure of arrays.
 
     Raises:
         Unsupported: if the function does not become native code.
     """
 
-    def __init__(self, function: Callable, state: Any, given: jax.Array, name: str):
-        run = functools.partial(fuse, function, batch_ndim=0, name=name)
+    def __init__(
+        self, function: Callable, state: Any, given: jax.Array, name: str, count: int | None = None
+    ):
+        run = functools.partial(fuse, function, batch_ndim=0 if count is None else 1, name=name)
         equations = jax.make_jaxpr(run)(state, given).jaxpr.eqns
         if [x.primitive for x in equations] != [fused_p]:
             raise Unsupported(f"{name} is not native code")
-        native = compiled(equations[0].params["program"], single=True)
+        native = compiled(equations[0].params["program"], single=count is None)
         found, self.structure = jax.tree.flatten(state)
-        self.leaves, self._other = ([np.array(x) for x in found] for _ in range(2))
-        self._given, self._scratch = np.array(given), np.zeros(max(native.scratch, 1), np.uint8)
+        more = 0 if count is None else max(native.width - count, 0)
+
+        def filled(x: jax.Array) -> np.ndarray:
+            return np.concatenate([x, *[x[..., -1:]] * more], -1) if more else np.array(x)
+
+        self.leaves, self._other = ([filled(x) for x in found] for _ in range(2))
+        self._given, self._scratch = filled(given), np.zeros(max(native.scratch, 1), np.uint8)
+        lanes = 1 if count is None else count + more
         self._run = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(native.address)
         self._frames = [
-            call_frame([*one, self._given], [*two, self._scratch])
+            call_frame([*one, self._given], [*two, self._scratch], lanes)
             for one, two in ((self.leaves, self._other), (self._other, self.leaves))
         ]
         self._addresses = [frame.ctypes.data for frame in self._frames]
 
     def __call__(self, given: np.ndarray) -> None:
         """Compute the next state."""
-        self._given[:] = given
+        self._given[..., : np.shape(given)[-1]] = given
         self._run(self._addresses[0])
         self.leaves, self._other = self._other, self.leaves
         self._addresses.reverse()

@@ -19,6 +19,7 @@ from evo_cpg.physics.step.step import Effort, first_warmstart, step
 from evo_cpg.physics.tree.joint_torque import MotorCommand
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import State
+from evo_cpg.simulation.imperfect import SenseMemory, first_memories, imperfect
 from evo_cpg.simulation.noise import disturb_motion, disturb_start, friction_scale_of
 from evo_cpg.simulation.sensors import (
     bearings,
@@ -43,6 +44,7 @@ class AnimalState(NamedTuple):
         forces: forces of the last control step, or None if neither a sensor nor the controller
             reads them.
         warmstart: warm start of the physics, or None if a step needs none.
+        memories: former readings of imperfect senses.
     """
 
     state: State
@@ -50,6 +52,7 @@ class AnimalState(NamedTuple):
     pressure: Float[Array, "s *n"]
     forces: Forces | None = None
     warmstart: Warmstart | None = None
+    memories: tuple[SenseMemory, ...] = ()
 
 
 class EpisodeConstants(NamedTuple):
@@ -149,6 +152,7 @@ def initial_animal(
         if simulation.extra_sensors or simulation.controller.uses_load
         else None,
         first_warmstart(simulation.world, batch, dtype),
+        first_memories(simulation.imperfections, batch, dtype),
     )
 
 
@@ -167,9 +171,9 @@ def control_step(
     def advance(own: EpisodeConstants, animal: AnimalState):
         own = own._replace(common_light=constants.common_light)
         animal = push(simulation, own, animal, index)
-        observation = sense(simulation, own, animal)
+        observation, memories = sense(simulation, own, animal, index)
         nerves, command = act(simulation, own, animal, observation)
-        animal = animal._replace(nerves=nerves)
+        animal = animal._replace(nerves=nerves, memories=memories)
         return move(simulation, own, animal, observation, command, physics)
 
     if physics:
@@ -191,8 +195,10 @@ def push(
     )
 
 
-def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalState) -> Observation:
-    """Return the observation of the controller."""
+def sense(
+    simulation: Simulation, constants: EpisodeConstants, animal: AnimalState, index: Array | int
+) -> tuple[Observation, tuple[SenseMemory, ...]]:
+    """Return the observation of the controller in a control step, and the memory after it."""
     world, state = simulation.world, animal.state
 
     def read_built_in(state: State, light: Array | None) -> tuple[Array, Array, Array, Array]:
@@ -229,7 +235,11 @@ def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalSta
 
         bearing = fuse(look, state, constants.light, batch_ndim=ndim, name="bearing")
     seen = strength, animal.pressure, cosine, sine, state.q, state.qd, depth, custom, load, bearing
-    return Observation(*seen)
+    if not simulation.imperfections:
+        return Observation(*seen), animal.memories
+    given = Observation(*seen), animal.memories, constants.keys
+    blur = functools.partial(imperfect, simulation.imperfections, index)
+    return fuse(blur, *given, batch_ndim=ndim, name="imperfect senses")
 
 
 def act(
@@ -276,7 +286,7 @@ def move(
             in_air = jnp.all(effort.contact_frame_force[2] <= 0, axis=0).astype(in_air.dtype)
         airborne = airborne + in_air / simulation.substeps
         # Means over the control step.
-        added = effort.torque, effort.contact_force, effort.pair_force, effort.holding
+        added = effort.torque, effort.contact_force, effort.pair_force, effort.holding, None
         means: list[Any] = [
             mean if mean is None or force is None else mean + fraction * force
             for mean, force in zip(forces, added, strict=True)
@@ -288,11 +298,16 @@ def move(
         return carry, PhysicsStep(before, state, effort) if physics else None
 
     none, still = jnp.zeros(batch, state.q.dtype), no_forces(simulation, state)
+    still = still._replace(acceleration=None)
     exact = None if animal.warmstart is None else Residual(none, none)
     start = state, animal.warmstart, none, none, still, still.contact_force, exact
     (moved, warmstart, energy, airborne, forces, ground_force, residual), each = jax.lax.scan(
         advance, start, None, length=simulation.substeps
     )
+
+    if animal.forces is not None and animal.forces.acceleration is not None:
+        felt = functools.partial(with_acceleration, simulation)
+        forces = fuse(felt, forces, state, moved, batch_ndim=len(batch), name="acceleration")
 
     def touch(state: State, ground_force: Array) -> Array:
         return pressure_readings(
@@ -303,7 +318,7 @@ def move(
     if world.contact_model is not None and simulation.sensors.pressure_bodies:
         pressure = fuse(touch, moved, ground_force, batch_ndim=len(batch), name="pressure sensors")
     kept = forces if animal.forces else None
-    after = AnimalState(moved, animal.nerves, pressure, kept, warmstart)
+    after = AnimalState(moved, animal.nerves, pressure, kept, warmstart, animal.memories)
     means = observation, command, forces, energy, airborne
     return after, Effects(state, moved, *means, residual, each)
 
@@ -335,4 +350,16 @@ def no_forces(simulation: Simulation, state: State) -> Forces:
     contact = jnp.zeros((3, points, *batch), dtype)
     between = jnp.zeros((meeting, *batch), dtype)
     held = jnp.zeros_like(state.velocity) if simulation.world.held else None
-    return Forces(jnp.zeros_like(state.q), contact, between, held)
+    feels = any(sensor.uses_acceleration for sensor in simulation.extra_sensors)
+    bodies = len(simulation.world.tree.names)
+    acceleration = jnp.zeros((3, bodies, *batch), dtype) if feels else None
+    return Forces(jnp.zeros_like(state.q), contact, between, held, acceleration)
+
+
+def with_acceleration(
+    simulation: Simulation, forces: Forces, before: State, after: State
+) -> Forces:
+    """Return the forces of a control step with the accelerations of the bodies' centres."""
+    step = 1.0 / simulation.control_rate
+    first, last = (Snapshot(simulation.world, step, x).velocity for x in (before, after))
+    return forces._replace(acceleration=(last - first) / step)

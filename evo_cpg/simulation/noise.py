@@ -37,6 +37,8 @@ from evo_cpg.physics.tree.state import State
 
 # Tags that keep the random streams of one trial apart.
 _START, _PUSH, _FRICTION = 0, 1, 2
+# The sense with the number k has the stream SENSES + k.
+SENSES = 3
 
 
 class Noise(eqx.Module):
@@ -50,19 +52,20 @@ class Noise(eqx.Module):
             second, m/s per square root of a second.
         friction: largest relative change of the ground's static and dynamic friction in a trial,
             up or down.
+        senses: whether a sense has noise (`evo_cpg.simulation.imperfect`).
     """
 
     joint_angle: float = 0.0
     tilt: float = 0.0
     push: float = 0.0
     friction: float = 0.0
+    senses: bool = eqx.field(static=True, default=False)
 
     @property
     def silent(self) -> bool:
         """Return whether no noise is set. A noise of traced size counts as set."""
-        return all(
-            _is_none(size) for size in (self.joint_angle, self.tilt, self.push, self.friction)
-        )
+        sizes = self.joint_angle, self.tilt, self.push, self.friction
+        return not self.senses and all(is_none(size) for size in sizes)
 
 
 def disturb_start(
@@ -72,15 +75,15 @@ def disturb_start(
 
     ``keys`` are raw random keys of the trials, or None without noise.
     """
-    if keys is None or (_is_none(noise.joint_angle) and _is_none(noise.tilt)):
+    if keys is None or (is_none(noise.joint_angle) and is_none(noise.tilt)):
         return state
     tree = world.tree
-    turn, bend = jnp.split(_normals(keys, _START, 2 + tree.dof_count), [2])
+    turn, bend = jnp.split(normals(keys, _START, 2 + tree.dof_count), [2])
     # Rotate by the rotation vector: an angular velocity of this size for one second.
     tilt = noise.tilt * jnp.concatenate([turn, jnp.zeros_like(turn[:1])])
     lower, upper = (expand_dims_like(limit, state.q) for limit in (tree.lower, tree.upper))
     orientation = state.orientation
-    if not _is_none(noise.tilt):
+    if not is_none(noise.tilt):
         orientation = integrate_quaternion(orientation, tilt, 1.0)
     if tree.slides.any():
         bend = bend * expand_dims_like(1.0 - tree.slides, bend)
@@ -106,9 +109,9 @@ def disturb_motion(
     duration: float,
 ) -> State:
     """Return the state after the push of one control step, which has a duration (s)."""
-    if keys is None or _is_none(noise.push):
+    if keys is None or is_none(noise.push):
         return state
-    push = noise.push * float(np.sqrt(duration)) * _normals(keys, _PUSH, 3, index)
+    push = noise.push * float(np.sqrt(duration)) * normals(keys, _PUSH, 3, index)
     if state.base is not None:
         slides = np.array(tree.root_slides, int)
         along = hanging.pushed(tree, state.base, state.q, push) if len(slides) else push[:0]
@@ -121,7 +124,7 @@ def friction_scale_of(
     noise: Noise, keys: UInt32[Array, "w *n"] | None
 ) -> Float[Array, " *n"] | None:
     """Return the factor on friction in each trial, or None if it is always 1."""
-    if keys is None or _is_none(noise.friction):
+    if keys is None or is_none(noise.friction):
         return None
 
     def of_trial(key: Shaped[Array, ""]) -> Float[Array, ""]:
@@ -131,12 +134,12 @@ def friction_scale_of(
     return _of_each(of_trial, keys)
 
 
-def _is_none(size: ArrayLike) -> bool:
+def is_none(size: ArrayLike) -> bool:
     """Return whether the size of a noise is 0. A traced size counts as not 0."""
     return not (is_traced(size) or size)
 
 
-def _normals(
+def normals(
     keys: UInt32[Array, "w *n"], stream: int, count: int, index: Array | int = 0
 ) -> Float[Array, "count *n"]:
     """Return normal deviates of every trial, independent of the other trials in the batch."""

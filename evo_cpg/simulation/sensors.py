@@ -223,6 +223,7 @@ class Sensor(eqx.Module):
 
     Attributes:
         count: number of readings.
+        uses_acceleration: whether it needs `Forces.acceleration` (False unless overridden).
 
     Example:
         Vertical speed of the animal::
@@ -236,6 +237,8 @@ class Sensor(eqx.Module):
     """
 
     count: eqx.AbstractVar[int]
+
+    uses_acceleration = False
 
     @abc.abstractmethod
     def sense(self, snapshot: Snapshot, forces: Forces) -> Float[Array, "count *n"]:
@@ -268,3 +271,24 @@ class VelocitySensor(Sensor):
         i = snapshot.body(self.body)
         own = matvec_t(snapshot.rotation[:, :, i], snapshot.velocity[:, i])
         return jnp.clip(own / self.full_scale, -1.0, 1.0)
+
+
+class LoadSensor(Sensor):
+    """Upward force of the ground on a body, as a fraction of the animal's weight.
+
+    It is the mean over the last control step, 0 before the first one.
+
+    Attributes:
+        body: name of the body that carries the sensor, such as a foot.
+        full_scale: fraction at which the reading is 1. Readings are clipped to 0 and 1.
+        count: 1.
+    """
+
+    body: str = eqx.field(static=True)
+    full_scale: Number = 1.0
+    count: int = eqx.field(static=True, default=1, init=False)
+
+    def sense(self, snapshot: Snapshot, forces: Forces) -> Float[Array, "1 *n"]:
+        """See `Sensor.sense`."""
+        load = body_loads(snapshot.world, forces.contact_force)[snapshot.body(self.body)]
+        return jnp.clip(load / self.full_scale, 0.0, 1.0)[None]

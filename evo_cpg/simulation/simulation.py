@@ -20,6 +20,7 @@ from evo_cpg.creature.algebra.numerics import Number, Triple, xp
 from evo_cpg.native.engine import Engine
 from evo_cpg.physics.contact.pairs import Pairs
 from evo_cpg.physics.step.world import World
+from evo_cpg.simulation.imperfect import Imperfection
 from evo_cpg.simulation.measures import DISPLACEMENT, Measures, RootDisplacement
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.sensors import Sensor, Sensors
@@ -230,6 +231,7 @@ class Simulation(eqx.Module):
         engine: engine that computes the trial.
         rules: rules that disqualify an animal, or None for no rules.
         extra_sensors: sensors in the creature's `sensors`, which return `Observation.custom`.
+        imperfections: imperfections of senses.
         measures: measures of gait, in addition to the task's terms.
         bodies: builder of the bodies, or None if the body does not evolve.
         plans: builder of the simulations of plans, or None if no plan evolves.
@@ -246,6 +248,7 @@ class Simulation(eqx.Module):
     situations: tuple[Situation, ...] = (Situation(),)
     engine: Engine = eqx.field(static=True, default=Engine())
     extra_sensors: tuple[Sensor, ...] = ()
+    imperfections: tuple[Imperfection, ...] = ()
     rules: Rules | None = None
     measures: Measures = Measures()
     bodies: BodyBuilder | None = eqx.field(static=True, default=None)

@@ -33,12 +33,15 @@ class Forces(NamedTuple):
             (`Pairs.owners`), N. There are no points if no limbs can touch.
         holding: moment (N m) about the root's centre and force (N) that hold the root still, world
             axes, or None for a free root.
+        acceleration: change of the velocities of the bodies' centres, divided by the duration,
+            m/s^2, or None if no sensor needs it.
     """
 
     torque: Float[Array, "d *n"]
     contact_force: Float[Array, "3 p *n"]
     pair_force: Float[Array, "k *n"]
     holding: Float[Array, "6 *n"] | None = None
+    acceleration: Float[Array, "3 b *n"] | None = None
 
 
 @dataclasses.dataclass(frozen=True)

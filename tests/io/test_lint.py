@@ -73,6 +73,10 @@ MISTAKES = [
     (LEGS, "task={type: reach_light}", "task.type", "senses"),
     (CONFIG, "creature.bodies.1.joint.actuator=null", "", "motor"),
     (CONFIG, "simulation.trials=5", "", "5"),
+    (CONFIG, "creature.depth_sensors=[{body: head}]", "depth_sensors.0", "world.water.surface"),
+    (CONFIG, "creature.pressure_sensors=[head]", "", "world.ground"),
+    (CONFIG, "creature.sensors=[{type: rays, body: head}]", "sensors.0", "world.ground"),
+    (LEGS, "creature.sensors=[{type: flow, body: torso}]", "sensors.0", "world.water"),
 ]
 
 

@@ -50,7 +50,12 @@ from evo_cpg.io.schema.section import (
     pattern,
     section_of,
 )
-from evo_cpg.io.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
+from evo_cpg.io.schema.sensor import (
+    DepthSensorConfig,
+    LightSensorConfig,
+    SensesConfig,
+    SensorConfig,
+)
 from evo_cpg.io.schema.shape import LoftConfig, ShapeConfig
 from evo_cpg.io.schema.tendon import TendonConfig
 
@@ -222,6 +227,7 @@ class CreatureConfig(Section):
         pressure_sensors: ``all`` bodies, or a list of names.
         depth_sensors: depth gauges.
         sensors: further sensors, whose ``type`` selects the kind.
+        senses: noise, delay and rate of its senses.
         tendons: fixed tendons.
         self_collision: ``true`` to keep its bodies from passing through each other, ``false``, or
             exceptions to the rule; if left out, bodies are kept apart if there is ground.
@@ -234,6 +240,7 @@ class CreatureConfig(Section):
     pressure_sensors: Literal["all"] | list[str] = "all"
     depth_sensors: list[DepthSensorConfig] = Field(default_factory=list)
     sensors: list[SensorConfig] = Field(default_factory=list)
+    senses: SensesConfig = SensesConfig()
     tendons: list[TendonConfig] = Field(default_factory=list)
     self_collision: bool | SelfCollisionConfig | None = None
 

@@ -211,7 +211,12 @@ class ExperimentConfig(Section):
         trials = self.simulation.trials
         if isinstance(trials, list):
             return len(trials)
-        return 1 if self.noise.silent else trials
+        return 1 if self.silent else trials
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing in a trial is random."""
+        return self.noise.silent and not (self.creature and self.creature.senses.noisy)
 
     @model_validator(mode="after")
     def _check(self) -> "ExperimentConfig":

@@ -114,6 +114,8 @@ def section_of(
     if kind is not None:
         fields["type"] = (Literal[kind], kind if default else ...)
     for field in dataclasses.fields(described):
+        if not field.init:
+            continue
         usual = ... if field.default is dataclasses.MISSING else field.default
         if field.default_factory is not dataclasses.MISSING:
             usual = field.default_factory()

@@ -311,20 +311,23 @@ def print_handler(arguments: int, results: int, flushes: bool) -> str:
     return f.text("ptr null")
 
 
-def call_frame(arguments: Sequence[np.ndarray], results: Sequence[np.ndarray]) -> np.ndarray:
-    """Return a call frame with which any program can call a handler for one individual.
+def call_frame(
+    arguments: Sequence[np.ndarray], results: Sequence[np.ndarray], lanes: int = 1
+) -> np.ndarray:
+    """Return a call frame with which any program can call a handler.
 
     Args:
         arguments: arrays that the program reads.
         results: arrays that it writes, then its scratch memory.
+        lanes: number of individuals, on the last axes of the arrays.
     """
     buffers = [x for x in (*arguments, *results) if x.size]
     read = sum(x.size > 0 for x in arguments)
-    # In words of 8 bytes: the frame, pointers to the buffers, dimensions (1, 1), the buffers.
+    # In words of 8 bytes: the frame, pointers to the buffers, dimensions (1, lanes), the buffers.
     pointers, dimensions = 16, 16 + len(buffers)
     words = np.ones(dimensions + 2 + 6 * len(buffers), np.int64)
     places = words.ctypes.data + 8 * np.arange(words.size)
-    words[1], words[4] = 0, _EXECUTE
+    words[1], words[4], words[dimensions + 1] = 0, _EXECUTE, lanes
     words[9], words[14] = places[pointers], places[pointers + read]
     for i, x in enumerate(buffers):
         own = dimensions + 2 + 6 * i

@@ -27,7 +27,14 @@ Axis = Literal["x", "y"]
 
 
 class GroundPart(eqx.Module):
-    """A solid part of the ground, at rest."""
+    """A solid part of the ground, at rest.
+
+    Attributes:
+        convex: whether the part lies behind the plane through the nearest point of any point
+            outside (False unless overridden).
+    """
+
+    convex = False
 
     @abc.abstractmethod
     def distance(
@@ -46,6 +53,8 @@ class Plane(GroundPart):
 
     normal: Triple = (0.0, 0.0, 1.0)
     height: Number = 0.0
+
+    convex = True
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """Return the signed distance and the normal (see `GroundPart.distance`)."""
@@ -125,6 +134,8 @@ class Boulder(GroundPart):
     centre: Triple
     radius: Number
 
+    convex = True
+
     def distance(self, point: Array) -> tuple[Array, Array]:
         """Return the signed distance and the normal (see `GroundPart.distance`)."""
         away = point - expand_dims_like(array_of(self.centre), point)
@@ -144,6 +155,8 @@ class Block(GroundPart):
     centre: Triple
     half_extents: Triple
     heading: Number = 0.0
+
+    convex = True
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """Return the signed distance and the normal (see `GroundPart.distance`)."""

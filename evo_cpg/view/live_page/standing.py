@@ -76,7 +76,7 @@ def standing(folder: RunFolder, before: Standing | None = None) -> Standing:
             changed = folder.metrics.stat().st_mtime
     # The configuration is read each time, because `resume` may change it.
     config = load_config(folder.config)
-    return Standing(checkpoint, config.evolution.generations, not config.noise.silent, changed)
+    return Standing(checkpoint, config.evolution.generations, not config.silent, changed)
 
 
 def require_run(folder: RunFolder) -> None:
