@@ -15,7 +15,7 @@ from evo_cpg.simulation.sensors import Sensor
 # Part of an observation, first reading, and number of readings.
 _Place = tuple[str, int, int]
 # A control rate is a multiple of a sense's rate if the quotient is whole up to rounding.
-_ROUNDING = 1e-9
+_ROUNDING = 1e-4
 
 
 def build_imperfections(

@@ -98,6 +98,14 @@ def test_the_readme_runs(here, capsys):
 
 
 @pytest.mark.slow
+def test_the_animals_of_gymnasium_run(here):
+    names: dict = {}
+    for program in programs("docs/gymnasium.md"):
+        run(program, names)
+    assert len(names["terms"]) == 0 and names["many"].num_envs == 200
+
+
+@pytest.mark.slow
 def test_a_custom_animal_trains(here, module):
     classes, program, *_ = programs("docs/own.md")
     config, *_ = configs("docs/own.md")
