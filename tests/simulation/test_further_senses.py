@@ -150,16 +150,16 @@ def test_rays_never_pass_thin_walls():
     draw = np.random.default_rng(0)
     walls = tuple(
         Block(tuple(draw.uniform(-2, 2, 3)), (0.8, 0.01, 0.8), float(turn))
-        for turn in draw.uniform(0, np.pi, 16)
+        for turn in draw.uniform(0, np.pi, 5)
     )
-    start, heading = draw.uniform(-2, 2, (2, 40, 3))
+    start, heading = draw.uniform(-2, 2, (2, 120, 3))
     found = distances(walls, start, heading, 4.0)
     heading = heading / np.linalg.norm(heading, axis=1, keepdims=True)
     steps = np.linspace(0, 4, 8001)
     points = np.moveaxis(start[:, None] + steps[:, None] * heading[:, None], 2, 0)
     inside = np.stack([np.asarray(wall.distance(points)[0]) for wall in walls]).min(0) <= 0
     expected = np.where(inside.any(1), steps[inside.argmax(1)], 4.0)
-    assert 10 < (expected < 4).sum() < 40
+    assert 10 < (expected < 4).sum() < 110
     np.testing.assert_allclose(found, expected, atol=2e-3)
 
 
