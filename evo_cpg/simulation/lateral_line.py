@@ -25,10 +25,10 @@ class FlowSensor(Sensor):
 
     Attributes:
         body: name of the body that carries the sensor.
-        position: place of the sensor in the frame of the body, m.
+        position: place of the sensor from the centre of the body's shape, along its own axes, m.
         reading: ``velocity``, or its ``gradient``: the change of the velocity along ``axis``,
             divided by the distance, from two places half a ``spacing`` before and behind.
-        axis: direction of the gradient in the frame of the body.
+        axis: direction of the gradient in the body's own axes.
         spacing: distance of both places, m.
         full_scale: velocity (m/s) or gradient (1/s) at which the reading is 1. Readings are clipped
             to -1 and 1.

@@ -33,8 +33,8 @@ class RaySensor(Sensor):
 
     Attributes:
         body: name of the body that carries the sensor.
-        position: start of the rays in the frame of the body, m.
-        axis: direction of the middle of the rays in the frame of the body, not along y.
+        position: start of the rays from the centre of the body's shape, along its own axes, m.
+        axis: direction of the middle of the rays in the body's own axes, not along y.
         count: number of rays, 1 to 16.
         spread_deg: angle between the first and the last ray, degrees. The first is on the side
             of -y.
