@@ -345,7 +345,7 @@ def compile_first_look(
     """
     own = experiment.simulation
     simulations = [dataclasses.replace(own, substeps=2 * own.substeps)]
-    if not own.noise.silent:
+    if not own.silent:
         simulations.insert(0, own)
     places = [Variation("", (simulation,), draws_of(own)) for simulation in simulations]
     programs = [conditions.compile_variation(experiment, place) for place in places]
@@ -452,4 +452,4 @@ def _variations(
 
 def draws_of(simulation: Simulation) -> int:
     """Return the number of trials that a displacement is averaged over: one without noise."""
-    return 1 if simulation.noise.silent else _TRIALS
+    return 1 if simulation.silent else _TRIALS

@@ -25,6 +25,7 @@ from evo_cpg.simulation.control_step import (
     AnimalState,
     EpisodeConstants,
     initial_animal,
+    lit,
     move,
     push,
     sense,
@@ -129,7 +130,11 @@ class Environment:
         key = (
             key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
         )
-        keys = None if self._simulation.noise.silent else jax.random.key_data(key)
+        keys = None
+        if not self._simulation.silent:
+            keys = jax.random.key_data(key)
+            if self._simulation.task.draws_course:
+                keys = jnp.concatenate([keys, jax.random.key_data(jax.random.fold_in(key, 0))])
         with using(self._simulation.engine), working("compiling the start of the environment"):
             animal, observation = self._sense(self._start(keys), keys)
             tally = begin_tally(self._simulation, (), jnp.dtype("float32"))
@@ -169,10 +174,10 @@ class Environment:
                 command = Command(still, action, torque=action)
             else:
                 command = Command(action, still)
-            constants = self._constants(keys)
+            constants = self._constants(keys, animal)
             seen, memories = sense(self._simulation, constants, animal, number)
             animal = animal._replace(memories=memories)
-            animal, effects = move(self._simulation, constants, animal, seen, command)
+            animal, effects = move(self._simulation, constants, animal, seen, command, number)
             happened = transition(self._simulation, constants, effects, number)
             tally = update_tally(self._simulation, tally, happened)
             sane = is_sane(animal.state)
@@ -203,17 +208,18 @@ class Environment:
         animal = initial_animal(self._simulation, keys, None, (), jnp.dtype("float32"))
         return animal._replace(nerves=())
 
-    def _constants(self, keys: Array | None) -> EpisodeConstants:
+    def _constants(self, keys: Array | None, animal: AnimalState) -> EpisodeConstants:
         light = light_places(self._simulation.lights, None, jnp.dtype("float32"))
-        return EpisodeConstants(
-            Phenotype(()), keys, None, light, friction_scale_of(self._simulation.noise, keys)
-        )
+        noise = self._simulation.noise_keys(keys)
+        scale = friction_scale_of(self._simulation.noise, noise)
+        constants = EpisodeConstants(Phenotype(()), noise, None, light, scale)
+        return lit(self._simulation, constants, animal)
 
     def _sense(
         self, animal: AnimalState, keys: Array | None, number: Array | int = 0
     ) -> tuple[AnimalState, Observation]:
         """Return the animal after the random push of a control step, and its observation."""
-        constants = self._constants(keys)
+        constants = self._constants(keys, animal)
         animal = push(self._simulation, constants, animal, jnp.asarray(number))
         return animal, sense(self._simulation, constants, animal, number)[0]
 

@@ -403,7 +403,7 @@ class Experiment:
 
     def _noise(self, key: Array, count: int) -> Array | None:
         """Return raw keys of all trials, ``(words, count x trials)``, or None without noise."""
-        if self.parts.simulation.noise.silent:
+        if self.parts.simulation.silent:
             return None
         individual, trial = np.divmod(np.arange(count * self.trials), self.trials)
         keys = jax.vmap(jax.random.fold_in, (None, 0))(key, individual)

@@ -187,7 +187,7 @@ def evolve_run(run: Run, on_generation: Callable[[Rows], object]) -> Trained:
         # Importing the loop takes a second.
         from evo_cpg.training.train import train as train_generations
 
-    done, silent = folder.load(), experiment.simulation.noise.silent
+    done, silent = folder.load(), experiment.simulation.silent
     size, start = experiment.strategy.population, done.generation if done else 0
     last = "" if silent else "choosing the champion"
     limit = run.config.audit.half_step if run.config.audit.after_training else None
@@ -264,7 +264,7 @@ class ChampionRecorder:
         self.skipped = False
         self._experiment, self._folder, self._least = experiment, folder, least
         # Without noise, the recording also measures the displacement at the original step.
-        self._measures_displacement = least is not None and experiment.simulation.noise.silent
+        self._measures_displacement = least is not None and experiment.simulation.silent
         self._thread = ThreadPoolExecutor(1, "recording")
         self._program: Future[Callable] | None = None
         self._look: Future[Callable] | None = None

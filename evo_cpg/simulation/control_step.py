@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.creature.algebra.linear import expand_dims_like
@@ -31,7 +31,7 @@ from evo_cpg.simulation.sensors import (
 from evo_cpg.simulation.simulation import Phenotype, Simulation
 from evo_cpg.simulation.situation import light_places, starting_state
 from evo_cpg.simulation.snapshot import Forces, Snapshot
-from evo_cpg.simulation.task import Transition
+from evo_cpg.simulation.task import Start, Transition
 
 
 class AnimalState(NamedTuple):
@@ -45,6 +45,7 @@ class AnimalState(NamedTuple):
             reads them.
         warmstart: warm start of the physics, or None if a step needs none.
         memories: former readings of imperfect senses.
+        course: course of a light that moves (`Task.begin_course`).
     """
 
     state: State
@@ -53,6 +54,7 @@ class AnimalState(NamedTuple):
     forces: Forces | None = None
     warmstart: Warmstart | None = None
     memories: tuple[SenseMemory, ...] = ()
+    course: PyTree = ()
 
 
 class EpisodeConstants(NamedTuple):
@@ -101,6 +103,8 @@ class Effects(NamedTuple):
         residual: largest residual of the physics steps, or None if the physics solves each step
             exactly, without iterations.
         physics: all physics steps of the control step, stacked, or None if no observer needs them.
+        light: place of a light that moves, as sensed in the step, or None if the light rests.
+        course: course of a light that moves, at the end of the step.
     """
 
     before: State
@@ -112,6 +116,8 @@ class Effects(NamedTuple):
     airborne: Float[Array, " *n"]
     residual: Residual | None = None
     physics: PhysicsStep | None = None
+    light: Float[Array, "3 *n"] | None = None
+    course: PyTree = ()
 
 
 def begin_episode(
@@ -123,7 +129,7 @@ def begin_episode(
     def begin(genes: Array, keys: Array | None, trial: Array | None) -> tuple:
         light = light_places(simulation.lights, trial, genes.dtype) if own else None
         animal = initial_animal(simulation, keys, trial, genes.shape[1:], genes.dtype)
-        friction_scale = friction_scale_of(simulation.noise, keys)
+        friction_scale = friction_scale_of(simulation.noise, simulation.noise_keys(keys))
         return simulation.genome.decode(genes), light, friction_scale, animal
 
     name = f"{type(simulation.controller).__name__}.decode"
@@ -131,7 +137,8 @@ def begin_episode(
         begin, genes, keys, trial, batch_ndim=ndim, name=name
     )
     common = None if own else light_places(simulation.lights, None, genes.dtype)
-    return EpisodeConstants(phenotype, keys, light, common, friction_scale), animal
+    noise = simulation.noise_keys(keys)
+    return EpisodeConstants(phenotype, noise, light, common, friction_scale), animal
 
 
 def initial_animal(
@@ -141,10 +148,14 @@ def initial_animal(
     batch: tuple[int, ...],
     dtype: jnp.dtype,
 ) -> AnimalState:
-    """Return bodies in their initial pose with noise, and controllers in their initial state."""
+    """Return bodies in their initial pose with noise, and controllers in their initial state.
+
+    ``keys`` are those of `rollout`.
+    """
     rest = starting_state(simulation.situations, trial, simulation.world.tree, batch, dtype)
+    noise = simulation.noise_keys(keys)
     return AnimalState(
-        disturb_start(simulation.noise, simulation.world, rest, keys),
+        disturb_start(simulation.noise, simulation.world, rest, noise),
         simulation.controller.initial_state(batch, dtype),
         jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
         # Keep the forces of the last control step only if a sense needs them.
@@ -153,7 +164,27 @@ def initial_animal(
         else None,
         first_warmstart(simulation.world, batch, dtype),
         first_memories(simulation.imperfections, batch, dtype),
+        _first_course(simulation, keys, trial, rest.position),
     )
+
+
+def _first_course(
+    simulation: Simulation, keys: Array | None, trial: Array | None, start: Float[Array, "3 *n"]
+) -> PyTree:
+    """Return the course of a light that moves, at the start of the trials."""
+    if not simulation.task.moves_light:
+        return ()
+    place = light_places(simulation.lights, trial, start.dtype)
+    assert place is not None, "a task that moves its light has a light"
+    light = jnp.broadcast_to(expand_dims_like(jnp.asarray(place, start.dtype), start), start.shape)
+    return simulation.task.begin_course(Start(start, light, simulation.course_keys(keys)))
+
+
+def lit(simulation: Simulation, constants: EpisodeConstants, animal: AnimalState):
+    """Return the constants of a trial with the present place of a light that moves."""
+    if not simulation.task.moves_light:
+        return constants
+    return constants._replace(light=simulation.task.place_light(animal.course), common_light=None)
 
 
 def control_step(
@@ -169,12 +200,12 @@ def control_step(
     """
 
     def advance(own: EpisodeConstants, animal: AnimalState):
-        own = own._replace(common_light=constants.common_light)
+        own = lit(simulation, own._replace(common_light=constants.common_light), animal)
         animal = push(simulation, own, animal, index)
         observation, memories = sense(simulation, own, animal, index)
         nerves, command = act(simulation, own, animal, observation)
         animal = animal._replace(nerves=nerves, memories=memories)
-        return move(simulation, own, animal, observation, command, physics)
+        return move(simulation, own, animal, observation, command, index, physics)
 
     if physics:
         return advance(constants, animal)
@@ -268,9 +299,10 @@ def move(
     animal: AnimalState,
     observation: Observation,
     command: Command,
+    index: Array | int,
     physics: bool = False,
 ) -> tuple[AnimalState, Effects]:
-    """Take the physics steps of a control step (see `control_step`)."""
+    """Take the physics steps of a control step (see `control_step`), and move the light."""
     world, h, state = simulation.world, simulation.step_length, animal.state
     batch = state.position.shape[1:]
     motors, fraction = motor_command(command), 1.0 / simulation.substeps
@@ -318,19 +350,27 @@ def move(
     if world.contact_model is not None and simulation.sensors.pressure_bodies:
         pressure = fuse(touch, moved, ground_force, batch_ndim=len(batch), name="pressure sensors")
     kept = forces if animal.forces else None
-    after = AnimalState(moved, animal.nerves, pressure, kept, warmstart, animal.memories)
+    light, course = None, animal.course
+    if simulation.task.moves_light:
+        light, there = constants.light, snapshot_of(simulation, constants, moved)
+        course = simulation.task.advance_course(course, there, jnp.asarray(index))
+    after = animal._replace(
+        state=moved, pressure=pressure, forces=kept, warmstart=warmstart, course=course
+    )
     means = observation, command, forces, energy, airborne
-    return after, Effects(state, moved, *means, residual, each)
+    return after, Effects(state, moved, *means, residual, each, light, course)
 
 
 def transition(
     simulation: Simulation, constants: EpisodeConstants, effects: Effects, index: Array
 ) -> Transition:
     """Return a control step as a task sees it."""
+    if effects.light is not None:
+        constants = constants._replace(light=effects.light, common_light=None)
     before, after = (
         snapshot_of(simulation, constants, state) for state in (effects.before, effects.after)
     )
-    return Transition(index, before, after, *effects[2:7])
+    return Transition(index, before, after, *effects[2:7], effects.course)
 
 
 def snapshot_of(simulation: Simulation, constants: EpisodeConstants, state: State) -> Snapshot:

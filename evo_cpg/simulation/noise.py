@@ -151,6 +151,11 @@ def normals(
     return _of_each(of_trial, keys)
 
 
+def uniforms(keys: UInt32[Array, "w *n"], count: int) -> Float[Array, "count *n"]:
+    """Return uniform deviates of every trial, from 0 to 1."""
+    return _of_each(lambda key: jax.random.uniform(key, (count,), jnp.float32), keys)
+
+
 def _of_each(
     of_trial: Callable[[Shaped[Array, ""]], Array], keys: UInt32[Array, "w *n"]
 ) -> Float[Array, "..."]:

@@ -42,7 +42,8 @@ def rollout(
         simulation: the trial, or one trial for each individual. In the second case genes, keys and
             trial have one batch axis, the last, and so has every result.
         genes: one genome per individual, on the trailing axes.
-        keys: a raw random key for each trial's noise, or None for no noise.
+        keys: raw random keys of each trial, or None if nothing is random: one for its noise, and
+            another one after it for its course if the task draws courses.
         trial: number of the situation of each individual, or None for the first situation.
         observers: one observer, or a tuple or dict of several.
         backward: settings of reverse-mode differentiation, or None. Do not combine it with
@@ -72,7 +73,7 @@ def rollout(
         found = jax.vmap(alone, in_axes=-1, out_axes=-1)(own, genes, keys, trial)
         return jax.tree.map(lambda one, result: one.of_bodies(result), observers, found)
     # An argument without effect is dropped from the program.
-    keys = None if simulation.noise.silent else keys
+    keys = None if simulation.silent else keys
     trial = None if len(simulation.situations) == 1 else trial
 
     physics = any(one.physics for one in jax.tree.leaves(observers))

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int, PyTree, UInt32
 
 from evo_cpg.control.controller import Controller
 from evo_cpg.creature.algebra.numerics import Number, Triple, xp
@@ -214,6 +214,10 @@ class Rules(eqx.Module):
     pairs: Pairs | None = None
 
 
+# Words of a raw random key.
+_WORDS = 2
+
+
 class Simulation(eqx.Module):
     """Everything that a trial needs except the genes.
 
@@ -258,6 +262,19 @@ class Simulation(eqx.Module):
     def has_own_bodies(self) -> bool:
         """Whether individuals have bodies of their own."""
         return bool(self.bodies or self.plans)
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing in a trial is random."""
+        return self.noise.silent and not self.task.draws_course
+
+    def noise_keys(self, keys: UInt32[Array, "w *n"] | None) -> UInt32[Array, "2 *n"] | None:
+        """Return the part of the trials' random keys for noise, or None without noise."""
+        return None if keys is None or self.noise.silent else keys[:_WORDS]
+
+    def course_keys(self, keys: UInt32[Array, "w *n"] | None) -> UInt32[Array, "2 *n"] | None:
+        """Return the part of the trials' random keys for courses, or None if none is drawn."""
+        return None if keys is None or not self.task.draws_course else keys[_WORDS:]
 
     @property
     def genome(self) -> Genome:

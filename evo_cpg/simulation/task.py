@@ -13,11 +13,31 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, PyTree, UInt32
 
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.creature.algebra.numerics import Number
+from evo_cpg.simulation.noise import uniforms
 from evo_cpg.simulation.snapshot import Forces, Snapshot
+
+
+class Start(NamedTuple):
+    """Start of a trial, from which a course is drawn.
+
+    Attributes:
+        position: place of the root's centre, m.
+        light: place of the light, m.
+        keys: raw random keys of the course, or None if it is not drawn.
+    """
+
+    position: Float[Array, "3 *n"]
+    light: Float[Array, "3 *n"]
+    keys: UInt32[Array, "w *n"] | None
+
+    def uniform(self, count: int) -> Float[Array, "count *n"]:
+        """Return random numbers from 0 to 1, equal for all individuals of a generation."""
+        assert self.keys is not None
+        return uniforms(self.keys, count)
 
 
 class Transition(NamedTuple):
@@ -34,6 +54,7 @@ class Transition(NamedTuple):
         forces: forces of motors and ground, means over the step.
         energy: energy spent by all motors, J.
         airborne: fraction of the step in which nothing touches the ground, 1 without ground.
+        course: course of the light at the end of the step (`Task.begin_course`).
     """
 
     step: Array
@@ -44,6 +65,7 @@ class Transition(NamedTuple):
     forces: Forces
     energy: Float[Array, " *n"]
     airborne: Float[Array, " *n"]
+    course: PyTree = ()
 
 
 class Task(eqx.Module):
@@ -57,6 +79,9 @@ class Task(eqx.Module):
             without a light. `Snapshot.light_position` is the place in the trial.
         heading: ``forward`` if only displacement along the world's x counts, else ``any``. The
             class decides what its fitness counts. `evo-cpg sensitivity` reads this attribute.
+        moves_light: whether the light moves in a trial (False unless overridden). Then override
+            `begin_course`, `place_light` and `advance_course`.
+        draws_course: whether courses are random (False unless overridden).
 
     Example:
         A race along x::
@@ -80,6 +105,28 @@ class Task(eqx.Module):
     light: eqx.AbstractVar[tuple[float, float, float] | None]
 
     heading = "any"
+    moves_light = False
+    draws_course = False
+
+    def begin_course(self, start: Start) -> PyTree:
+        """Return what the light of a trial depends on, any pytree of arrays."""
+        del start
+        return ()
+
+    def place_light(self, course: PyTree) -> Float[Array, "3 *n"]:
+        """Return the place of the light that the animals sense, m."""
+        raise NotImplementedError(f"{type(self).__name__} moves its light, so it must place it")
+
+    def advance_course(self, course: PyTree, after: Snapshot, step: Array) -> PyTree:
+        """Return the course after a control step: same structure, shapes and types.
+
+        Args:
+            course: the course before the step.
+            after: the animal at the end of the step.
+            step: number of the control step, from 0.
+        """
+        del after, step
+        return course
 
     @abc.abstractmethod
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> PyTree:

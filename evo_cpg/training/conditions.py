@@ -95,7 +95,7 @@ def compile_variation(
     def arguments(champion: Champion) -> tuple:
         genes = np.asarray(champion.genes, dtype)[:, None].repeat(rollouts, 1)
         keys = None
-        if not variation.simulations[0].noise.silent:
+        if not variation.simulations[0].silent:
             if variation.draws == 1:
                 keys = champion_keys(experiment, champion)
                 assert keys is not None

@@ -23,7 +23,7 @@ from evo_cpg.training.checkpoint import Champion
 # Tags that keep the random streams of one seed apart.
 _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
 # Tag 3 belongs to `evo_cpg.training.ascent`.
-_STRATEGY, _ASKS = 4, 5
+_STRATEGY, _ASKS, _COURSES = 4, 5, 6
 
 
 # Columns of metrics.csv for any strategy. Only several runs have the column ``run``.
@@ -72,6 +72,7 @@ class ExperimentParts(NamedTuple):
         trials: number of trials of every individual, over which the fitness is averaged: one in
             each situation, or any number in the only situation.
         learning: settings of the elites' ascent, or None for evolution alone.
+        new_courses: number of generations after which courses are drawn again, or None for never.
     """
 
     name: str
@@ -83,6 +84,7 @@ class ExperimentParts(NamedTuple):
     runs: int = 1
     trials: int = 1
     learning: Learning | None = None
+    new_courses: int | None = 1
 
 
 class Evaluated(NamedTuple):
@@ -147,7 +149,10 @@ def trial_keys(
     individual: Int[np.ndarray, " n"],
     trial: Int[np.ndarray, " n"],
 ) -> UInt32[Array, "w n"] | None:
-    """Return raw random keys for the noise of some trials, or None without noise.
+    """Return raw random keys for the noise and the courses of trials, or None without either.
+
+    Courses do not depend on the individual, so that all individuals of a generation have equal
+    ones. They change every ``new_courses`` generations.
 
     Args:
         experiment: experiment whose seed is used.
@@ -156,14 +161,16 @@ def trial_keys(
         individual: index of the individual within the run.
         trial: number of the trial of the individual.
     """
-    if experiment.simulation.noise.silent:
+    if experiment.simulation.silent:
         return None
 
     def of_trial(seed: ArrayLike, individual: ArrayLike, trial: ArrayLike) -> Array:
-        key = _stream(seed, _TRIALS)
-        for number in (generation, individual, trial):
-            key = jax.random.fold_in(key, number)
-        return jax.random.key_data(key)
+        noise = _key(seed, _TRIALS, generation, individual, trial)
+        if not experiment.simulation.task.draws_course:
+            return noise
+        every = experiment.new_courses
+        epoch = 0 if every is None else jnp.asarray(generation) // every
+        return jnp.concatenate([noise, _key(seed, _COURSES, epoch, trial)])
 
     seeds = experiment.seed + jnp.arange(experiment.runs)
     return jax.vmap(of_trial, out_axes=1)(seeds[run], individual, trial)
@@ -312,6 +319,14 @@ def judge_each(
 ) -> Float[Array, "trials *n"]:
     """Return the fitness in each trial, or -inf if the individual diverged or broke a rule."""
     return jax.vmap(lambda trial: score(task, trial, scales), in_axes=-1)(outcome)
+
+
+def _key(seed: ArrayLike, tag: int, *numbers: ArrayLike) -> UInt32[Array, " w"]:
+    """Return the raw random key of one run for one purpose and some numbers."""
+    key = _stream(seed, tag)
+    for number in numbers:
+        key = jax.random.fold_in(key, number)
+    return jax.random.key_data(key)
 
 
 def _stream(seed: ArrayLike, tag: int) -> Shaped[Array, ""]:

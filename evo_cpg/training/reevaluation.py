@@ -31,7 +31,7 @@ No run reaches these generations."""
 def is_finished(experiment: ExperimentParts, checkpoint: Checkpoint) -> bool:
     """Return whether the last generation is done and the champion is known."""
     evolved = checkpoint.generation >= experiment.generations
-    return evolved and (experiment.simulation.noise.silent or bool(checkpoint.chosen))
+    return evolved and (experiment.simulation.silent or bool(checkpoint.chosen))
 
 
 class Contest:
