@@ -21,6 +21,7 @@ from evo_cpg.native.engine import using
 from evo_cpg.native.fuse import fuse
 from evo_cpg.native.jax_internals import Tracer
 from evo_cpg.native.native import Stepper
+from evo_cpg.simulation.batched import inputs_of
 from evo_cpg.simulation.control_step import (
     AnimalState,
     EpisodeConstants,
@@ -32,7 +33,7 @@ from evo_cpg.simulation.control_step import (
     transition,
 )
 from evo_cpg.simulation.judge import begin_tally, finish_tally, is_sane, update_tally
-from evo_cpg.simulation.noise import friction_scale_of
+from evo_cpg.simulation.noise import friction_scale_of, raw_keys
 from evo_cpg.simulation.simulation import Phenotype, Simulation
 from evo_cpg.simulation.situation import light_places
 
@@ -68,6 +69,7 @@ class _Inner(eqx.Module):
     number: Int[Array, ""]
     alive: Bool[Array, ""]
     keys: Array | None
+    drawn: list[Array]
 
 
 class Environment:
@@ -101,13 +103,17 @@ class Environment:
         situations = simulation.situations
         own = situations[trial if len(situations) > 1 else 0]
         self._simulation = dataclasses.replace(simulation, situations=(own,))
+        self._fixed = dataclasses.replace(self._simulation, draws=None)
+        self._inputs, self._kept = None, []
+        if simulation.draws is not None:
+            self._inputs, self._kept = inputs_of(simulation.draws, self._fixed)
         self._scales, self.actions, self.tree = scales, actions, tree
         self.action_names = tree.dof_names
         if actions == "activations":
             self.action_names = tuple(f"{name}{side}" for side in "+-" for name in tree.dof_names)
         self.action_size = len(self.action_names)
         self.episode_length = simulation.steps
-        seen = jax.eval_shape(lambda: self._sense(self._start(None), None)[1])
+        seen = jax.eval_shape(lambda: self._begin(self._keys(jax.random.key(0)))[2])
         self.observation_sizes = {
             name: x.shape[0] for name, x in seen._asdict().items() if x is not None
         }
@@ -130,16 +136,13 @@ class Environment:
         key = (
             key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
         )
-        keys = None
-        if not self._simulation.silent:
-            keys = jax.random.key_data(key)
-            if self._simulation.task.draws_course:
-                keys = jnp.concatenate([keys, jax.random.key_data(jax.random.fold_in(key, 0))])
+        keys = self._keys(key)
         with using(self._simulation.engine), working("compiling the start of the environment"):
-            animal, observation = self._sense(self._start(keys), keys)
-            tally = begin_tally(self._simulation, (), jnp.dtype("float32"))
-            terms, value = self._judge(tally)
-        inner = _Inner(animal, tally, value, jnp.int32(0), jnp.asarray(True), keys)
+            drawn, animal, observation = self._begin(keys)
+            simulation = self._of(drawn)
+            tally = begin_tally(simulation, (), jnp.dtype("float32"))
+            terms, value = self._judge(simulation, tally)
+        inner = _Inner(animal, tally, value, jnp.int32(0), jnp.asarray(True), keys, drawn)
         seen = jnp.concatenate([x for x in observation if x is not None])
         return EnvironmentState(seen, jnp.float32(0.0), jnp.asarray(False), terms, inner)
 
@@ -162,8 +165,14 @@ class Environment:
         inner = state.inner
 
         def whole(
-            animal: AnimalState, tally: Any, number: Array, keys: Array | None, action: Array
+            animal: AnimalState,
+            tally: Any,
+            number: Array,
+            keys: Array | None,
+            drawn: list[Array],
+            action: Array,
         ):
+            simulation = self._of(drawn)
             still = jnp.zeros_like(animal.state.q)
             if self.actions == "activations":
                 both = jnp.clip(action, 0.0, 1.0).reshape(2, -1)
@@ -174,24 +183,24 @@ class Environment:
                 command = Command(still, action, torque=action)
             else:
                 command = Command(action, still)
-            constants = self._constants(keys, animal)
-            seen, memories = sense(self._simulation, constants, animal, number)
+            constants = _constants(simulation, keys, animal)
+            seen, memories = sense(simulation, constants, animal, number)
             animal = animal._replace(memories=memories)
-            animal, effects = move(self._simulation, constants, animal, seen, command, number)
-            happened = transition(self._simulation, constants, effects, number)
-            tally = update_tally(self._simulation, tally, happened)
+            animal, effects = move(simulation, constants, animal, seen, command, number)
+            happened = transition(simulation, constants, effects, number)
+            tally = update_tally(simulation, tally, happened)
             sane = is_sane(animal.state)
-            animal, observation = self._sense(animal, keys, number + 1)
-            return animal, tally, sane, observation, self._judge(tally)
+            animal, observation = _pushed(simulation, animal, keys, number + 1)
+            return animal, tally, sane, observation, self._judge(simulation, tally)
 
         with using(self._simulation.engine), working("compiling a step of the environment"):
-            given = inner.animal, inner.tally, inner.number, inner.keys, action
+            given = inner.animal, inner.tally, inner.number, inner.keys, inner.drawn, action
             animal, tally, sane, observation, (terms, value) = fuse(
                 whole, *given, batch_ndim=0, name="a step of the environment"
             )
         alive, number = inner.alive & sane, inner.number + 1
         reward = jnp.where(alive, value - inner.value, 0.0)
-        later = _Inner(animal, tally, value, number, alive, inner.keys)
+        later = _Inner(animal, tally, value, number, alive, inner.keys, inner.drawn)
         done = ~alive | (number >= self.episode_length)
         seen = jnp.concatenate([x for x in observation if x is not None])
         return EnvironmentState(seen, reward, done, terms, later)
@@ -204,30 +213,46 @@ class Environment:
         """
         return Session(self)
 
-    def _start(self, keys: Array | None) -> AnimalState:
-        animal = initial_animal(self._simulation, keys, None, (), jnp.dtype("float32"))
-        return animal._replace(nerves=())
+    def _keys(self, key: Array) -> Array | None:
+        return None if self._simulation.silent else raw_keys(key)
 
-    def _constants(self, keys: Array | None, animal: AnimalState) -> EpisodeConstants:
-        light = light_places(self._simulation.lights, None, jnp.dtype("float32"))
-        noise = self._simulation.noise_keys(keys)
-        scale = friction_scale_of(self._simulation.noise, noise)
-        constants = EpisodeConstants(Phenotype(()), noise, None, light, scale)
-        return lit(self._simulation, constants, animal)
+    def _begin(self, keys: Array | None) -> tuple[list[Array], AnimalState, Observation]:
+        """Return the numbers of the course, the animal at the start, and its observation."""
+        drawn = []
+        if self._simulation.draws is not None:
+            course = self._simulation.course_keys(keys)
+            assert course is not None
+            found = self._simulation.draws.traced(course)
+            drawn = [jnp.asarray(found[i], jnp.float32) for i in self._kept]
+        simulation = self._of(drawn)
+        animal = initial_animal(simulation, keys, None, (), jnp.dtype("float32"))
+        return drawn, *_pushed(simulation, animal._replace(nerves=()), keys, 0)
 
-    def _sense(
-        self, animal: AnimalState, keys: Array | None, number: Array | int = 0
-    ) -> tuple[AnimalState, Observation]:
-        """Return the animal after the random push of a control step, and its observation."""
-        constants = self._constants(keys, animal)
-        animal = push(self._simulation, constants, animal, jnp.asarray(number))
-        return animal, sense(self._simulation, constants, animal, number)[0]
+    def _of(self, drawn: list[Array]) -> Simulation:
+        """Return the simulation of a course."""
+        return self._fixed if self._inputs is None else self._inputs.put(self._fixed, drawn)
 
-    def _judge(self, tally: Any) -> tuple[dict[str, Array], Array]:
+    def _judge(self, simulation: Simulation, tally: Any) -> tuple[dict[str, Array], Array]:
         """Return the terms so far and their fitness. A fitness that is not finite becomes 0."""
-        terms = finish_tally(self._simulation, tally)
-        value = self._simulation.task.fitness(terms, self._scales)
+        terms = finish_tally(simulation, tally)
+        value = simulation.task.fitness(terms, self._scales)
         return terms, jnp.where(jnp.isfinite(value), value, 0.0)
+
+
+def _constants(simulation: Simulation, keys: Array | None, animal: AnimalState) -> EpisodeConstants:
+    light = light_places(simulation.lights, None, jnp.dtype("float32"))
+    noise = simulation.noise_keys(keys)
+    scale = friction_scale_of(simulation.noise, noise)
+    return lit(simulation, EpisodeConstants(Phenotype(()), noise, None, light, scale), animal)
+
+
+def _pushed(
+    simulation: Simulation, animal: AnimalState, keys: Array | None, number: Array | int
+) -> tuple[AnimalState, Observation]:
+    """Return the animal after the random push of a control step, and its observation."""
+    constants = _constants(simulation, keys, animal)
+    animal = push(simulation, constants, animal, jnp.asarray(number))
+    return animal, sense(simulation, constants, animal, number)[0]
 
 
 class Session:

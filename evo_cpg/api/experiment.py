@@ -36,6 +36,7 @@ from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
 from evo_cpg.simulation.judge import Outcome, no_terms
+from evo_cpg.simulation.noise import raw_keys
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.task import Task
 from evo_cpg.training import devices
@@ -407,7 +408,7 @@ class Experiment:
             return None
         individual, trial = np.divmod(np.arange(count * self.trials), self.trials)
         keys = jax.vmap(jax.random.fold_in, (None, 0))(key, individual)
-        return jax.random.key_data(jax.vmap(jax.random.fold_in)(keys, trial)).T
+        return raw_keys(jax.vmap(jax.random.fold_in)(keys, trial))
 
 
 def load(

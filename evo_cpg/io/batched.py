@@ -4,6 +4,7 @@ One program builds all bodies (`BodyPlan`). Its plan comes from a few bodies, wh
 one by one (`build_batch`). NumPy also builds the bodies that do not fit the plan.
 """
 
+import abc
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +13,8 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Shaped
+from typing_extensions import override
 
 from evo_cpg.creature.algebra.decisions import Condition, Undecidable, all_hold
 from evo_cpg.creature.self_collision import PlanPairs
@@ -29,8 +31,9 @@ from evo_cpg.io.numbers import (
 )
 from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
-from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.simulation import NumberBuilder, Simulation
 from evo_cpg.simulation.task import Task
+from evo_cpg.training.devices import Layout, population_mesh, run_on, sharded
 
 
 class BodyPlan:
@@ -94,6 +97,57 @@ class BodyPlan:
             conditions += self._building.own.agrees(leaves, inputs)
         values = values_of(leaves, inputs, jnp.result_type(*numbers))
         return values, jnp.asarray(all_hold(conditions))
+
+
+# Simulations that are built at a time. A fixed number gives each the same bits in any population.
+_WIDTH = 64
+
+
+class NumbersOfPlan(NumberBuilder):
+    """Builder of the simulations of one plan (see `NumberBuilder`). Subclasses define `numbers`.
+
+    Attributes:
+        common: simulation of the plan, at the configuration's own numbers.
+    """
+
+    def __init__(
+        self,
+        config: ExperimentConfig,
+        source: Path | str,
+        samples: Mapping[str, Float[np.ndarray, " n"]],
+    ):
+        """Make the plan from samples of the whole range.
+
+        Raises:
+            ConfigError: a sample is not allowed, or samples differ in more than numbers.
+        """
+        self._plan = BodyPlan(config, source, samples)
+        batched = self._plan.batched
+        self.common = batched.common
+        paths = jax.tree_util.tree_flatten_with_path(batched.common)[0]
+        self.inputs = tuple(
+            (jax.tree_util.keystr(paths[place][0]), elements)
+            for place, elements in zip(batched.inputs.places, batched.inputs.elements, strict=True)
+        )
+        self._mesh = population_mesh()
+        self._run = sharded(jax.vmap(self._one, in_axes=-1, out_axes=-1), self._mesh, (2,))
+
+    @abc.abstractmethod
+    def numbers(self, origin: Shaped[Array, " b"]) -> list[Array]:
+        """Return the numbers of one simulation, in the order of the samples."""
+
+    def _one(self, origin: Shaped[Array, " b"]) -> list[Array]:
+        values, fits = self._plan.one(self.numbers(origin))
+        return [jnp.where(fits, value, jnp.nan) for value in values]
+
+    @override
+    def values(self, origin: Shaped[np.ndarray, "b n"]) -> list[Float[np.ndarray, "_ n"]]:
+        with jax.enable_x64(True):
+            return run_on(self._run, Layout(self._mesh, _WIDTH), (origin,))
+
+    @override
+    def traced(self, origin: Shaped[Array, " b"]) -> list[Array]:
+        return self._plan.one(self.numbers(origin), checks=False)[0]
 
 
 def build_batch(

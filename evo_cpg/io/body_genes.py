@@ -18,15 +18,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
 from evo_cpg.creature.algebra.numerics import Numbers
 from evo_cpg.creature.creature import neutral_pose
-from evo_cpg.io.batched import BodyPlan
+from evo_cpg.io.batched import NumbersOfPlan
 from evo_cpg.io.errors import ConfigError, Key, KeyProblem, nearest
 from evo_cpg.io.keys import parts_of
 from evo_cpg.io.numbers import number_at, number_keys, with_numbers
@@ -45,7 +43,6 @@ from evo_cpg.io.schema.shape import (
     SphereConfig,
 )
 from evo_cpg.simulation.simulation import BodyBuilder, BodyGenes, Simulation
-from evo_cpg.training.devices import Layout, population_mesh, run_on, sharded
 
 _SECTION = "evolution", "body"
 
@@ -59,9 +56,6 @@ _STRENGTHS = ("gain", "stiffness", "torque_limit", "gear", "area")
 # Number of bodies from which the plan is made: more if limbs can touch, because every pair that
 # touches in any body belongs to the plan. Most are corners of the range, and some are random.
 _SAMPLES, _SAMPLES_APART, _RANDOM, _SEED = 32, 10, 4, 0
-
-# Bodies that are built at a time. A fixed number gives each body the same bits in any population.
-_WIDTH = 64
 
 # Largest distance from the mirror image of a body, as a fraction of the creature's size.
 _MIRRORED = 1e-6
@@ -410,12 +404,11 @@ def _of_shape(
             yield f"{section}.height", row
 
 
-class EvolvedBodies(BodyBuilder):
+class EvolvedBodies(NumbersOfPlan, BodyBuilder):
     """Builder of the bodies of a configuration (see `BodyBuilder`).
 
     Attributes:
         scaling: numbers of the configuration as functions of the genes' factors.
-        common: simulation of the plan, at the configuration's own numbers.
     """
 
     _origin: tuple[str, str, bool]
@@ -430,37 +423,19 @@ class EvolvedBodies(BodyBuilder):
         on_ground = config.world.ground is not None
         touching = config.creature.build_self_collision(on_ground) is not None
         count = _SAMPLES if touching else _SAMPLES_APART
-        numbers = scaling.numbers(_samples(scaling.genes, count))
-        self._plan = BodyPlan(config, source, numbers)
-        batched = self._plan.batched
-        self.common = batched.common
-        paths = jax.tree_util.tree_flatten_with_path(batched.common)[0]
-        self.inputs = tuple(
-            (jax.tree_util.keystr(paths[place][0]), elements)
-            for place, elements in zip(batched.inputs.places, batched.inputs.elements, strict=True)
-        )
-        self._mesh = population_mesh()
-        self._run = sharded(jax.vmap(self._one, in_axes=-1, out_axes=-1), self._mesh, (2,))
+        super().__init__(config, source, scaling.numbers(_samples(scaling.genes, count)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the configuration alone, because programs cannot be pickled."""
         return _made, self._origin
 
-    def _one(self, genes: Float[Array, " b"]) -> list[Array]:
-        values, fits = self._plan.one(self._numbers(genes))
-        return [jnp.where(fits, value, jnp.nan) for value in values]
-
-    def _numbers(self, genes: Array) -> list[Array]:
-        return list(self.scaling.numbers(self.genes.factors(genes)).values())
+    @override
+    def numbers(self, origin: Array) -> list[Array]:
+        return list(self.scaling.numbers(self.genes.factors(origin)).values())
 
     @override
-    def values(self, genes: Float[np.ndarray, "b n"]) -> list[Float[np.ndarray, "_ n"]]:
-        with jax.enable_x64(True):
-            return run_on(self._run, Layout(self._mesh, _WIDTH), (genes.astype(float),))
-
-    @override
-    def traced(self, genes: Float[Array, " b"]) -> list[Array]:
-        return self._plan.one(self._numbers(genes), checks=False)[0]
+    def values(self, origin: Float[np.ndarray, "b n"]) -> list[Float[np.ndarray, "_ n"]]:
+        return super().values(origin.astype(float))
 
 
 def _samples(genes: BodyGenes, number: int) -> Float[np.ndarray, "f n"]:

@@ -100,6 +100,11 @@ def build_experiment(
             from evo_cpg.io.body_genes import evolved
 
             simulation = evolved(config, source, simulation)
+        if config.courses.draw:
+            # This import would be circular at the top, too.
+            from evo_cpg.io.courses import drawn
+
+            simulation = drawn(config, source)
         islands = getattr(given, "islands", None)
         population = given.population // (islands.count if islands else 1)
         with under("evolution"):
@@ -126,6 +131,8 @@ def build_experiment(
             runs=config.runs,
             trials=config.trial_count,
             learning=learning,
+            new_courses=config.courses.every,
+            quantile=config.courses.quantile,
         )
 
 
@@ -200,6 +207,7 @@ def build_simulation(
                 world=world,
                 light=situations[0].light,
                 control_rate=config.simulation.control_rate_hz,
+                seconds=config.simulation.seconds,
             )
     simulation = Simulation(
         world=world,

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from evo_cpg.creature.algebra.numerics import MixedArray, is_number
-from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.simulation import NumberBuilder, Simulation
 
 # Differences up to this fraction of an array's largest number are rounding errors.
 _ROUNDING = 16 * np.finfo(float).eps
@@ -56,18 +56,17 @@ class Inputs(NamedTuple):
         return jax.tree.unflatten(structure, leaves)
 
 
-def evolved_inputs(simulation: Simulation) -> tuple[Inputs, list[int]]:
-    """Return the numbers in which evolved bodies differ, in a simulation whose bodies evolve.
+def inputs_of(builder: NumberBuilder, simulation: Simulation) -> tuple[Inputs, list[int]]:
+    """Return the places of a builder's numbers in a simulation.
 
     A changed simulation, such as one with another task, may lack some of the leaves.
 
     Returns:
-        The inputs, and the index of each among `BodyBuilder.inputs`.
+        The inputs, and the index of each among `NumberBuilder.inputs`.
     """
-    assert simulation.bodies is not None
     paths = jax.tree_util.tree_flatten_with_path(simulation)[0]
     places = {jax.tree_util.keystr(path): place for place, (path, _) in enumerate(paths)}
-    given = simulation.bodies.inputs
+    given = builder.inputs
     there = [i for i, (path, _) in enumerate(given) if path in places]
     found = sorted((places[given[i][0]], i) for i in there)
     inputs = Inputs(tuple(x for x, _ in found), tuple(given[i][1] for _, i in found))

@@ -1,8 +1,8 @@
 """Tasks with a light that moves: reach one after the other, follow, or stay near one.
 
 `Waypoints` counts the lights that an animal reaches in a row. The next light appears when the
-present one is reached. `Follow` scores the time near a light that turns or flees. A light that rests makes
-it a task of staying in place, for instance in a current.
+present one is reached. `Follow` scores the time near a light that turns or flees. With a light that
+rests, it is a task of staying in place, for instance in a current.
 
 Courses are drawn from the trial's own random numbers (`evo_cpg.simulation.task.Start`), so that all
 individuals of a generation have equal courses. All lights of a course are at one height.
@@ -20,7 +20,7 @@ from evo_cpg.creature.algebra.numerics import Number, Triple
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.task import Start, Task, Transition
 
-# Distance from the next light, in spacings, beyond which the score falls no more.
+# Largest fraction of a leg that is left. So one animal that flees cannot dominate averages.
 _FARTHEST = 1.5
 
 
@@ -30,19 +30,21 @@ class Reached(NamedTuple):
     Attributes:
         lights: places of all lights, m. The last one stands for the time after it was reached.
         count: number of lights that were reached.
+        leg: distance of the present light when it appeared, m.
     """
 
     lights: Float[Array, "3 lights *n"]
     count: Int[Array, " *n"]
+    leg: Float[Array, " *n"]
 
 
 class Waypoints(Task):
     """Reach lights in a row.
 
-        f = reached + 1 - d / spacing,
+        f = reached + 1 - left,
 
-    with d the final distance of the root from the next light. The last term is 0 if no light is
-    left.
+    with ``left`` the final distance of the root from the present light, as a fraction of its
+    distance when it appeared. It is 1 if no light is left.
 
     Attributes:
         light: first light if no direction is drawn. Its direction from the start is straight ahead.
@@ -50,6 +52,7 @@ class Waypoints(Task):
         spacing: distance between two lights, and from the start to the first, m.
         turn: largest turn from one leg to the next, either way, rad. Turns are uniform.
         radius: distance at which a light is reached, m.
+        enough: number of lights that is a success.
         arena: edge of the square about the start in which all lights are drawn, m, or None.
     """
 
@@ -58,6 +61,7 @@ class Waypoints(Task):
     spacing: Number
     turn: Number
     radius: Number
+    enough: int = eqx.field(static=True)
     arena: Number | None = None
 
     moves_light = True
@@ -76,7 +80,8 @@ class Waypoints(Task):
             places = start.position[:2, None] + jnp.cumsum(legs, 1)
         heights = jnp.broadcast_to(start.light[2], places.shape[1:])
         lights = jnp.concatenate([places, heights[None]])
-        return Reached(lights, jnp.zeros(away.shape[1:], jnp.int32))
+        first = _length(lights[:, 0] - start.position)
+        return Reached(lights, jnp.zeros(away.shape[1:], jnp.int32), first)
 
     def place_light(self, course: Reached) -> Float[Array, "3 *n"]:
         """See `Task.place_light`."""
@@ -88,34 +93,40 @@ class Waypoints(Task):
         """See `Task.advance_course`."""
         del step
         near = _distance(self.place_light(course), after) < self.radius
-        return course._replace(count=jnp.minimum(course.count + near, self.lights))
+        later = course._replace(count=jnp.minimum(course.count + near, self.lights))
+        leg = _distance(self.place_light(later), after)
+        return later._replace(leg=jnp.where(near, leg, course.leg))
 
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> tuple[Array, Array]:
         """See `Task.begin`."""
         del steps
-        return jnp.zeros(batch, jnp.int32), jnp.zeros(batch, dtype)
+        return jnp.zeros(batch, dtype), jnp.zeros(batch, dtype)
 
     def update(
         self, tally: tuple[Array, Array], transition: Transition, steps: int
     ) -> tuple[Array, Array]:
         """See `Task.update`."""
-        del tally, steps
+        del steps
         course: Reached = transition.course
-        return course.count, _distance(self.place_light(course), transition.after)
+        left = _distance(self.place_light(course), transition.after) / course.leg
+        return course.count.astype(tally[0].dtype), left
 
     def terms(self, tally: tuple[Array, Array], steps: int) -> dict[str, Float[Array, " *n"]]:
-        """Return ``reached``, and the final ``distance`` from the next light, m."""
+        """Return ``reached`` lights, fraction ``left`` of the present leg, and ``success``."""
         del steps
-        count, distance = tally
-        left = jnp.where(count < self.lights, distance, self.spacing)
-        return {"reached": count.astype(distance.dtype), "distance": left}
+        count, left = tally
+        return {
+            "reached": count,
+            "left": jnp.where(count < self.lights, jnp.minimum(left, _FARTHEST), 1.0),
+            "success": (count >= self.enough).astype(count.dtype),
+        }
 
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
-        """Return the number of lights that were reached, and the progress to the next one."""
+        """Return the number of lights that were reached, and the part of the way to the next."""
         del scales
-        return terms["reached"] + 1.0 - jnp.minimum(terms["distance"] / self.spacing, _FARTHEST)
+        return terms["reached"] + 1.0 - terms["left"]
 
 
 class Led(NamedTuple):
@@ -151,8 +162,8 @@ class Follow(Task):
 
         f = near - mean(min(d / radius, 10)) / 10,
 
-    with ``near`` the fraction of the counted time in which the root's distance d is below
-    ``radius``.
+    with ``near`` the fraction of the counted time in which the distance d of the root from the
+    light is less than ``radius``.
 
     Attributes:
         light: place of the light at the start, m.
@@ -201,7 +212,7 @@ class Follow(Task):
         h = after.control_step
         if self.flees is not None:
             away = (course.place - after.state.position).at[2].set(0.0)
-            distance = jnp.sqrt((away**2).sum(0) + 1e-12)
+            distance = _length(away)
             pace = jnp.where(distance < self.flees, self.speed * h / distance, 0.0)
             return course._replace(place=course.place + pace * away)
         if not self.legs:
@@ -231,13 +242,18 @@ class Follow(Task):
         return Nearness(*(jnp.where(counts, a, b) for a, b in zip(new, tally, strict=True)))
 
     def terms(self, tally: Nearness, steps: int) -> dict[str, Float[Array, " *n"]]:
-        """Return ``distance`` (mean, m), ``farthest`` (m), and ``near`` (fraction of the time)."""
+        """Return distances (m), fraction of the time ``near``, and ``success`` (near all the time).
+
+        ``distance`` is a mean in which no step counts more than ten radii. ``farthest`` is the
+        largest distance.
+        """
         del steps
         count = jnp.maximum(tally.count, 1.0)
         return {
             "distance": tally.distance / count,
             "farthest": tally.farthest,
             "near": tally.near / count,
+            "success": (tally.farthest < self.radius).astype(count.dtype),
         }
 
     def fitness(
@@ -249,4 +265,9 @@ class Follow(Task):
 
 
 def _distance(light: Float[Array, "3 *n"], snapshot: Snapshot) -> Float[Array, " *n"]:
-    return jnp.sqrt(((light - snapshot.state.position) ** 2).sum(0) + 1e-12)
+    return _length(light - snapshot.state.position)
+
+
+def _length(vector: Float[Array, "3 *n"]) -> Float[Array, " *n"]:
+    # The root has a derivative everywhere, even at 0.
+    return jnp.sqrt((vector**2).sum(0) + 1e-12)

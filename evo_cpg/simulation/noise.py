@@ -35,7 +35,8 @@ from evo_cpg.physics.tree import ball_limit, hanging
 from evo_cpg.physics.tree.kinematics import kinematics
 from evo_cpg.physics.tree.state import State
 
-# Tags that keep the random streams of one trial apart.
+# Tag of a trial's key for its course, and tags that keep the streams of its noise apart.
+_COURSE = 0
 _START, _PUSH, _FRICTION = 0, 1, 2
 # The sense with the number k has the stream SENSES + k.
 SENSES = 3
@@ -151,9 +152,20 @@ def normals(
     return _of_each(of_trial, keys)
 
 
-def uniforms(keys: UInt32[Array, "w *n"], count: int) -> Float[Array, "count *n"]:
-    """Return uniform deviates of every trial, from 0 to 1."""
-    return _of_each(lambda key: jax.random.uniform(key, (count,), jnp.float32), keys)
+def raw_keys(keys: Shaped[Array, " *n"]) -> UInt32[Array, "4 *n"]:
+    """Return the raw random keys of trials, given a key of each: for its noise and its course."""
+    noise = jax.random.key_data(keys)
+    course = jax.random.key_data(jnp.vectorize(jax.random.fold_in)(keys, _COURSE))
+    return jnp.moveaxis(jnp.concatenate([noise, course], -1), -1, 0)
+
+
+def uniforms(keys: UInt32[Array, "w *n"], count: int, tag: int) -> Float[Array, "count *n"]:
+    """Return uniform deviates of every trial, from 0 to 1, for one purpose."""
+
+    def of_trial(key: Array) -> Array:
+        return jax.random.uniform(jax.random.fold_in(key, tag), (count,), jnp.float32)
+
+    return _of_each(of_trial, keys)
 
 
 def _of_each(

@@ -16,11 +16,11 @@ from evo_cpg.native.engine import using
 from evo_cpg.native.fuse import fuse
 from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.backward import Backward
-from evo_cpg.simulation.batched import BatchedSimulation, evolved_inputs
+from evo_cpg.simulation.batched import BatchedSimulation, inputs_of
 from evo_cpg.simulation.control_step import begin_episode, control_step
 from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.observers import Observer, Seen
-from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.simulation import NumberBuilder, Simulation
 
 # Leaves are observers.
 Observers = PyTree[Observer]
@@ -43,7 +43,7 @@ def rollout(
             trial have one batch axis, the last, and so has every result.
         genes: one genome per individual, on the trailing axes.
         keys: raw random keys of each trial, or None if nothing is random: one for its noise, and
-            another one after it for its course if the task draws courses.
+            another one after it for its course if courses are drawn.
         trial: number of the situation of each individual, or None for the first situation.
         observers: one observer, or a tuple or dict of several.
         backward: settings of reverse-mode differentiation, or None. Do not combine it with
@@ -60,6 +60,8 @@ def rollout(
         raise ValueError("plans run in programs of several sizes. Use the body of one genome alone")
     if isinstance(simulation, Simulation) and simulation.bodies is not None:
         simulation = _with_bodies(simulation, genes)
+    if isinstance(simulation, Simulation) and simulation.draws is not None:
+        simulation = _with_courses(simulation, keys)
     if isinstance(simulation, BatchedSimulation):
         common, inputs, values = simulation
 
@@ -113,11 +115,24 @@ def rollout(
 
 def _with_bodies(simulation: Simulation, genes: Array) -> Simulation | BatchedSimulation:
     """Return the simulation with the body of each individual as a function of its genes."""
-    bodies, (inputs, kept) = simulation.bodies, evolved_inputs(simulation)
-    assert bodies is not None
+    assert simulation.bodies is not None
     own, common = simulation.genome.of_body(genes), dataclasses.replace(simulation, bodies=None)
-    if genes.ndim == 1:
-        values = bodies.traced(own)
+    return _with_numbers(common, simulation.bodies, own)
+
+
+def _with_courses(simulation: Simulation, keys: Array | None) -> Simulation | BatchedSimulation:
+    """Return the simulation with the course of each trial as a function of its random key."""
+    own, common = simulation.course_keys(keys), dataclasses.replace(simulation, draws=None)
+    assert simulation.draws is not None and own is not None, "courses need random keys"
+    return _with_numbers(common, simulation.draws, own)
+
+
+def _with_numbers(
+    common: Simulation, builder: NumberBuilder, origin: Array
+) -> Simulation | BatchedSimulation:
+    inputs, kept = inputs_of(builder, common)
+    if origin.ndim == 1:
+        values = builder.traced(origin)
         return inputs.put(common, [values[i] for i in kept])
-    values = jax.vmap(bodies.traced, in_axes=-1, out_axes=-1)(own)
+    values = jax.vmap(builder.traced, in_axes=-1, out_axes=-1)(origin)
     return BatchedSimulation(common, inputs, [values[i] for i in kept])

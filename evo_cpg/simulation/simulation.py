@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree, UInt32
+from jaxtyping import Array, Float, Int, PyTree, Shaped, UInt32
 
 from evo_cpg.control.controller import Controller
 from evo_cpg.creature.algebra.numerics import Number, Triple, xp
@@ -166,32 +166,47 @@ class Genome(NamedTuple):
         return f"the genome has {genes.size} genes, not {self.count}"
 
 
-class BodyBuilder(abc.ABC):
-    """Builder of the numbers of a simulation in which evolved bodies differ.
+class NumberBuilder(abc.ABC):
+    """Builder of numbers of a simulation that differ from trial to trial.
 
-    All bodies of an experiment have one plan. So one program serves all, and their numbers are its
-    inputs.
+    All simulations of an experiment have one plan. So one program serves all, and the numbers are
+    its inputs. They are functions of the genes of a body, or of the random key of a course.
 
     Attributes:
-        genes: genes of the body.
         inputs: for each leaf of the simulation that differs, its path and the indices of its
             numbers that differ.
     """
 
-    genes: BodyGenes
     inputs: tuple[tuple[str, Int[np.ndarray, " _"]], ...]
 
     @abc.abstractmethod
-    def values(self, genes: Float[np.ndarray, "b n"]) -> list[Float[np.ndarray, "_ n"]]:
+    def values(self, origin: Shaped[np.ndarray, "b n"]) -> list[Float[np.ndarray, "_ n"]]:
         """Return the values of the inputs, in float64, leaf by leaf.
 
-        The values of a body do not depend on the other bodies, to the last bit. They are NaN if the
-        body does not fit the plan, so that the individual counts as diverged.
+        The values of a simulation do not depend on the others, to the last bit. They are NaN if it
+        does not fit the plan, so that the individual counts as diverged.
+
+        Args:
+            origin: genes of bodies, or raw random keys of courses.
         """
 
     @abc.abstractmethod
-    def traced(self, genes: Float[Array, " b"]) -> list[Array]:
-        """Return the values of the inputs of one body as a function of traced genes."""
+    def traced(self, origin: Shaped[Array, " b"]) -> list[Array]:
+        """Return the values of the inputs of one simulation as a function of a traced origin."""
+
+
+class BodyBuilder(NumberBuilder):
+    """Builder of the numbers in which evolved bodies differ.
+
+    Attributes:
+        genes: genes of the body.
+    """
+
+    genes: BodyGenes
+
+
+class CourseBuilder(NumberBuilder):
+    """Builder of the numbers that are drawn for each course."""
 
 
 class Rules(eqx.Module):
@@ -214,7 +229,7 @@ class Rules(eqx.Module):
     pairs: Pairs | None = None
 
 
-# Words of a raw random key.
+# Words of a raw random key. A trial has one for its noise, and one after it for its course.
 _WORDS = 2
 
 
@@ -239,6 +254,7 @@ class Simulation(eqx.Module):
         measures: measures of gait, in addition to the task's terms.
         bodies: builder of the bodies, or None if the body does not evolve.
         plans: builder of the simulations of plans, or None if no plan evolves.
+        draws: builder of the numbers that are drawn for each course, or None if none is drawn.
     """
 
     world: World
@@ -257,6 +273,7 @@ class Simulation(eqx.Module):
     measures: Measures = Measures()
     bodies: BodyBuilder | None = eqx.field(static=True, default=None)
     plans: "PlanBuilder | None" = eqx.field(static=True, default=None)
+    draws: "CourseBuilder | None" = eqx.field(static=True, default=None)
 
     @property
     def has_own_bodies(self) -> bool:
@@ -266,7 +283,12 @@ class Simulation(eqx.Module):
     @property
     def silent(self) -> bool:
         """Whether nothing in a trial is random."""
-        return self.noise.silent and not self.task.draws_course
+        return self.noise.silent and not self.draws_course
+
+    @property
+    def draws_course(self) -> bool:
+        """Whether trials have courses that are drawn."""
+        return self.task.draws_course or self.draws is not None
 
     def noise_keys(self, keys: UInt32[Array, "w *n"] | None) -> UInt32[Array, "2 *n"] | None:
         """Return the part of the trials' random keys for noise, or None without noise."""
@@ -274,7 +296,7 @@ class Simulation(eqx.Module):
 
     def course_keys(self, keys: UInt32[Array, "w *n"] | None) -> UInt32[Array, "2 *n"] | None:
         """Return the part of the trials' random keys for courses, or None if none is drawn."""
-        return None if keys is None or not self.task.draws_course else keys[_WORDS:]
+        return None if keys is None or not self.draws_course else keys[_WORDS:]
 
     @property
     def genome(self) -> Genome:

@@ -20,6 +20,9 @@ from evo_cpg.creature.algebra.numerics import Number
 from evo_cpg.simulation.noise import uniforms
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 
+# Tag that keeps a task's draws apart from those of numbers (`evo_cpg.io.courses`).
+_TAG = 0
+
 
 class Start(NamedTuple):
     """Start of a trial, from which a course is drawn.
@@ -37,7 +40,7 @@ class Start(NamedTuple):
     def uniform(self, count: int) -> Float[Array, "count *n"]:
         """Return random numbers from 0 to 1, equal for all individuals of a generation."""
         assert self.keys is not None
-        return uniforms(self.keys, count)
+        return uniforms(self.keys, count, _TAG)
 
 
 class Transition(NamedTuple):

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from evo_cpg.simulation.batched import batch
 from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.measures import DISPLACEMENT
-from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.noise import Noise, raw_keys
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.simulation import Simulation, with_displacement
 from evo_cpg.simulation.situation import Situation
@@ -100,8 +100,8 @@ def compile_variation(
                 keys = champion_keys(experiment, champion)
                 assert keys is not None
             else:
-                each = jax.random.split(jax.random.key(_SEED), variation.draws * trials)
-                keys = jax.random.key_data(each).T
+                split = jax.random.split(jax.random.key(_SEED), variation.draws * trials)
+                keys = raw_keys(split)
             # All simulations get equal keys, so that only the numbers of the simulations differ.
             keys = jax.device_get(jnp.tile(keys, (1, len(variation.simulations))))
         return genes, keys, numbers, trials, values
@@ -116,7 +116,8 @@ def compile_variation(
             outcome = live(*arguments(champion))
             shaped = jax.tree.map(lambda x: jnp.asarray(x.reshape(rollouts, trials)), outcome)
             scales = {name: jnp.asarray(value, dtype) for name, value in champion.scales.items()}
-            fitness, mean = jax.device_get(judge(common.task, shaped, scales))
+            judged = judge(common.task, shaped, scales, experiment.quantile)
+            fitness, mean = jax.device_get(judged)
         displacement = np.where(mean.alive, mean.terms[DISPLACEMENT], np.nan).astype(float)
         terms = {k: np.asarray(x, float) for k, x in mean.terms.items() if k != DISPLACEMENT}
         return Varied(displacement, fitness.astype(float), np.asarray(mean.alive), terms)

@@ -21,7 +21,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt32
 
 from evo_cpg.native.machine_constants import LANES
-from evo_cpg.simulation.batched import BatchedSimulation, evolved_inputs
+from evo_cpg.simulation.batched import BatchedSimulation, inputs_of
 from evo_cpg.simulation.judge import JUDGE, Outcome, no_terms, score
 from evo_cpg.simulation.recording import Recorder, Recording, as_recording
 from evo_cpg.simulation.rollout import Observers, rollout
@@ -100,13 +100,13 @@ def compile_trials(
     """
     if simulation.plans and not inputs:
         return _compile_trials_of_plans(simulation, mesh, width, observers)
-    bodies, kept = None if inputs else simulation.bodies, []
-    if bodies:
-        # The values come from a program of their own, in float64 and for any number of bodies, so
-        # that all programs of the trials get the same bits.
-        inputs, kept = evolved_inputs(simulation)
-    of_body = simulation.genome.of_body
-    simulation = dataclasses.replace(simulation, bodies=None)
+    whole = simulation
+    simulation = dataclasses.replace(whole, bodies=None, draws=None)
+    # Values come from a program of their own, in float64 and for any number of simulations, so that
+    # all programs of the trials get the same bits.
+    builder, kept = None if inputs else whole.bodies or whole.draws, []
+    if builder:
+        inputs, kept = inputs_of(builder, simulation)
 
     def rollouts(values: Any, genes: Array, keys: Array | None, trial: Array | None) -> Any:
         own = BatchedSimulation(simulation, inputs, values) if inputs else simulation
@@ -119,17 +119,22 @@ def compile_trials(
         trials: int = 1,
         values: tuple[Float[np.ndarray, "_ individuals"], ...] | None = None,
     ) -> tuple[Layout, int, Callable[..., tuple]]:
-        if bodies:
-            found = bodies.values(of_body(genes))
-            values = tuple(found[i] for i in kept)
+        count, owners = genes.shape[1] * trials, np.arange(genes.shape[1] * trials) // trials
+        if builder is whole.bodies and builder:
+            values = builder.values(whole.genome.of_body(genes))
+        elif builder:
+            courses, owners = np.unique(whole.course_keys(keys), axis=1, return_inverse=True)
+            values = builder.values(courses)
+        if builder:
+            values = tuple(values[i] for i in kept)
         # The host's values may have another precision than the genes.
         own = jax.tree.map(lambda x: np.asarray(x, genes.dtype), values)
 
         def pick(numbers: Int[np.ndarray, " block"]) -> tuple:
-            of_individuals = jax.tree.map(lambda x: x[:, numbers // trials], (own, genes))
-            return *of_individuals, *jax.tree.map(lambda x: x[..., numbers], (keys, trial))
+            numbered = jax.tree.map(lambda x: x[:, owners[numbers]], own)
+            rest = jax.tree.map(lambda x: x[..., numbers], (keys, trial))
+            return numbered, genes[:, numbers // trials], *rest
 
-        count = genes.shape[1] * trials
         return Layout(mesh, width) if width else layout(count, mesh), count, pick
 
     compiled: dict[Mesh, Callable] = {}
@@ -275,7 +280,7 @@ def compile_evaluation(
     run_trials = compile_trials(simulation, mesh, width, None, observers, given)
     # Compile `judge` too, as in training: compiled code may fuse a multiplication and an addition,
     # with one rounding instead of two.
-    assess = jax.jit(functools.partial(judge, simulation.task))
+    assess = jax.jit(functools.partial(judge, simulation.task, quantile=experiment.quantile))
     if ahead:
         shapes = jax.eval_shape(lambda: no_terms(simulation, (1, trials)))
         terms = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes)

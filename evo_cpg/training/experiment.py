@@ -41,6 +41,11 @@ TABLE_COLUMNS = (
 )
 
 
+FIRST_ROUND = 2**30
+"""Number of the first generation whose random numbers serve other purposes than evolution, such as
+the choice of the champion. No run reaches it."""
+
+
 class Learning(NamedTuple):
     """Settings of gradient ascent in the course of evolution (see `evo_cpg.training.ascent`).
 
@@ -73,6 +78,8 @@ class ExperimentParts(NamedTuple):
             each situation, or any number in the only situation.
         learning: settings of the elites' ascent, or None for evolution alone.
         new_courses: number of generations after which courses are drawn again, or None for never.
+        quantile: quantile of an individual's trials that is its fitness, 0 for the worst, or None
+            for the mean.
     """
 
     name: str
@@ -85,6 +92,7 @@ class ExperimentParts(NamedTuple):
     trials: int = 1
     learning: Learning | None = None
     new_courses: int | None = 1
+    quantile: float | None = None
 
 
 class Evaluated(NamedTuple):
@@ -151,8 +159,8 @@ def trial_keys(
 ) -> UInt32[Array, "w n"] | None:
     """Return raw random keys for the noise and the courses of trials, or None without either.
 
-    Courses do not depend on the individual, so that all individuals of a generation have equal
-    ones. They change every ``new_courses`` generations.
+    All individuals of a generation have equal courses, so that none is fitter by luck. Courses
+    change every ``new_courses`` generations. From `FIRST_ROUND` on, each individual has its own.
 
     Args:
         experiment: experiment whose seed is used.
@@ -164,13 +172,13 @@ def trial_keys(
     if experiment.simulation.silent:
         return None
 
+    fresh, every = jnp.asarray(generation) >= FIRST_ROUND, experiment.new_courses
+    epoch = jnp.where(fresh, generation, 0 if every is None else jnp.asarray(generation) // every)
+
     def of_trial(seed: ArrayLike, individual: ArrayLike, trial: ArrayLike) -> Array:
         noise = _key(seed, _TRIALS, generation, individual, trial)
-        if not experiment.simulation.task.draws_course:
-            return noise
-        every = experiment.new_courses
-        epoch = 0 if every is None else jnp.asarray(generation) // every
-        return jnp.concatenate([noise, _key(seed, _COURSES, epoch, trial)])
+        course = _key(seed, _COURSES, epoch, jnp.where(fresh, individual, 0), trial)
+        return jnp.concatenate([noise, course])
 
     seeds = experiment.seed + jnp.arange(experiment.runs)
     return jax.vmap(of_trial, out_axes=1)(seeds[run], individual, trial)
@@ -232,7 +240,7 @@ def evaluated(
             }
         )
         scales = {name: jnp.where(index == 0, measured[name], scales[name]) for name in measured}
-        fitness, mean = judge(task, outcome, scales)
+        fitness, mean = judge(task, outcome, scales, experiment.quantile)
         about = mean.terms, descriptors(simulation, mean.terms)
         worth = Evaluation(fitness, *about, judge_each(task, outcome, scales))
         return Evaluated(worth, mean.alive, scales)
@@ -287,22 +295,27 @@ def descriptors(
 
 
 def judge(
-    task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]
+    task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]], quantile: float | None = None
 ) -> tuple[Float[Array, " *n"], Outcome]:
-    """Return every individual's mean fitness and mean outcome over its trials.
+    """Return every individual's fitness and mean outcome over its trials.
 
     Args:
         task: task that defines the fitness.
         outcome: outcome of all trials, with the trials of an individual on the last axis.
         scales: task's scales.
+        quantile: quantile of the trials that counts, 0 for the worst, or None for their mean.
 
     Returns:
-        The mean fitness and the mean outcome. The fitness is -inf if the individual diverged or
+        The fitness and the mean outcome. The mean fitness is -inf if the individual diverged or
         broke a rule in any trial.
     """
     fitness = jnp.moveaxis(judge_each(task, outcome, scales), 0, -1)
     terms = {name: mean_of_trials(term) for name, term in outcome.terms.items()}
-    return mean_of_trials(fitness), Outcome(terms, outcome.alive.all(-1))
+    whole = mean_of_trials(fitness)
+    if quantile is not None:
+        # The trial at or below the quantile. A mean of two trials would be undefined at -inf.
+        whole = jnp.sort(fitness, -1)[..., int(quantile * (fitness.shape[-1] - 1))]
+    return whole, Outcome(terms, outcome.alive.all(-1))
 
 
 def mean_of_trials(values: Shaped[Array, "*n trials"]) -> Float[Array, " *n"]:

@@ -15,17 +15,13 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from evo_cpg.training.checkpoint import Champion, Checkpoint
-from evo_cpg.training.experiment import ExperimentParts
+from evo_cpg.training.experiment import FIRST_ROUND, ExperimentParts
 
 CANDIDATES = 16
 """Largest number of candidates of each run."""
 
 EVALUATIONS = 16
 """Number of evaluations of each remaining candidate that ends the rounds."""
-
-FIRST_ROUND = 2**30
-"""Generation number whose random numbers the first round uses. Later rounds use the next numbers.
-No run reaches these generations."""
 
 
 def is_finished(experiment: ExperimentParts, checkpoint: Checkpoint) -> bool:

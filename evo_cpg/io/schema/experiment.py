@@ -68,8 +68,8 @@ class SimulationConfig(Section):
         start_heading_deg: rotation to the left at the start, degrees.
         start_clearance: distance of the creature's nearest point from the ground at the start, m.
         start_pose: ``neutral``, or ``settled``: the pose at rest after it is let down.
-        trials: trials over which fitness is averaged: their number, which without noise is one,
-            or a list of situations.
+        trials: trials over which fitness is averaged: their number, which is one if nothing is
+            random, or a list of situations.
     """
 
     control_rate_hz: Positive = 60.0
@@ -125,6 +125,38 @@ class NoiseConfig(Section):
         return not any(self.model_dump().values())
 
 
+class CoursesConfig(Section):
+    """Courses: what differs between the trials of an individual, and how they count together.
+
+    Attributes:
+        draw: range of each number that is drawn, by its key or a pattern of keys, such as
+            ``world.water.current.0``; the numbers are uniform and independent.
+        every: number of generations after which courses are drawn again, or ``null`` for never.
+        score: fitness of several trials: ``mean``, ``worst``, or a quantile, such as 0.25.
+    """
+
+    draw: dict[str, tuple[Finite, Finite]] = {}
+    every: Count | None = 1
+    score: Annotated[
+        Annotated[Literal["mean", "worst"], Tag("word")]
+        | Annotated[float, Field(ge=0, le=1), Tag("number")],
+        Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
+    ] = "mean"
+
+    @field_validator("draw")
+    @classmethod
+    def _rises(cls, draw: dict[str, tuple[Finite, Finite]]) -> dict[str, tuple[Finite, Finite]]:
+        for key, (low, high) in draw.items():
+            if not low < high:
+                raise ValueError(f"{key}: the range must rise, got {low:g} to {high:g}")
+        return draw
+
+    @property
+    def quantile(self) -> float | None:
+        """Quantile of the trials that counts, or None for the mean."""
+        return {"mean": None, "worst": 0.0}.get(self.score, self.score)  # pyright: ignore
+
+
 class ExperimentConfig(Section):
     """A whole experiment, with defaults for every section but the creature.
 
@@ -137,6 +169,7 @@ class ExperimentConfig(Section):
         world: gravity, water and ground.
         simulation: settings of the trial.
         noise: random disturbances in the trial.
+        courses: numbers that are drawn for each trial, and how trials count together.
         controller: nervous system.
         task: task that determines fitness.
         measures: names of measures of gait, such as ``speed``, that are recorded in addition to
@@ -161,6 +194,7 @@ class ExperimentConfig(Section):
     world: WorldConfig = WorldConfig()
     simulation: SimulationConfig = SimulationConfig()
     noise: NoiseConfig = NoiseConfig()
+    courses: CoursesConfig = CoursesConfig()
     controller: ControllerConfig = BrainCpgConfig()
     task: TaskConfig = ReachLightConfig()
     measures: tuple[str, ...] = ()
@@ -205,8 +239,8 @@ class ExperimentConfig(Section):
     def trial_count(self) -> int:
         """Number of trials of every individual.
 
-        It is the number of listed situations. Without a list it is the configured number with
-        noise, and 1 without noise.
+        It is the number of listed situations. Without a list it is the configured number if
+        anything is random, else 1.
         """
         trials = self.simulation.trials
         if isinstance(trials, list):
@@ -215,8 +249,9 @@ class ExperimentConfig(Section):
 
     @property
     def silent(self) -> bool:
-        """Whether nothing in a trial is random."""
-        return self.noise.silent and not (self.creature and self.creature.senses.noisy)
+        """Whether nothing in a trial is random. A user's own task may draw courses."""
+        drawn = self.courses.draw or self.task.draws_course
+        return self.noise.silent and not (drawn or (self.creature and self.creature.senses.noisy))
 
     @model_validator(mode="after")
     def _check(self) -> "ExperimentConfig":

@@ -194,6 +194,7 @@ class CustomConfig(Section):
 
     # Nothing is known about the needs of a user's own class. These values pass every check.
     needs_ground: ClassVar[bool] = False
+    draws_course: ClassVar[bool] = True
     body_keys: ClassVar[tuple[str, ...]] = ()
     uses_senses: ClassVar[bool] = True
     genome: ClassVar[None] = None

@@ -1,5 +1,6 @@
 """Sections of the task that determines fitness."""
 
+import math
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -21,8 +22,11 @@ from evo_cpg.io.schema.section import (
     by_type,
 )
 from evo_cpg.physics.step.world import World
+from evo_cpg.simulation.courses import Follow, Waypoints
 from evo_cpg.simulation.task import Task
 from evo_cpg.simulation.tasks import Distance, Heading, Point, ReachLight, Walk
+
+Unit = Literal["m", "lengths"]
 
 
 class LightConfig(OpenSection):
@@ -107,8 +111,9 @@ class ReachLightConfig(Section):
     energy_max: Positive | None = None
     final_seconds: Positive = 1.0
 
-    # Whether the task requires ground.
+    # Whether the task requires ground, and whether it draws courses.
     needs_ground: ClassVar[bool] = False
+    draws_course: ClassVar[bool] = False
 
     @field_validator("light")
     @classmethod
@@ -154,9 +159,10 @@ class DistanceConfig(Section):
     heading: Heading = "any"
     settle_seconds: NotNegative = 0.0
     point: Point = "root"
-    unit: Literal["m", "lengths"] = "m"
+    unit: Unit = "m"
 
     needs_ground: ClassVar[bool] = False
+    draws_course: ClassVar[bool] = False
 
     def build(self, creature: Creature, **_: Any) -> Task:
         """Build the task for a creature."""
@@ -190,6 +196,7 @@ class WalkConfig(Section):
     cost_weight: NotNegative = 0.0
 
     needs_ground: ClassVar[bool] = True
+    draws_course: ClassVar[bool] = False
 
     def build(self, creature: Creature, world: World, **_: Any) -> Task:
         """Build the task (see `ReachLightConfig.build`).
@@ -220,10 +227,118 @@ class WalkConfig(Section):
         )
 
 
+class WaypointsConfig(Section):
+    """Lights to reach in turn. The next appears when the last was reached.
+
+    Attributes:
+        type: ``waypoints``.
+        lights: number of lights.
+        spacing: distance from the start to the first light, and from each light to the next.
+        turn_deg: largest turn from one leg to the next, degrees; turns are uniform on both sides.
+        arena: edge of the square around the start in which all lights are drawn, instead of
+            ``spacing`` and ``turn_deg``, or ``null``.
+        radius: distance at which a light counts as reached.
+        enough: number of lights that is a success, or ``null`` for all.
+        unit: whether distances count in ``m`` or in ``lengths`` of the animal at rest.
+    """
+
+    type: Literal["waypoints"]
+    lights: Annotated[int, Field(ge=1, le=100)] = 4
+    spacing: Positive = 4.0
+    turn_deg: Annotated[float, Field(ge=0, le=180)] = 120.0
+    arena: Positive | None = None
+    radius: Positive = 0.5
+    enough: Annotated[int | None, Field(ge=1)] = None
+    unit: Unit = "lengths"
+
+    needs_ground: ClassVar[bool] = False
+    draws_course: ClassVar[bool] = True
+
+    @model_validator(mode="after")
+    def _check(self) -> "WaypointsConfig":
+        if self.enough is not None and self.enough > self.lights:
+            raise ValueError(f"enough: {self.enough} of {self.lights} lights cannot be reached")
+        return self
+
+    @property
+    def light(self) -> LightConfig:
+        """Light straight ahead, from which the first turn counts."""
+        return LightConfig(distance=1.0, bearing_deg=0.0, elevation_deg=0.0)
+
+    def build(self, creature: Creature, light: Triple | None, **_: Any) -> Task:
+        """Build the task for a creature."""
+        assert light is not None
+        unit = length_of(creature) if self.unit == "lengths" else 1.0
+        return Waypoints(
+            light=light,
+            lights=self.lights,
+            spacing=self.spacing * unit,
+            turn=xp.deg2rad(self.turn_deg),
+            radius=self.radius * unit,
+            enough=self.enough or self.lights,
+            arena=None if self.arena is None else self.arena * unit,
+        )
+
+
+class FollowConfig(Section):
+    """A light to stay near. It rests, turns at random, or flees.
+
+    Attributes:
+        type: ``follow``.
+        light: position of the light at the start; its ``distance`` is in m.
+        speed: speed of the light, per second.
+        every: time between two turns of the light, s.
+        turn_deg: smallest turn, degrees; turns are uniform up to 180, on both sides.
+        flees: distance of the animal from which the light flees straight away, or ``null``.
+        radius: distance that counts as near.
+        settle_seconds: time from the start that does not count yet, s, less than the trial.
+        unit: whether distances count in ``m`` or in ``lengths`` of the animal at rest.
+    """
+
+    type: Literal["follow"]
+    light: LightConfig = LightConfig(distance=1.0, bearing_deg=0.0, elevation_deg=0.0)
+    speed: NotNegative = 0.0
+    every: Positive = 5.0
+    turn_deg: Annotated[float, Field(ge=0, le=180)] = 90.0
+    flees: Positive | None = None
+    radius: Positive = 1.0
+    settle_seconds: NotNegative = 0.0
+    unit: Unit = "lengths"
+
+    needs_ground: ClassVar[bool] = False
+
+    @field_validator("light")
+    @classmethod
+    def _fill(cls, light: LightConfig) -> LightConfig:
+        return light.over(DEFAULT_LIGHT)
+
+    @property
+    def draws_course(self) -> bool:
+        """Whether the light turns at random."""
+        return self.flees is None and bool(self.speed)
+
+    def build(self, creature: Creature, light: Triple | None, seconds: float, **_: Any) -> Task:
+        """Build the task for a creature and a trial of some seconds."""
+        assert light is not None
+        unit = length_of(creature) if self.unit == "lengths" else 1.0
+        return Follow(
+            light=light,
+            speed=self.speed * unit,
+            every=self.every,
+            turn=xp.deg2rad(self.turn_deg),
+            radius=self.radius * unit,
+            settle_seconds=self.settle_seconds,
+            legs=chosen(lambda: math.ceil(seconds / self.every) if self.draws_course else 0),
+            flees=None if self.flees is None else self.flees * unit,
+        )
+
+
 TaskConfig = Annotated[
     Annotated[ReachLightConfig, Tag("reach_light")]
     | Annotated[DistanceConfig, Tag("distance")]
     | Annotated[WalkConfig, Tag("walk")]
+    | Annotated[WaypointsConfig, Tag("waypoints")]
+    | Annotated[FollowConfig, Tag("follow")]
     | Annotated[CustomConfig, Tag("custom")],
     by_type("reach_light"),
 ]
