@@ -42,7 +42,7 @@ from evo_cpg.simulation.task import Task
 from evo_cpg.training import devices
 from evo_cpg.training import experiment as training
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.evaluate import compile_trials
+from evo_cpg.training.evaluate import compile_trials, of_course
 from evo_cpg.training.run_folder import RunFolder
 
 Terms = Mapping[str, Float[Array, " *n"]]
@@ -276,6 +276,8 @@ class Experiment:
             frames = self._record(genes, keys, own)
         names = [body.name for body in self.creature.bodies]
         simulation = self.with_body(genome).parts.simulation
+        if keys is not None:
+            simulation = of_course(simulation, np.asarray(keys)[:, 0])
         return as_record(simulation, frames, as_recording(simulation, frames, names, trial=trial))
 
     def environment(self, actions: str = "rates", trial: int = 0) -> Environment:

@@ -56,7 +56,9 @@ class Drawn(NumbersOfPlan, CourseBuilder):
         drawn = np.random.default_rng(_SEED).random((_RANDOM, len(self.ranges)))
         parts = np.concatenate([np.zeros((1, len(self.ranges))), np.ones_like(drawn[:1]), drawn])
         samples = self._low + (self._high - self._low) * parts
-        super().__init__(without_draws(config), source, dict(zip(self.ranges, samples.T)))
+        super().__init__(
+            without_draws(config), source, dict(zip(self.ranges, samples.T, strict=True))
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the configuration alone, because programs cannot be pickled."""

@@ -44,7 +44,7 @@ class Recording(NamedTuple):
         torque: torque of each motor, N m.
         distance: distance from the root to the light, m. If there is no light, horizontal distance
             from the root's initial place.
-        goal: place of the light in the world, m, or NaN without a light.
+        light: place of the light in the world, m, or NaN without a light.
         dof_names: name of each degree of freedom, ``body.axis``.
     """
 
@@ -56,8 +56,13 @@ class Recording(NamedTuple):
     cpg_output: Float[np.ndarray, "t d"]
     torque: Float[np.ndarray, "t d"]
     distance: Float[np.ndarray, " t"]
-    goal: Float[np.ndarray, "3"]
+    light: Float[np.ndarray, "t 3"]
     dof_names: tuple[str, ...]
+
+    @property
+    def goal(self) -> Float[np.ndarray, "3"]:
+        """Place of the light at the start, m, or NaN without a light."""
+        return self.light[0]
 
     @property
     def slides(self) -> Bool[np.ndarray, " d"]:
@@ -136,11 +141,11 @@ def as_recording(
     """
     tree = simulation.world.tree
     order = [tree.names.index(name) for name in names]
-    light = simulation.lights[trial if len(simulation.situations) > 1 else 0]
     arrays = {name: np.asarray(values[..., individual]) for name, values in frames.items()}
     position = np.moveaxis(arrays["position"], -1, 1)
     root = position[:, 0]
-    path = root - light if light else (root - root[0])[:, :2]
+    light = light_of(simulation, arrays, trial)
+    path = root - light if np.isfinite(light).all() else (root - root[0])[:, :2]
     return Recording(
         time=np.arange(simulation.steps) / simulation.control_rate,
         position=position[:, order],
@@ -150,9 +155,19 @@ def as_recording(
         cpg_output=arrays["cpg_output"],
         torque=arrays["torque"],
         distance=np.linalg.norm(path, axis=-1),
-        goal=np.array(light, float) if light else np.full(3, np.nan),
+        light=light,
         dof_names=tree.dof_names,
     )
+
+
+def light_of(
+    simulation: Simulation, arrays: Mapping[str, np.ndarray], trial: int
+) -> Float[np.ndarray, "t 3"]:
+    """Return the place of the light at the instants of one individual's arrays, m, or NaN."""
+    if "light" in arrays:
+        return arrays["light"].astype(float)
+    light = simulation.lights[trial if len(simulation.situations) > 1 else 0]
+    return np.tile(np.full(3, np.nan) if light is None else light, (len(arrays["position"]), 1))
 
 
 def _frame(simulation: Simulation, full: bool, effects: Effects) -> dict[str, Array]:
@@ -180,6 +195,8 @@ def _frame(simulation: Simulation, full: bool, effects: Effects) -> dict[str, Ar
         frame["contact_velocity"] = after.contact_velocity
     if effects.forces.holding is not None:
         frame["holding"] = effects.forces.holding
+    if effects.light is not None:
+        frame["light"] = effects.light
     if effects.command.activation is not None:
         frame["activation"] = effects.command.activation
     if effects.command.torque is not None:

@@ -294,7 +294,7 @@ class Simulation(eqx.Module):
         """Return the part of the trials' random keys for noise, or None without noise."""
         return None if keys is None or self.noise.silent else keys[:_WORDS]
 
-    def course_keys(self, keys: UInt32[Array, "w *n"] | None) -> UInt32[Array, "2 *n"] | None:
+    def course_keys(self, keys: Any) -> Any:
         """Return the part of the trials' random keys for courses, or None if none is drawn."""
         return None if keys is None or not self.draws_course else keys[_WORDS:]
 

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from evo_cpg.simulation.recording import Recorder, Recording
+from evo_cpg.simulation.recording import Recorder, Recording, light_of
 from evo_cpg.training.checkpoint import history_columns
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.evaluate import compile_trials
@@ -46,7 +46,7 @@ class CrowdMotion(NamedTuple):
         time: time since the start of the trial, s.
         position: centre of every body of every animal, m.
         rotation: rotations from body to world axes.
-        goal: place of the light in the world, m, or NaN without a light.
+        goal: place of the light at the start, m, or NaN without a light.
     """
 
     time: Float[np.ndarray, " t"]
@@ -83,6 +83,7 @@ class CrowdMotion(NamedTuple):
         path, goal = position[:, root], self.goal
         lit = np.isfinite(goal).all()
         away = path - goal if lit else (path - path[0])[:, :2]
+        light = np.tile(goal, (len(path), 1))
         return Recording(
             self.time,
             position,
@@ -92,7 +93,7 @@ class CrowdMotion(NamedTuple):
             none,
             none,
             np.linalg.norm(away, axis=-1),
-            goal,
+            light,
             (),
         )
 
@@ -197,7 +198,8 @@ def compile_motions(
     steps = min(max(round(seconds * simulation.control_rate), 1), simulation.steps)
     every = max(round(simulation.control_rate / rate), 1)
     short = dataclasses.replace(simulation, steps=steps)
-    recorder = Recorder(count=None, names=("position", "rotation"), every=every)
+    names = ("position", "rotation", *["light"] * simulation.task.moves_light)
+    recorder = Recorder(count=None, names=names, every=every)
     live = compile_trials(short, population_mesh(), observers=recorder)
     several = situation_numbers(experiment) is not None
 
@@ -236,8 +238,6 @@ def compile_crowd_motion(
     simulation, record = experiment.simulation, compile_motions(experiment, seconds, rate)
     individuals = np.arange(min(experiment.strategy.population, _MOST))
     several = situation_numbers(experiment) is not None
-    light = simulation.lights[trial if several else 0]
-    goal = np.array(light, float) if light else np.full(3, np.nan)
     names = simulation.world.tree.names
     order = [names.index(body.name) for body in experiment.creature.bodies]
 
@@ -247,6 +247,9 @@ def compile_crowd_motion(
         position = np.moveaxis(found["position"], (3, 2), (1, 2))[:, :, order]
         rotation = np.moveaxis(found["rotation"], (4, 3), (1, 2))[:, :, order]
         sane = (np.abs(position) < _ASTRAY).all((0, 2, 3)) & np.isfinite(rotation).all((0, 2, 3, 4))
+        # All animals of a generation have equal courses, but reach their lights at other times.
+        first = {name: values[..., 0] for name, values in found.items()}
+        goal = light_of(simulation, first, trial if several else 0)[0]
         return CrowdMotion(instants, position[:, sane], rotation[:, sane], goal)
 
     return of

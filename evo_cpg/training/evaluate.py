@@ -119,19 +119,21 @@ def compile_trials(
         trials: int = 1,
         values: tuple[Float[np.ndarray, "_ individuals"], ...] | None = None,
     ) -> tuple[Layout, int, Callable[..., tuple]]:
-        count, owners = genes.shape[1] * trials, np.arange(genes.shape[1] * trials) // trials
-        if builder is whole.bodies and builder:
-            values = builder.values(whole.genome.of_body(genes))
-        elif builder:
-            courses, owners = np.unique(whole.course_keys(keys), axis=1, return_inverse=True)
-            values = builder.values(courses)
+        count = genes.shape[1] * trials
+        owners = np.arange(count) // trials
         if builder:
-            values = tuple(values[i] for i in kept)
+            origin = whole.genome.of_body(genes)
+            if whole.draws:
+                # Individuals share courses.
+                own = np.asarray(whole.course_keys(keys))
+                origin, owners = np.unique(own, axis=1, return_inverse=True)
+            found = builder.values(origin)
+            values = tuple(found[i] for i in kept)
         # The host's values may have another precision than the genes.
         own = jax.tree.map(lambda x: np.asarray(x, genes.dtype), values)
 
         def pick(numbers: Int[np.ndarray, " block"]) -> tuple:
-            numbered = jax.tree.map(lambda x: x[:, owners[numbers]], own)
+            numbered = jax.tree.map(lambda x: x[:, owners.reshape(-1)[numbers]], own)
             rest = jax.tree.map(lambda x: x[..., numbers], (keys, trial))
             return numbered, genes[:, numbers // trials], *rest
 
@@ -326,7 +328,9 @@ def compile_replay(
         genes = np.asarray(champion.genes, np.float32)[:, None]
         fitness, mean, frames = evaluate(genes, champion)
         frames = {name: values[..., block : block + 1] for name, values in frames.items()}
-        simulation, frames = _own(experiment.simulation, champion.genes, frames)
+        keys = champion_keys(experiment, champion)
+        key = None if keys is None else np.asarray(keys)[:, recorded]
+        simulation, frames = _own(experiment.simulation, champion.genes, key, frames)
         motion = as_recording(simulation, frames, _names(experiment, simulation), trial=recorded)
         terms = {name: float(values[0]) for name, values in mean.terms.items()}
         return Replay(float(fitness[0]), terms, frames, motion)
@@ -360,15 +364,17 @@ def compile_population_replay(
         # Copies of the last individual fill the vector.
         filled = np.pad(np.asarray(places), (0, LANES - len(places)), mode="edge")
         own = trial_keys(experiment, checkpoint.generation, lanes + run_number, filled, lanes)
+        own = jax.device_get(own)
         genes = checkpoint.genes[:, run_number * experiment.strategy.population + filled]
-        outcome, frames = run(np.asarray(genes, np.float32), jax.device_get(own), first)
+        outcome, frames = run(np.asarray(genes, np.float32), own, first)
         scales = {name: jnp.float32(each[run_number]) for name, each in checkpoint.scales.items()}
         fitness = jax.device_get(assess(outcome, scales))
         replays = []
         for i in range(len(places)):
             terms = {name: float(values[i]) for name, values in outcome.terms.items()}
             alone = {name: values[..., i : i + 1] for name, values in frames.items()}
-            shown, alone = _own(simulation, genes[:, i], alone)
+            key = None if own is None else own[:, i]
+            shown, alone = _own(simulation, genes[:, i], key, alone)
             motion = as_recording(shown, alone, _names(experiment, shown))
             replays.append(Replay(float(fitness[i]), terms, alone, motion))
         return replays
@@ -376,12 +382,25 @@ def compile_population_replay(
     return of
 
 
+def of_course(simulation: Simulation, keys: UInt32[np.ndarray, " w"]) -> Simulation:
+    """Return the simulation of one course, given the raw random keys of its trial."""
+    if simulation.draws is None:
+        return simulation
+    values = simulation.draws.values(np.asarray(simulation.course_keys(keys))[:, None])
+    common = dataclasses.replace(simulation, draws=None)
+    inputs, kept = inputs_of(simulation.draws, common)
+    return BatchedSimulation(common, inputs, [values[i] for i in kept])[0]
+
+
 def _own(
-    simulation: Simulation, genes: Float[np.ndarray, " g"], frames: dict[str, Any]
+    simulation: Simulation,
+    genes: Float[np.ndarray, " g"],
+    keys: UInt32[np.ndarray, " w"] | None,
+    frames: dict[str, Any],
 ) -> tuple[Simulation, dict[str, Any]]:
-    """Return the simulation that recorded arrays show: of a plan, that of its own creature."""
+    """Return the simulation that recorded arrays show: of a course, or of a plan's creature."""
     if simulation.plans is None:
-        return simulation, frames
+        return simulation if keys is None else of_course(simulation, keys), frames
     own = simulation.plans.own(genes)
     return own, simulation.plans.frames_of(own, frames)
 

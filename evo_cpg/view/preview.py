@@ -109,7 +109,7 @@ def preview(
     rest = neutral_pose(creature) if pose is None else pose
     if ground is True:
         ground = Ground(floor=Plane(height=float(lowest_height(creature, rest))))
-    none, start, nowhere = np.zeros((1, 0)), np.zeros(1), np.full(3, np.nan)
+    none, start, nowhere = np.zeros((1, 0)), np.zeros(1), np.full((1, 3), np.nan)
     instant = (start, rest[0][None], rest[1][None], none, none, none, none, start, nowhere, ())
     recording = Recording(*instant)
     world = "land" if surface is None else "water"

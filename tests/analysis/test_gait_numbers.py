@@ -60,7 +60,7 @@ def recording(
         cpg_output=still,
         torque=still,
         distance=np.zeros(count),
-        goal=np.full(3, np.nan),
+        light=np.full((count, 3), np.nan),
         dof_names=build_tree(creature).dof_names,
     )
 

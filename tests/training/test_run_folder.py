@@ -22,7 +22,7 @@ PLACE, DOF = np.ones((2, 1, 3)), np.ones((2, 1))
 RECORDING = Recording(
     *(np.arange(2) / 60, PLACE, np.ones((2, 1, 3, 3)), DOF, DOF, DOF, DOF),
     distance=np.ones(2),
-    goal=np.ones(3),
+    light=np.ones((2, 3)),
     dof_names=("tail.z",),
 )
 

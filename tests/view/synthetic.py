@@ -79,9 +79,14 @@ def swim(seconds: float = 33.0, rate: float = 60.0) -> Recording:
         cpg_output=output.reshape(steps, -1),
         torque=np.zeros_like(flat),
         distance=np.linalg.norm(position[:, 0] - GOAL, axis=-1),
-        goal=GOAL,
+        light=np.tile(GOAL, (steps, 1)),
         dof_names=tuple(f"b{i}.{axis}" for i in joints for axis in "xyz"),
     )
+
+
+def with_light(recording: Recording, goal: np.ndarray) -> Recording:
+    """Return the recording with a light that rests."""
+    return recording._replace(light=np.tile(goal, (len(recording.time), 1)))
 
 
 def walker() -> Creature:
@@ -148,7 +153,7 @@ def walk(seconds: float = 20.0, rate: float = 60.0, course: float = 0.0) -> Reco
         cpg_output=np.sin(angle),
         torque=np.zeros_like(angle),
         distance=PACE * time,
-        goal=np.full(3, np.nan),
+        light=np.full((len(time), 3), np.nan),
         dof_names=tuple(f"{body.name}.y" for body in walker().bodies[1:]),
     )
 

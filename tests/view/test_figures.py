@@ -168,7 +168,7 @@ def test_a_path_is_that_of_the_root_in_any_order_of_bodies(recording):
 
 @pytest.mark.parametrize(("goal", "origin"), [(np.nan, "start"), (3.0, "light")])
 def test_a_path_names_its_dots_and_the_origin_of_the_distance(recording, goal, origin):
-    above, later, _ = path_figure(recording._replace(goal=np.full(3, goal)), 0).axes
+    above, later, _ = path_figure(synthetic.with_light(recording, np.full(3, goal)), 0).axes
     assert origin in later.get_ylabel() and origin in legend_of(above)[-1]
     every = (recording.time[-1] - recording.time[0]) / 6
     assert f"{every:.3g} s" in legend_of(above)[0]

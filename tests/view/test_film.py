@@ -128,7 +128,7 @@ def test_bodies_and_light_stay_in_the_frame_of_a_calm_camera(creature, recording
 
 def test_an_arrow_points_to_a_light_outside_the_picture(creature, recording):
     """The orbiting camera loses sight of a far light, and finds it again."""
-    far = recording._replace(goal=np.array([300.0, 200.0, 0.0]))
+    far = synthetic.with_light(recording, np.array([300.0, 200.0, 0.0]))
     clip = sample(far, 30)
     orbit = camera_path(scene_of(Panel(creature, far), clip), "orbit", 16 / 9)
     tips = edge_places(orbit, far.goal, 16 / 9)
@@ -161,7 +161,7 @@ def test_the_animal_crosses_the_picture_from_side_and_top(creature, recording, w
 @pytest.mark.parametrize("world", ["water", "land"])
 def test_the_camera_goes_around_once(creature, recording, world):
     """It turns evenly, at one height and distance, with the animal in the middle."""
-    for motion in (recording, recording._replace(goal=np.full(3, np.nan))):
+    for motion in (recording, synthetic.with_light(recording, np.full(3, np.nan))):
         clip, camera = seen(creature, motion, world, "orbit")
         offset = camera.position - camera.focus
         bearing = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
@@ -188,7 +188,7 @@ def test_the_orbit_stays_above_a_boulder(creature, recording):
 
 def beginning(recording: Recording, count: int) -> Recording:
     """The first instants of a recording."""
-    kept = {"goal", "dof_names"}
+    kept = {"dof_names"}
     fields = {name: getattr(recording, name)[:count] for name in set(recording._fields) - kept}
     return recording._replace(**fields)
 

@@ -150,22 +150,22 @@ def test_the_finish_is_the_last_line_that_the_champion_passes():
 def test_the_champion_arrives_when_a_body_touches_the_light():
     """The trunk is 0.6 m long, and the light 0.4 m ahead of it."""
     light = WALK.position[0, 0] + np.array([0.7, 0.0, 0.0])
-    lit = PANEL._replace(recording=WALK._replace(goal=light))
+    lit = PANEL._replace(recording=synthetic.with_light(WALK, light))
     arrival = course_of(lit, 0.5, forward=False).arrival
     assert arrival is not None
     progress = np.interp(arrival, WALK.time, WALK.position[:, 0, 0] - WALK.position[0, 0, 0])
     assert progress == pytest.approx(0.4, abs=0.04)
-    beside_it = WALK._replace(goal=light + np.array([0.0, 0.4, 0.0]))
+    beside_it = synthetic.with_light(WALK, light + np.array([0.0, 0.4, 0.0]))
     assert course_of(PANEL._replace(recording=beside_it), 0.5, forward=False).arrival is None
 
 
 def test_a_light_is_the_goal_and_has_no_finish():
-    lit = PANEL._replace(recording=WALK._replace(goal=np.array([1.0, 1.0, 0.2])))
+    lit = PANEL._replace(recording=synthetic.with_light(WALK, np.array([1.0, 1.0, 0.2])))
     course = course_of(lit, 0.5, forward=False)
     assert course.finish is None and course.bearing == pytest.approx(np.pi / 4, abs=0.05)
     tank = tank_of(lit, course, [], 1.0, 16 / 9)
     assert tank.near and tank.track is None
-    far = lit._replace(recording=WALK._replace(goal=np.array([90.0, 90.0, 0.2])))
+    far = lit._replace(recording=synthetic.with_light(WALK, np.array([90.0, 90.0, 0.2])))
     tank = tank_of(far, course_of(far, 0.5, forward=False), [], 1.0, 16 / 9)
     assert not tank.near and tank.track is not None
 

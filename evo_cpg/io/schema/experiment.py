@@ -135,7 +135,7 @@ class CoursesConfig(Section):
         score: fitness of several trials: ``mean``, ``worst``, or a quantile, such as 0.25.
     """
 
-    draw: dict[str, tuple[Finite, Finite]] = {}
+    draw: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
     every: Count | None = 1
     score: Annotated[
         Annotated[Literal["mean", "worst"], Tag("word")]

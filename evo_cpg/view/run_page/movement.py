@@ -78,8 +78,7 @@ def gait(motion: RecordedMotion) -> Html:
             )
         )
     every = max(1, len(recording.time) // _PLACES)
-    whole = ("goal", "dof_names")
-    thinned = {k: v[::every] for k, v in recording._asdict().items() if k not in whole}
+    thinned = {k: v[::every] for k, v in recording._asdict().items() if k != "dof_names"}
     parts += [
         tag("h3", "Its path"),
         charts.chart(

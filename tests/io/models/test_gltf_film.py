@@ -258,7 +258,7 @@ def test_a_triangle_without_area_is_left_out():
         time=np.array([0.0, 1.0]),
         position=np.zeros((2, 1, 3)),
         rotation=np.tile(np.eye(3), (2, 1, 1, 1)),
-        goal=np.full(3, np.nan),
+        light=np.full((2, 3), np.nan),
     )
     document, arrays = decode(gltf_film(Panel(creature, still)))
     attributes = document["meshes"][0]["primitives"][0]["attributes"]
