@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.analysis.laboratory.ask import Answer, Subject, ask, shown_columns
+from evo_cpg.analysis.laboratory.courses import held_out
 from evo_cpg.analysis.laboratory.settings import KNOBS, LabError
 from evo_cpg.api.progress import working
 from evo_cpg.api.runs import open_champion
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.io.load import load_config
-from evo_cpg.io.run import class_folders
+from evo_cpg.io.run import Run, class_folders
 from evo_cpg.io.shipped import find_config
 from evo_cpg.io.trust import trusting
 from evo_cpg.training import devices
@@ -22,8 +23,8 @@ from evo_cpg.training import devices
 TABLE = "lab.csv"
 """Name of the file with the rows of an answer."""
 
-# Most panels of a picture.
-_MOST_PANELS = 6
+# Most panels of a picture, and most courses.
+_MOST_PANELS, _MOST_COURSES = 6, 10_000
 
 
 def lab(
@@ -31,6 +32,7 @@ def lab(
     knobs: Mapping[str, Sequence[Any]],
     seconds: float | None = None,
     *,
+    courses: int | None = None,
     number: int | None = None,
     trust: bool = False,
 ) -> Answer:
@@ -41,6 +43,8 @@ def lab(
         knobs: values of each knob (docs/lab.md), or of keys of the configuration.
         seconds: duration of each trial, s, of which the second half is measured. None is the
             duration in the configuration.
+        courses: number of held-out courses, of which the rows have the means, or None for one trial
+            without noise. Without knobs, each sense is silenced, and the cord is cut in the middle.
         number: number of one of several runs in the folder, or None for the best.
         trust: whether you trust the configuration, see `evo_cpg.load`.
 
@@ -55,8 +59,12 @@ def lab(
         if source.is_dir():
             opened = open_champion(source, number, cores=devices.available_cores()).own
             opened.require_configured()
+            if courses is not None:
+                return _on_courses(opened, knobs, courses, seconds)
             own, genes = class_folders(opened.folder), opened.champion.genes
             subject = Subject(opened.config, opened.folder.config, own, genes)
+        elif courses is not None:
+            raise LabError(f"courses: {source} has no champion. Ask a run folder")
         elif number is None:
             devices.use_cores()
             subject = Subject(load_config(source), source)
@@ -64,6 +72,19 @@ def lab(
             raise LabError(f"run {number}: {source} is a configuration, not a run folder")
         with working(f"compiling, and simulating {count} setting{'s' if count > 1 else ''}"):
             return ask(subject, knobs, seconds)
+
+
+def _on_courses(
+    opened: Run, knobs: Mapping[str, Sequence[Any]], courses: int, seconds: float | None
+) -> Answer:
+    if seconds is not None:
+        raise LabError("seconds: courses have the duration of the configuration. Leave it out")
+    if not 1 <= courses <= _MOST_COURSES:
+        raise LabError(f"courses: {courses}. Allowed: 1 to {_MOST_COURSES}")
+    kind = opened.config.controller.type
+    with working(f"compiling, and simulating {courses} courses"):
+        found = held_out(opened.experiment, kind, opened.champion, knobs, courses)
+    return Answer(*found)
 
 
 def varied_knobs(answer: Answer) -> list[str]:

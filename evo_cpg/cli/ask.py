@@ -417,6 +417,14 @@ def lab(
             "configuration).",
         ),
     ] = None,
+    courses: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Held-out courses of the champion's task, over which success is averaged. Without "
+            "KNOB=VALUES, each sense is silenced, and the cord is cut in the middle.",
+        ),
+    ] = None,
     number: Number = None,
     out: Annotated[
         Path | None,
@@ -439,7 +447,7 @@ def lab(
         require_free(out / TABLE, overwrite)
         if out.exists() and not out.is_dir():
             raise UsageError(f"{out} is a file. --out is a folder")
-    answer = evo.lab(animal, values, seconds, number=number)
+    answer = evo.lab(animal, values, seconds, courses=courses, number=number)
     # Print as many columns as fit, and the notes.
     rows, varied = answer.rows, varied_knobs(answer)
     columns = shown_columns(rows)

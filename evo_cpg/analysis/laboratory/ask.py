@@ -232,6 +232,9 @@ TOWED = (
 def shown_columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
     """Return the measures that exist under at least one setting, the most important first."""
     names = {name for row in rows for name in row}
+    if "diverged" in names:
+        # On courses the measures are the task's own.
+        return [Column(name, name[:9], name) for name in rows[0] if name not in NERVES]
     kinds = {"holding_force": TOWED, "current": FLUME, "cut_lag": CUT}
     kind = next((kind for name, kind in kinds.items() if name in names), SWIMMING)
     return [
