@@ -114,7 +114,7 @@ def measure(opened: Run, trial: int) -> tuple[Recording, GaitNumbers]:
     """Replay a champion's trial and return its motion with the numbers."""
     from evo_cpg.analysis import gait_numbers as measuring
 
-    experiment = opened.own.experiment
+    experiment = opened.on_course(trial).experiment
     # Velocities are needed for the power into the water only.
     full = experiment.simulation.world.water is not None
     (replay,) = opened.replay([opened.champion], trial, full)
@@ -134,7 +134,7 @@ def page(opened: Run, trial: int, recording: Recording, numbers: GaitNumbers) ->
     from evo_cpg.view.scene import panel_of, sample
 
     folder, config, champion = opened.folder, opened.config, opened.champion
-    experiment, meta = opened.own.experiment, folder.read_meta()
+    experiment, meta = opened.on_course(trial).experiment, folder.read_meta()
     simulation = experiment.simulation
     panel, still = panel_of(experiment, recording, experiment.name), io.BytesIO()
     picture([panel], Film(_STILL)).save(still, "JPEG", quality=_QUALITY)

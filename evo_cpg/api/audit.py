@@ -223,12 +223,22 @@ def audited(opened: Run, champions: Sequence[Champion], limits: Sequence[str] = 
             work.doing(f"auditing, {done + 1} of {total}: {what}")
 
         groups, found = [(opened, champions, ())], []
-        if opened.experiment.simulation.has_own_bodies:
-            # Each body has an experiment of its own. The numbers of its replay are no constants, as
-            # in training, because a walker's path depends on their rounding.
+        simulation = opened.experiment.simulation
+        if simulation.has_own_bodies or simulation.draws is not None:
+            # Each body and course has an experiment of its own. The numbers of its replay are no
+            # constants, as in training, because a walker's path depends on their rounding.
             replayed = _replay(opened.experiment, champions)
-            each = zip(map(opened.of_body, champions), replayed, strict=True)
-            groups = [(own, [own.champion], [one]) for own, one in each]
+            runs = (dataclasses.replace(opened, individual=one) for one in champions)
+            owns = [run.on_course() for run in runs]
+            if simulation.draws is not None:
+                # Displacements are compared on the first course. Fitness is that of all courses.
+                alone = [_replay(own.experiment, [own.champion])[0] for own in owns]
+                replayed = [
+                    whole._replace(displacement=one.displacement)
+                    for whole, one in zip(replayed, alone, strict=True)
+                ]
+            pairs = zip(owns, replayed, strict=True)
+            groups = [(own, [own.champion], [one]) for own, one in pairs]
         for own, some, before in groups:
             given = allowed, own.config, source, folders, tell, before
             found += audits(own.experiment, some, *given)

@@ -53,7 +53,7 @@ def champion_panel(
 ) -> Panel:
     """Return a panel with the champion of a run, or with the elite of a cell of its map."""
     opened, strip = open_champion(run, number, trial, cell), None
-    experiment = opened.own.experiment
+    experiment = opened.on_course(trial).experiment
     if signals:
         with working("replaying the champion"):
             (replay,) = opened.replay([opened.champion], trial)
@@ -89,8 +89,9 @@ def crowd_panel(opened: Run, generation: int, trial: int, film: Film) -> Panel:
     leader = int(crowd.advance(root, simulation.task.heading).argmax())
     others = crowd.of(np.delete(np.arange(crowd.count), leader))
     title = f"generation {generation}: {crowd.count} animals"
-    # All animals are drawn with the champion's body.
-    drawn = opened.own.experiment
+    # All animals are drawn with the champion's body, on the course of their generation.
+    one = opened.champion._replace(generation=generation)
+    drawn = dataclasses.replace(opened, individual=one).on_course(trial).experiment
     return panel_of(drawn, crowd.recording(leader, root), title)._replace(crowd=others)
 
 
@@ -232,7 +233,7 @@ def lineage_panels(
         title = f"generation {one.generation}: fitness {one.fitness:.3g}"
         if one.expected is not None:
             title = f"champion: fitness {one.expected:.3g} with new noise"
-        own = opened.of_body(one)
+        own = dataclasses.replace(opened, individual=one).on_course(trial)
         shown = _signals(own, replay) if signals else None
         panels.append(panel_of(own.experiment, replay.recording, title, shown))
     return panels

@@ -124,8 +124,9 @@ def story(
         opened = open_champion(run, number, trial)
     # The champion of the run, and the populations that can be made anew.
     recording = motion_of(opened, trial)
-    creature, task = opened.own.experiment.creature, opened.experiment.simulation.task
-    panel = panel_of(opened.own.experiment, recording, creature.name)._replace(numbers=False)
+    shown, task = opened.on_course(trial).experiment, opened.experiment.simulation.task
+    creature = shown.creature
+    panel = panel_of(shown, recording, creature.name)._replace(numbers=False)
     length = 2 * animal_radius(creature, sample(recording, FPS))
     course = course_of(panel, length, task.heading == "forward")
     # The speed of the film for crowds follows from the champion's time over some of its lengths.

@@ -237,7 +237,7 @@ def plot(
 
     with writing(run, output):
         opened = open_champion(run, number, trial, cell)
-        recording, experiment = motion_of(opened, trial), opened.own.experiment
+        recording, experiment = motion_of(opened, trial), opened.on_course(trial).experiment
         simulation, place = experiment.simulation, output or make_folder(run / "plots")
         name, tree = suffix(number, trial, cell), simulation.world.tree
         history = opened.folder.history()

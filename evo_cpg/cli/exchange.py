@@ -168,7 +168,8 @@ def export(
         from evo_cpg.view.scene import panel_of
 
         opened = open_champion(source, number, trial, cell)
-        panel = panel_of(opened.own.experiment, motion_of(opened, trial), opened.experiment.name)
+        shown = opened.on_course(trial).experiment
+        panel = panel_of(shown, motion_of(opened, trial), shown.name)
         with working("writing the scene"):
             scene = gltf_film(panel)
             write_whole(output, lambda file: file.write(scene))
@@ -178,7 +179,9 @@ def export(
         opened = open_champion(source, number, trial, cell)
         with working("replaying the champion"):
             (replay,) = opened.replay([opened.champion], trial, full=True)
-        record = as_record(opened.own.experiment.simulation, replay.frames, replay.recording)
+        record = as_record(
+            opened.on_course(trial).experiment.simulation, replay.frames, replay.recording
+        )
         record.to_csv(output) if suffix == ".csv" else record.to_npz(output)
     print(output)
 

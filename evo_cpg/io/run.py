@@ -16,6 +16,7 @@ from jaxtyping import Float
 from evo_cpg.evolution.strategy import Archive, Axis
 from evo_cpg.io.body_genes import config_of
 from evo_cpg.io.build import build_experiment
+from evo_cpg.io.courses import config_of_course
 from evo_cpg.io.load import load_config
 from evo_cpg.io.plans import EvolvedPlans
 from evo_cpg.io.schema.experiment import ExperimentConfig
@@ -25,7 +26,7 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.checkpoint import Champion, Checkpoint, StrategyError, state_from
 from evo_cpg.training.evaluate import Replay, compile_replay
-from evo_cpg.training.experiment import ExperimentParts, begin
+from evo_cpg.training.experiment import ExperimentParts, begin, champion_keys
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 _SOURCE = "the source of "
@@ -152,6 +153,21 @@ class Run:
         experiment = build_experiment(config, source, class_folders(self.folder))
         one, recording = champion._replace(genes=genes), self.recording
         return Run(self.folder, config, experiment, individual=one, recording=recording)
+
+    def on_course(self, trial: int = 0) -> "Run":
+        """Return `own` with the numbers that one of the individual's trials had drawn.
+
+        Pictures show this world, and an audit takes place in it.
+        """
+        own, simulation = self.own, self.experiment.simulation
+        if simulation.draws is None:
+            return own
+        keys = champion_keys(self.experiment, self.champion)
+        assert keys is not None
+        source = self.folder.config
+        config = config_of_course(own.config, simulation, np.asarray(keys)[:, trial], source)
+        experiment = build_experiment(config, source, class_folders(self.folder))
+        return dataclasses.replace(own, config=config, experiment=experiment)
 
     def replay(self, champions: Sequence[Champion], trial: int, full: bool = False) -> list[Replay]:
         """Replay individuals of the run in turn, with one program. Trials count from 0.

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, UInt32
 
@@ -64,7 +65,7 @@ def held_out(
     genes = [genes_of(controller, tree, setting, champion.genes) for setting in settings]
     changed = dataclasses.replace(simulation, controller=controller)
     outcome = _trials(experiment, changed, np.stack(genes, -1).astype(np.float32), count)
-    scales = {name: np.float32(value) for name, value in champion.scales.items()}
+    scales = {name: jnp.float32(value) for name, value in champion.scales.items()}
     fitness = jax.device_get(judge_each(simulation.task, outcome, scales))
     lived = np.asarray(outcome.alive)
     first = {name: outcome.terms[name] for name in ("success",) if name in outcome.terms}
