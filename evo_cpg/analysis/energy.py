@@ -118,11 +118,16 @@ def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
         steps.after,
         steps.before,
     )
-    return Ledger(*along_time(functools.partial(_entries, world, h), steps, previous))
+    entries = functools.partial(_entries, world, h)
+    # Each step has its own water if the water changes.
+    entries = jax.vmap(entries, -1, -1) if world.changes else entries
+    return Ledger(*along_time(entries, steps, previous))
 
 
 def _entries(world: World, h: float, steps: PhysicsSteps, previous: State) -> tuple[Array, ...]:
     """Return the fields of `Ledger`."""
+    if steps.time is not None:
+        world = world.at(steps.time)
     tree, before, after = world.tree, steps.before, steps.after
     # Velocities are half a step behind the poses, so move the poses back by half a step.
     earlier, first, last = (
@@ -279,7 +284,7 @@ class WaterPower(NamedTuple):
 
 
 def water_power(
-    world: World, frames: Mapping[str, Array | np.ndarray], h: float
+    world: World, frames: Mapping[str, Array | np.ndarray], h: float, time: Float[np.ndarray, " t"]
 ) -> WaterPower | None:
     """Return thrust and power of a recorded trial, or None without reactive thrust.
 
@@ -287,12 +292,15 @@ def water_power(
         world: world of the trial.
         frames: ``full`` frames of one individual (`evo_cpg.simulation.recording.Recorder`).
         h: duration of a physics step, s.
+        time: time of each frame, s.
     """
     if world.law(ReactiveThrust) is None or "angular_velocity" not in frames:
         return None
     laws = [law for law in world.forces if law.of_water]
 
-    def of_step(position: Array, rotation: Array, velocity: Array, turning: Array) -> tuple:
+    def of_step(
+        position: Array, rotation: Array, velocity: Array, turning: Array, time: Array
+    ) -> tuple:
         lever = matvec(rotation, expand_dims_like(world.tree.centre, position))
         still = jnp.zeros_like(position)
         kin = Kinematics(
@@ -305,7 +313,7 @@ def water_power(
             bias_angular=still,
             bias_linear=still,
         )
-        bodies = world.bodies(kin, h)
+        bodies = world.at(time).bodies(kin, h)
         thrust, power = jnp.zeros_like(position[:, 0]), jnp.zeros_like(position[0, 0])
         for law in laws:
             wrench = law.wrench(bodies)
@@ -316,5 +324,6 @@ def water_power(
 
     names = ("position", "rotation", "velocity", "angular_velocity")
     steps = [np.moveaxis(np.asarray(frames[name])[..., 0], 0, -1) for name in names]
-    thrust, power = along_time(of_step, *steps)
+    of_steps = jax.vmap(of_step, -1, -1) if world.changes else of_step
+    thrust, power = along_time(of_steps, *steps, time)
     return WaterPower(thrust.T, power)

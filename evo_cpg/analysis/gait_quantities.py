@@ -317,7 +317,8 @@ def _water(
     """Return the numbers of swimming."""
     simulation, midline, frequency = motion.simulation, motion.midline, motion.frequency
     world, step = simulation.world, motion.step
-    swum = middle - drift(water, middle, step)
+    time = motion.recording.time
+    swum = middle - drift(water, middle, time[motion.first :])
     through, moving = motion.if_it_moves(swum)
     tail = wave_speed = math.nan
     if midline is not None:
@@ -350,7 +351,8 @@ def _water(
                      "2 pi x stride frequency x excursion of the tail, from side to side x body "
                      "length / kinematic viscosity (Gazzola et al. 2014)", missing),
         ]  # fmt: skip
-    power = None if missing else water_power(world, motion.frames, step / simulation.substeps)
+    h = step / simulation.substeps
+    power = None if missing else water_power(world, motion.frames, h, time)
     efficiency = math.nan
     if power is not None:
         course, last = np.gradient(swum, step, axis=0), len(swum)
@@ -371,11 +373,13 @@ def _water(
     return found
 
 
-def drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float[np.ndarray, "t 3"]:
-    """Return the displacement by the water's flow since the first sample, m."""
-    flow = water.velocity(jnp.asarray(middle.T))
-    carried = np.broadcast_to(np.asarray(flow, float), middle.T.shape).T * step
-    return np.concatenate([np.zeros((1, 3)), np.cumsum(carried, 0)[:-1]])
+def drift(
+    water: Water, middle: Float[np.ndarray, "t 3"], time: Float[np.ndarray, " t"]
+) -> Float[np.ndarray, "t 3"]:
+    """Return the displacement by the water's flow since the first of some times (s), m."""
+    flow = np.asarray(water.along(jnp.asarray(middle.T), jnp.asarray(time)), float).T
+    carried = flow[:-1] * np.diff(time)[:, None]
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(carried, 0)])
 
 
 def _effort(motion: Measurement, distance: float, speed: float, swims: bool) -> list[Quantity]:

@@ -275,7 +275,8 @@ def second_opinion(
             own = player.commands(brain.think(player.state(), np.array(borne)))
             commands[index : index + substeps], active[index : index + substeps] = own
             borne.clear()
-        player.advance(commands[index], active[index], finer)
+        time = (index // substeps) / simulation.control_rate
+        player.advance(commands[index], active[index], finer, time)
         if brain is not None:
             borne.append(player.weight_borne())
         if not np.isfinite(player.data.qpos).all():
@@ -352,8 +353,9 @@ class _Player:
         command: Float[np.ndarray, " motors"],
         activation: Float[np.ndarray, "2 d"],
         count: int,
+        time: float,
     ) -> None:
-        """Take some of MuJoCo's steps with a constant command.
+        """Take some of MuJoCo's steps with a constant command, in the water of a time (s).
 
         Muscles are a torque motor, with the stiffness and damping of their hinge. All three follow
         the law of muscles in every step of MuJoCo.
@@ -377,7 +379,7 @@ class _Player:
             if self._laws is not None:
                 state = self.state()
                 with jax.enable_x64(True):
-                    applied, carried = jax.device_get(self._laws(state))
+                    applied, carried = jax.device_get(self._laws(state, time))
                 self.data.xfrc_applied[self._bodies] = applied.T
             if carried is None:
                 self.mujoco.mj_step(self.model, self.data)
@@ -447,7 +449,7 @@ def _controls(laws: CoordinateLaws, command: MotorCommand) -> Float[np.ndarray, 
 
 
 def _law_forces(
-    world: World, h: float, centres: Float[Numbers, "3 b"], state: State
+    world: World, h: float, centres: Float[Numbers, "3 b"], state: State, time: Array
 ) -> tuple[Float[Array, "6 b"], CarriedInertia | None]:
     """Return the effect of laws and buoyancy on the bodies.
 
@@ -456,13 +458,14 @@ def _law_forces(
         h: length of our physics step, s.
         centres: MuJoCo's centres of mass of the bodies, in their working frames, m.
         state: state of the animal.
+        time: time at which the water is taken, s.
 
     Returns:
         Force (N) and moment (N m) at body centres, without those by the accelerations of degrees of
         freedom, and the inertia of the laws, or None without such inertia.
     """
     kin = kinematics(world.tree, state)
-    bodies = world.bodies(kin, h)
+    bodies = world.at(time).bodies(kin, h)
     parts = [law.wrench(bodies) for law in world.forces]
     if world.water is not None:
         parts.append(buoyancy_alone(bodies))

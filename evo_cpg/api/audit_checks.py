@@ -107,7 +107,8 @@ def displacement_checks(
 def carried_by_flow(experiment: ExperimentParts, trials: Sequence[AuditedTrial]) -> float:
     """Return the displacement of a point that keeps the flow's velocity at the start, m.
 
-    The result is the mean over trials.
+    If the flow changes, it is the mean velocity at the initial place. The result is the mean over
+    trials.
     """
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     water, displacements = simulation.world.water, []
@@ -115,8 +116,10 @@ def carried_by_flow(experiment: ExperimentParts, trials: Sequence[AuditedTrial])
         return 0.0
     for i, trial in enumerate(trials):
         start = np.asarray(trial.steps.before.position[:, :1], float)
-        flow = water.velocity(jnp.asarray(start))
-        flow = np.broadcast_to(np.asarray(flow, float), start.shape)
+        time = np.arange(simulation.steps if water.changes else 1) / simulation.control_rate
+        path = start.repeat(len(time), 1)
+        flow = np.asarray(water.along(jnp.asarray(path), jnp.asarray(time)), float)
+        flow = flow.mean(1, keepdims=True)
         if start[2] > simulation.world.water_level:
             flow = 0.0 * flow
         light = simulation.lights[0 if numbers is None else i]

@@ -174,7 +174,7 @@ def _is_common(world: World) -> bool:
         and not needs_iteration(world)
         and world.submerged
         and all(isinstance(law, Drag) and law.law == "normal" for law in world.forces)
-        and not any(np.any(x) for x in jax.tree.leaves(water and water.streams))
+        and not (water and water.flows)
     )
 
 

@@ -1,8 +1,9 @@
 """One control step: push the animal, sense, command the motors, and move it by physics steps.
 
-The command is held for ``substeps`` physics steps.
+The command is held for ``substeps`` physics steps, and so is the flow of the water.
 """
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -214,6 +215,17 @@ def control_step(
     return fuse(advance, *given, batch_ndim=ndim, name="a control step")
 
 
+def at_time(simulation: Simulation, index: Array | int, like: State) -> Simulation:
+    """Return the simulation with the water at the start of a control step, of the state's dtype.
+
+    A steady world is returned unchanged, so that its program has no time.
+    """
+    if not simulation.world.changes:
+        return simulation
+    time = jnp.asarray(index / simulation.control_rate, like.q.dtype)
+    return dataclasses.replace(simulation, world=simulation.world.at(time))
+
+
 def push(
     simulation: Simulation, constants: EpisodeConstants, animal: AnimalState, index: Array
 ) -> AnimalState:
@@ -230,6 +242,7 @@ def sense(
     simulation: Simulation, constants: EpisodeConstants, animal: AnimalState, index: Array | int
 ) -> tuple[Observation, tuple[SenseMemory, ...]]:
     """Return the observation of the controller in a control step, and the memory after it."""
+    simulation = at_time(simulation, index, animal.state)
     world, state = simulation.world, animal.state
 
     def read_built_in(state: State, light: Array | None) -> tuple[Array, Array, Array, Array]:
@@ -303,6 +316,7 @@ def move(
     physics: bool = False,
 ) -> tuple[AnimalState, Effects]:
     """Take the physics steps of a control step (see `control_step`), and move the light."""
+    simulation = at_time(simulation, index, animal.state)
     world, h, state = simulation.world, simulation.step_length, animal.state
     batch = state.position.shape[1:]
     motors, fraction = motor_command(command), 1.0 / simulation.substeps
@@ -365,6 +379,7 @@ def transition(
     simulation: Simulation, constants: EpisodeConstants, effects: Effects, index: Array
 ) -> Transition:
     """Return a control step as a task sees it."""
+    simulation = at_time(simulation, index, effects.before)
     if effects.light is not None:
         constants = constants._replace(light=effects.light, common_light=None)
     before, after = (

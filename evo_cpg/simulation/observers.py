@@ -127,6 +127,7 @@ class PhysicsSteps(NamedTuple):
             physics solves each step exactly, without iterations.
         light: light seen by each eye in the control step, 0 to 1.
         tension: forces of the motors of tendons, or None without tendons.
+        time: start of the control step, s, or None if the water does not change.
     """
 
     before: State
@@ -142,6 +143,7 @@ class PhysicsSteps(NamedTuple):
     coulomb_residual: Float[Array, " t"]
     light: Float[Array, "e t"]
     tension: Float[Array, "k t"] | None = None
+    time: Float[Array, " t"] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,6 +167,9 @@ class EachPhysicsStep(Observer):
         )
         none = jnp.zeros_like(rates[:, :0])
         exact, residual = jnp.zeros_like(effort.energy), effort.residual
+        time = None
+        if seen.simulation.world.changes:
+            time = jnp.full_like(exact, seen.index / seen.simulation.control_rate)
         steps = PhysicsSteps(
             before,
             after,
@@ -179,6 +184,7 @@ class EachPhysicsStep(Observer):
             exact if residual is None else residual.coulomb,
             light,
             effort.tension,
+            time,
         )
         return jax.tree.map(lambda x: x[..., 0], steps)
 

@@ -13,6 +13,7 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 from vtkmodules.vtkRenderingCore import vtkRenderWindow
 
+from evo_cpg.view.flow import add_flow
 from evo_cpg.view.ghosts import add_ghosts
 from evo_cpg.view.ground import add_ground, add_numbers
 from evo_cpg.view.meshes import surfaces
@@ -117,7 +118,10 @@ def _add_world(stage: Stage, skins: bool) -> list[Update]:
     if staging is None:
         updates.append(add_trail(stage))
     if look.particles:
-        add_particles(stage)
+        if scene.flow is None:
+            add_particles(stage)
+        else:
+            updates.append(add_flow(stage, scene.flow))
         if look.under_water:
             add_shafts(stage)
     if scene.surface is not None and look.under_water:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from evo_cpg.creature.creature import Body, Creature
 from evo_cpg.physics.contact.contact_model import Ground
 from evo_cpg.physics.contact.terrain import Plane
+from evo_cpg.physics.water.water import Water
 from evo_cpg.simulation.recording import Recording, RecordingError
 from evo_cpg.training.crowd import CrowdMotion
 from evo_cpg.training.experiment import ExperimentParts
@@ -159,6 +160,7 @@ class Panel(NamedTuple):
         staging: arrangement of a race, or None.
         exhibits: animals on a wall, the fittest first, instead of the only animal. None if empty.
         growth: growth of the animal's bodies, or None for an animal that keeps its shape.
+        flow: flowing water, or None if the water rests.
     """
 
     creature: Creature
@@ -174,6 +176,7 @@ class Panel(NamedTuple):
     staging: "Staging | None" = None
     exhibits: tuple[Exhibit, ...] = ()
     growth: Growth | None = None
+    flow: Water | None = None
 
 
 class Track(NamedTuple):
@@ -241,6 +244,7 @@ def panel_of(
         surface=None if world.water is None else world.water.surface,
         signals=signals,
         note=note,
+        flow=world.water if world.water and world.water.flows else None,
     )
 
 
@@ -332,6 +336,7 @@ class Scene(NamedTuple):
         numbers: whether distances are painted on the ground.
         staging: arrangement of a race, or None.
         wall: animals on a wall instead of the only animal, or None.
+        flow: flowing water, or None if the water rests.
     """
 
     creature: Creature
@@ -348,6 +353,7 @@ class Scene(NamedTuple):
     numbers: bool = True
     staging: Staging | None = None
     wall: Wall | None = None
+    flow: Water | None = None
 
     @property
     def bodies(self) -> list[Body]:
@@ -412,7 +418,8 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
             place = moved_aside(place, staging.lanes, ground, radius)
         ghosts = CrowdMotion(clip.time, place, turn, ghosts.goal)
     world = goal, ground, stands, surface, look
-    return Scene(creature, clip, *world, radius, bearing, marks, ghosts, panel.numbers, staging)
+    seen = radius, bearing, marks, ghosts, panel.numbers, staging
+    return Scene(creature, clip, *world, *seen, flow=panel.flow)
 
 
 def moved_aside(

@@ -28,6 +28,8 @@ VALUES = [
     ("world.water.viscosity", 0, "greater"),
     ("world.water.current_gradient", [[0.2, 0, 0], [0, 0.1, 0], [0, 0, 0]], "diagonal"),
     ("world.water.vortices", [{"circulation": 1, "core": 0}], ".0.core: 0"),
+    ("world.water.oscillations", [{"velocity": [0, 1, 0], "period": 0}], ".0.period: 0"),
+    ("world.water.street", {"spacing": 1, "width": -1}, "street.width: -1"),
     ("world.water.reactive_thrust", True, "no chain"),
     ("world.water", {"viscosity": 0.001, "skin_drag": 0.1}, "skin_drag (0.1)"),
     ("world.water", {"viscosity": 0.001, "law": "normal"}, "law ('normal')"),

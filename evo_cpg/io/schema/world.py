@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from evo_cpg.creature.algebra.numerics import xp
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.slender import LEAST_BODIES
@@ -18,6 +19,7 @@ from evo_cpg.io.schema.section import (
     LIQUID,
     VISCOSITY,
     CustomConfig,
+    Direction,
     Finite,
     NotNegative,
     Positive,
@@ -30,7 +32,7 @@ from evo_cpg.physics.water.force_law import ForceLaw
 from evo_cpg.physics.water.lift import make_plate_lift
 from evo_cpg.physics.water.reactive_thrust import reactive_water
 from evo_cpg.physics.water.viscous_bodies import make_viscous_drag
-from evo_cpg.physics.water.water import Current, Vortex, Water
+from evo_cpg.physics.water.water import Current, Oscillation, Street, Vortex, Water
 
 # Resolution of the dense surface points among which random points are drawn.
 _DENSE_RESOLUTION = 24
@@ -46,11 +48,66 @@ class VortexConfig(Section):
         centre: x and y of the axis, m.
         circulation: circulation far from the axis, counterclockwise seen from above, m^2/s.
         core: distance from the axis at which the water is fastest, m.
+        velocity: velocity of the axis along x and y, m/s, or ``null`` for an axis at rest.
     """
 
     centre: tuple[Finite, Finite] = (0.0, 0.0)
     circulation: Finite
     core: Positive
+    velocity: tuple[Finite, Finite] | None = None
+
+    def build(self) -> Vortex:
+        """Build the vortex."""
+        return self.into(Vortex, drift=self.velocity)
+
+
+class OscillationConfig(Section):
+    """A uniform current that swings: velocity x sin(2 pi t / period + phase).
+
+    Attributes:
+        velocity: largest velocity, m/s.
+        period: period, s.
+        phase_deg: phase at the start of the trial, degrees.
+    """
+
+    velocity: Vector
+    period: Positive
+    phase_deg: Annotated[Finite, Direction()] = 0.0
+
+    def build(self) -> Oscillation:
+        """Build the current."""
+        return Oscillation(self.velocity, self.period, xp.deg2rad(self.phase_deg))
+
+
+class StreetConfig(Section):
+    """A vortex street: two endless rows of vortices about vertical axes, staggered, which move.
+
+    Attributes:
+        spacing: distance of neighbours in a row, m.
+        width: distance of the two rows, m.
+        circulation: circulation of each vortex in the left row, counterclockwise seen from above,
+            m^2/s. The right row has the opposite one. If it is positive, water flows along the
+            heading between the rows, as behind a fish. It is negative behind a cylinder in a
+            current along the heading.
+        core: distance from an axis at which the water of a single vortex is fastest, m.
+        speed: speed of the vortices along the heading, m/s.
+        heading_deg: direction of the rows from the x axis, degrees.
+        place: x and y of a point midway between the rows, m.
+        phase: distance from ``place`` to a vortex of the left row at the start, in spacings.
+    """
+
+    spacing: Positive
+    width: NotNegative
+    circulation: Finite
+    core: Positive
+    speed: Finite
+    heading_deg: Annotated[Finite, Direction()] = 0.0
+    place: tuple[Finite, Finite] = (0.0, 0.0)
+    phase: Finite = 0.0
+
+    def build(self) -> Street:
+        """Build the street."""
+        return self.into(Street, heading=xp.deg2rad(self.heading_deg))
 
 
 class WaterConfig(Section):
@@ -72,6 +129,8 @@ class WaterConfig(Section):
         current: velocity of the water, m/s; with a gradient, at the origin.
         current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
         vortices: vortices that are added to the current.
+        oscillations: currents that swing, which are added.
+        street: vortex street that is added, or ``null`` for none.
         law: drag law: ``normal`` splits the drag into form and skin drag, ``isotropic`` is exactly
             eq. 8 of Iwadate 2010. It must be absent or ``null`` with a viscosity.
         sheltered: whether surfaces that other bodies cover at rest have no drag.
@@ -94,6 +153,8 @@ class WaterConfig(Section):
     current: Vector = (0.0, 0.0, 0.0)
     current_gradient: tuple[Vector, Vector, Vector] | None = None
     vortices: tuple[VortexConfig, ...] = ()
+    oscillations: tuple[OscillationConfig, ...] = ()
+    street: StreetConfig | None = None
     law: DragLaw | None = "normal"
     sheltered: bool = True
     points: Literal["quadrature", "random"] = "quadrature"
@@ -104,9 +165,10 @@ class WaterConfig(Section):
 
     def build(self) -> Water:
         """Build the water, without its forces."""
-        vortices = (vortex.into(Vortex) for vortex in self.vortices)
+        street = () if self.street is None else (self.street,)
+        others = (stream.build() for stream in (*self.vortices, *self.oscillations, *street))
         current = Current(self.current, self.current_gradient)
-        return Water(self.density, self.surface, (current, *vortices))
+        return Water(self.density, self.surface, (current, *others))
 
     def build_forces(self, creature: Creature, tree: Tree, layout: PointLayout) -> list[ForceLaw]:
         """Build the forces of the water: drag, added mass, reactive thrust and lift.

@@ -54,6 +54,17 @@ class World(eqx.Module):
         """Return the pose and motion of all bodies, as input of the force laws."""
         return bodies_in(self.tree, self.gravity, self.water, self.cells, h, kin)
 
+    def at(self, time: Number) -> "World":
+        """Return the world at a time, s, or the same world if its water does not change."""
+        if self.water is None or not self.changes:
+            return self
+        return dataclasses.replace(self, water=self.water.at(time))
+
+    @property
+    def changes(self) -> bool:
+        """Whether the water's velocity changes in time."""
+        return self.water is not None and self.water.changes
+
     def law(self, kind: type[_Law]) -> _Law | None:
         """Return the first force law of a kind, or None if there is none."""
         return next((law for law in self.forces if isinstance(law, kind)), None)
