@@ -284,7 +284,10 @@ class WaterPower(NamedTuple):
 
 
 def water_power(
-    world: World, frames: Mapping[str, Array | np.ndarray], h: float, time: Float[np.ndarray, " t"]
+    world: World,
+    frames: Mapping[str, Array | np.ndarray],
+    h: float,
+    time: Float[np.ndarray, " t"] | None = None,
 ) -> WaterPower | None:
     """Return thrust and power of a recorded trial, or None without reactive thrust.
 
@@ -292,14 +295,14 @@ def water_power(
         world: world of the trial.
         frames: ``full`` frames of one individual (`evo_cpg.simulation.recording.Recorder`).
         h: duration of a physics step, s.
-        time: time of each frame, s.
+        time: time of each frame, s, or None if the water does not change.
     """
     if world.law(ReactiveThrust) is None or "angular_velocity" not in frames:
         return None
     laws = [law for law in world.forces if law.of_water]
 
     def of_step(
-        position: Array, rotation: Array, velocity: Array, turning: Array, time: Array
+        position: Array, rotation: Array, velocity: Array, turning: Array, time: Array | None
     ) -> tuple:
         lever = matvec(rotation, expand_dims_like(world.tree.centre, position))
         still = jnp.zeros_like(position)
