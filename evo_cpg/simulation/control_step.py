@@ -32,7 +32,7 @@ from evo_cpg.simulation.sensors import (
 from evo_cpg.simulation.simulation import Phenotype, Simulation
 from evo_cpg.simulation.situation import light_places, starting_state
 from evo_cpg.simulation.snapshot import Forces, Snapshot
-from evo_cpg.simulation.task import Start, Transition
+from evo_cpg.simulation.task import CourseStart, Transition
 
 
 class AnimalState(NamedTuple):
@@ -178,7 +178,7 @@ def _first_course(
     place = light_places(simulation.lights, trial, start.dtype)
     assert place is not None, "a task that moves its light has a light"
     light = jnp.broadcast_to(expand_dims_like(jnp.asarray(place, start.dtype), start), start.shape)
-    return simulation.task.begin_course(Start(start, light, simulation.course_keys(keys)))
+    return simulation.task.begin_course(CourseStart(start, light, simulation.course_keys(keys)))
 
 
 def lit(simulation: Simulation, constants: EpisodeConstants, animal: AnimalState):

@@ -4,8 +4,8 @@
 present one is reached. `Follow` scores the time near a light that turns or flees. With a light that
 rests, it is a task of staying in place, for instance in a current.
 
-Courses are drawn from the trial's own random numbers (`evo_cpg.simulation.task.Start`), so that all
-individuals of a generation have equal courses. All lights of a course are at one height.
+All individuals of a generation have equal courses, because these do not depend on the individual
+(`evo_cpg.training.experiment.trial_keys`). All lights of a course are at one height.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.creature.algebra.numerics import Number, Triple
 from evo_cpg.simulation.snapshot import Snapshot
-from evo_cpg.simulation.task import Start, Task, Transition
+from evo_cpg.simulation.task import CourseStart, Task, Transition
 
 # Largest fraction of a leg that is left. So one animal that flees cannot dominate averages.
 _FARTHEST = 1.5
@@ -67,7 +67,7 @@ class Waypoints(Task):
     moves_light = True
     draws_course = True
 
-    def begin_course(self, start: Start) -> Reached:
+    def begin_course(self, start: CourseStart) -> Reached:
         """See `Task.begin_course`."""
         away = start.light - start.position
         if self.arena is not None:
@@ -193,7 +193,7 @@ class Follow(Task):
         """Whether courses are random."""
         return self.legs > 0
 
-    def begin_course(self, start: Start) -> Led:
+    def begin_course(self, start: CourseStart) -> Led:
         """See `Task.begin_course`."""
         away = start.light - start.position
         heading = jnp.arctan2(away[1], away[0])[None]
@@ -214,7 +214,7 @@ class Follow(Task):
             away = (course.place - after.state.position).at[2].set(0.0)
             distance = _length(away)
             pace = jnp.where(distance < self.flees, self.speed * h / distance, 0.0)
-            return course._replace(place=course.place + pace * away)
+            return course._replace(place=course.place + pace[None] * away)
         if not self.legs:
             return course
         leg = jnp.minimum(((step + 1) * h / self.every).astype(jnp.int32), self.legs - 1)

@@ -24,7 +24,7 @@ from evo_cpg.simulation.snapshot import Forces, Snapshot
 _TAG = 0
 
 
-class Start(NamedTuple):
+class CourseStart(NamedTuple):
     """Start of a trial, from which a course is drawn.
 
     Attributes:
@@ -111,7 +111,7 @@ class Task(eqx.Module):
     moves_light = False
     draws_course = False
 
-    def begin_course(self, start: Start) -> PyTree:
+    def begin_course(self, start: CourseStart) -> PyTree:
         """Return what the light of a trial depends on, any pytree of arrays."""
         del start
         return ()

@@ -47,7 +47,7 @@ class LightConfig(OpenSection):
 
     @model_validator(mode="after")
     def _check(self) -> "LightConfig":
-        given = self.model_dump()
+        given = [name for name, value in self if value is not None]
         if self.at is not None and len(given) > 1:
             others = ", ".join(name for name in given if name != "at")
             raise ValueError(f"at is a position in the world. Leave out {others}, or at")
