@@ -75,7 +75,8 @@ def excursions(
     simulation: Simulation, creature: Creature, steps: PhysicsSteps, situation: int = 0
 ) -> Excursions:
     """Measure the extremes of a trial in one of the simulation's situations."""
-    world, light = simulation.world, simulation.lights[situation]
+    # The steps do not hold the place of a light that moves.
+    world, light = simulation.world, simulation.goals[situation]
     every = make_pairs(creature, world.tree, world.watched)
 
     def depths(steps: PhysicsSteps) -> tuple[Array, Array, Array]:

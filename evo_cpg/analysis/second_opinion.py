@@ -61,10 +61,13 @@ from evo_cpg.physics.tree.muscle import pull_of
 from evo_cpg.physics.tree.state import State, resting_state
 from evo_cpg.physics.water.force_law import buoyancy_alone, in_body_axes
 from evo_cpg.simulation.control_step import (
+    AnimalState,
     act,
     begin_episode,
+    lit,
     motor_command,
     sense,
+    snapshot_of,
     with_acceleration,
 )
 from evo_cpg.simulation.observers import PhysicsSteps
@@ -155,27 +158,31 @@ class ControllerInLoop:
         # forces of all points of a body.
         self._first = {body: int(np.flatnonzero(owners == body)[0]) for body in set(owners)}
         self._points = len(owners)
-        self._kept, self._before, self._count = (animal.nerves, animal.memories), None, 0
+        self._kept, self._before, self._count = animal, None, 0
 
         def think(
-            state: State, before: State, kept: Any, forces: Array, index: Array
-        ) -> tuple[Any, Command]:
+            state: State, before: State, kept: AnimalState, forces: Array, index: Array
+        ) -> tuple[AnimalState, Command]:
             with using(simulation.engine):
                 kin = kinematics(simulation.world.tree, state)
                 last, mean = forces
                 felt = pressure_readings(simulation.sensors, simulation.world, kin, last)
-                nerves, memories = kept
-                there = animal._replace(
-                    state=state, nerves=nerves, pressure=felt, memories=memories
-                )
+                course = kept.course
+                if simulation.task.moves_light:
+                    # The light moves after each control step.
+                    after = snapshot_of(simulation, lit(simulation, constants, kept), state)
+                    moved = simulation.task.advance_course(course, after, index - 1)
+                    course = jax.tree.map(lambda x, y: jnp.where(index > 0, x, y), moved, course)
+                there = kept._replace(state=state, pressure=felt, course=course)
                 if there.forces is not None:
                     borne = there.forces._replace(contact_force=mean)
                     if borne.acceleration is not None:
                         borne = with_acceleration(simulation, borne, before, state)
                     there = there._replace(forces=borne)
-                seen, memories = sense(simulation, constants, there, index)
-                nerves, command = act(simulation, constants, there, seen)
-                return (nerves, memories), command
+                own = lit(simulation, constants, there)
+                seen, memories = sense(simulation, own, there, index)
+                nerves, command = act(simulation, own, there, seen)
+                return there._replace(nerves=nerves, memories=memories), command
 
         self._think = jax.jit(think)
 

@@ -112,7 +112,7 @@ class _Progress(Measure):
     def update(self, tally: Displacement, transition: Transition) -> Displacement:
         """See `Measure.update`."""
         place, light = transition.before.state.position, transition.before.light_position
-        if light is not None:
+        if light is not None and self.axes == 1:
             away = place - light
             place = jnp.stack([-jnp.sqrt((away * away).sum(0)), 0 * place[1], 0 * place[2]])
         return tally.moved(transition.step == 0, place, place)
@@ -135,10 +135,11 @@ def measured(
 ) -> Float[Array, "2 *n"]:
     """Return speed (m/s) and fitness (`MEASURES`) of a trial.
 
-    With a light, only the decrease of the distance to it counts. Without one, the speed is ahead if
-    the task's heading is forward, else in any direction. Height does not count over ground.
+    With a light at rest, only the decrease of the distance to it counts. Otherwise, the speed is
+    ahead if the task's heading is forward, else in any direction. Height does not count over
+    ground.
     """
-    ahead = simulation.lights[0] is not None or simulation.task.heading == "forward"
+    ahead = simulation.goals[0] is not None or simulation.task.heading == "forward"
     duration = (simulation.steps - 1) / simulation.control_rate
     axes = 1 if ahead else 3 if simulation.world.contact_model is None else 2
     progress = Measures((_SPEED,), (_Progress(duration=duration, axes=axes),))

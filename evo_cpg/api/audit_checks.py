@@ -122,7 +122,7 @@ def carried_by_flow(experiment: ExperimentParts, trials: Sequence[AuditedTrial])
         flow = flow.mean(1, keepdims=True)
         if start[2] > simulation.world.water_level:
             flow = 0.0 * flow
-        light = simulation.lights[0 if numbers is None else i]
+        light = simulation.goals[0 if numbers is None else i]
         displacements.append(
             displacement(np.hstack([start, start + simulation.duration * flow]), light)
         )
@@ -141,7 +141,7 @@ def opinion_checks(
     checks = [Check(_key_of(name), KEPT + name, math.nan, None, True, "%") for name in diverged]
     if not opinions:
         return checks
-    light, forward = experiment.simulation.lights[0], experiment.simulation.task.heading
+    light, forward = experiment.simulation.goals[0], experiment.simulation.task.heading
     own, *others = (
         float(one.path[0, -1] - one.path[0, 0])
         if light is None and forward == "forward"
@@ -241,7 +241,7 @@ def books(
         checks.append(check("unsolved", "unsolved steps", worst("unsolved")))
         if world.contact_model is not None:
             checks.append(check("slipping", "steps off the friction cone", worst("slipping")))
-    lit = any(light is not None for light in simulation.lights)
+    lit = any(light is not None for light in simulation.goals)
     if lit and simulation.sensors.eye_bodies and world.contact_model is not None:
         seen = worst("seen_through_ground")
         checks.append(check("seen_through_ground", "light seen through the ground", seen))

@@ -51,6 +51,8 @@ _WON, _APART = 0.1, 0.45
 _SUBMERGED = 0.9
 # Number of earlier champions that are replayed, and largest number of animals in a race.
 _REPLAYED, _RACING = 7, 4
+# Aims of tasks whose light moves, in words.
+_AIMS = {"waypoints": "reach one light after the other", "follow": "stay near the light"}
 
 
 class Cast(NamedTuple):
@@ -142,14 +144,16 @@ def story(
     selects = not isinstance(opened.experiment.strategy, RandomSearch)
     aim = ""
     if np.isfinite(recording.goal).all():
-        aim = "Its task: reach the light."
+        aim = f"Its task: {_AIMS.get(opened.config.task.type, 'reach the light')}."
     elif ":" not in opened.config.task.type:
         aim = "Its task: get as far as it can."
         if course.finish is not None:
             aim += f" Can it reach {course.finish:g} m?"
     told = opened.champion.generation, task.heading, aim
     cast = Cast(panel, *told, course, speed, random, selects, crowds, [])
-    cast = cast._replace(racers=_racers(opened, recording, trial, cast.end, _APART * length))
+    # Animals that turn to other lights would leave their lanes in a race.
+    if not recording.moves_light:
+        cast = cast._replace(racers=_racers(opened, recording, trial, cast.end, _APART * length))
     takes, words = story_of(cast, title, size[0] / size[1])
     make_folder(output.parent)
     processes = cores or available_cores()
@@ -347,4 +351,5 @@ def _together(motions: Sequence[Recording]) -> CrowdMotion:
         np.stack([each.position[:count] for each in motions], 1),
         np.stack([each.rotation[:count] for each in motions], 1),
         motions[0].goal,
+        np.stack([each.light[:count] for each in motions], 1) if motions[0].moves_light else None,
     )

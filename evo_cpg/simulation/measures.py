@@ -51,6 +51,8 @@ from evo_cpg.simulation.task import Transition
 # in users' tasks.
 DISPLACEMENT = "(displacement of the root)"
 
+# Duration (s) of a stretch of `RootTravel`: longer than a stroke, and mostly shorter than a turn.
+_STRETCH = 3.0
 # Squared speed (m^2/s^2) added under the root, so that a point at rest has a derivative.
 _FLOOR = 1e-20
 # Load (N) below which nothing touches.
@@ -161,7 +163,41 @@ class RootDisplacement(Measure):
         del trial
         if self.lit:
             return tally.start[0] - tally.end[0]
-        return jnp.sqrt(jnp.sum((tally.end - tally.start) ** 2, 0))
+        return _length(tally)
+
+
+class RootTravel(Measure):
+    """Horizontal distance that the root travels, m, as a sum of straight stretches of 3 s.
+
+    It is the displacement of animals whose light moves, because they may end where they started.
+    """
+
+    def begin(
+        self, world: World, batch: tuple[int, ...], dtype: jnp.dtype
+    ) -> tuple[Displacement, Array]:
+        """See `Measure.begin`."""
+        del world
+        return no_displacement(batch, dtype, 2), jnp.zeros(batch, dtype)
+
+    def update(
+        self, tally: tuple[Displacement, Array], transition: Transition
+    ) -> tuple[Displacement, Array]:
+        """See `Measure.update`."""
+        stretch, total = tally
+        before, after = transition.before, transition.after
+        starts = transition.step % max(round(_STRETCH / before.control_step), 1) == 0
+        total = total + jnp.where(starts, _length(stretch), 0.0)
+        return stretch.moved(starts, before.state.position[:2], after.state.position[:2]), total
+
+    def finish(self, tally: tuple[Displacement, Array], trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        del trial
+        stretch, total = tally
+        return total + _length(stretch)
+
+
+def _length(displacement: Displacement) -> Float[Array, " *n"]:
+    return jnp.sqrt(jnp.sum((displacement.end - displacement.start) ** 2, 0))
 
 
 def _distance(tallies: dict[str, Any], world: World) -> Float[Array, " *n"]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.creature.algebra.linear import cross, expand_dims_like
 from evo_cpg.creature.axis_kinds import kind_named
@@ -21,6 +21,8 @@ from evo_cpg.simulation.snapshot import Snapshot
 
 # Prefixes of the names of recorded arrays with readings of sensors and with the controller's state.
 SENSE, NERVE = "sense.", "nerve."
+# A light jumps if it moves so many times farther than in a mean step, and than in the steps around.
+_JUMP, _ALONE = 20.0, 4.0
 
 
 class RecordingError(UserError, ValueError):
@@ -63,6 +65,16 @@ class Recording(NamedTuple):
     def goal(self) -> Float[np.ndarray, "3"]:
         """Place of the light at the start, m, or NaN without a light."""
         return self.light[0]
+
+    @property
+    def moves_light(self) -> bool:
+        """Whether the light moves, or other lights appear."""
+        return bool(np.abs(self.light - self.goal).max() > 0)
+
+    @property
+    def appearances(self) -> Int[np.ndarray, " k"]:
+        """Numbers of the instants at which a light appears in a new place (`appearances`)."""
+        return appearances(self.light)
 
     @property
     def slides(self) -> Bool[np.ndarray, " d"]:
@@ -168,6 +180,17 @@ def light_of(
         return arrays["light"].astype(float)
     light = simulation.lights[trial if len(simulation.situations) > 1 else 0]
     return np.tile(np.full(3, np.nan) if light is None else light, (len(arrays["position"]), 1))
+
+
+def appearances(light: Float[np.ndarray, "t 3"]) -> Int[np.ndarray, " k"]:
+    """Return the instants at which a light appears: the first one, and those at which it jumps.
+
+    A light that glides appears once. Without a light there are none.
+    """
+    moved = np.linalg.norm(np.diff(light, axis=0), axis=-1)
+    around = np.maximum(np.append(moved[1:], 0.0), np.append(0.0, moved[:-1]))[: len(moved)]
+    jumps = (moved > _JUMP * moved.sum() / max(len(moved), 1)) & (moved > _ALONE * around)
+    return np.flatnonzero(np.append(np.isfinite(light[0]).all(), jumps))
 
 
 def _frame(simulation: Simulation, full: bool, effects: Effects) -> dict[str, Array]:

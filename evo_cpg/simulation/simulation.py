@@ -21,7 +21,7 @@ from evo_cpg.native.engine import Engine
 from evo_cpg.physics.contact.pairs import Pairs
 from evo_cpg.physics.step.world import World
 from evo_cpg.simulation.imperfect import Imperfection
-from evo_cpg.simulation.measures import DISPLACEMENT, Measures, RootDisplacement
+from evo_cpg.simulation.measures import DISPLACEMENT, Measures, RootDisplacement, RootTravel
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.sensors import Sensor, Sensors
 from evo_cpg.simulation.situation import Situation
@@ -318,9 +318,15 @@ class Simulation(eqx.Module):
         """Place of the light in each situation, m, or None for tasks in the dark."""
         return tuple(situation.light or self.task.light for situation in self.situations)
 
+    @property
+    def goals(self) -> tuple[Triple | None, ...]:
+        """Light at rest in each situation, m, towards which displacement counts, or None."""
+        return (None,) * len(self.situations) if self.task.moves_light else self.lights
+
 
 def with_displacement(simulation: Simulation) -> Simulation:
     """Return the same trial with the displacement among its terms, as `DISPLACEMENT`."""
-    measure = RootDisplacement(lit=simulation.task.light is not None)
+    task = simulation.task
+    measure = RootTravel() if task.moves_light else RootDisplacement(lit=task.light is not None)
     added = Measures((DISPLACEMENT,), (measure,))
     return dataclasses.replace(simulation, measures=simulation.measures | added)

@@ -47,21 +47,29 @@ class CrowdMotion(NamedTuple):
         position: centre of every body of every animal, m.
         rotation: rotations from body to world axes.
         goal: place of the light at the start, m, or NaN without a light.
+        light: place of each animal's light, m, or None if it rests.
     """
 
     time: Float[np.ndarray, " t"]
     position: Float[np.ndarray, "t n b 3"]
     rotation: Float[np.ndarray, "t n b 3 3"]
     goal: Float[np.ndarray, "3"]
+    light: Float[np.ndarray, "t n 3"] | None = None
 
     def advance(self, root: int, heading: str) -> Float[np.ndarray, " n"]:
         """Return how far each animal has come at the end, m: towards the light, if there is one.
+
+        If the light moves, this is the sum of all steps towards its place in each step.
 
         Args:
             root: number of the root body.
             heading: ``forward`` if only displacement along x counts (see `Task.heading`).
         """
         start, end = self.position[0, :, root], self.position[-1, :, root]
+        if self.light is not None:
+            place, light = self.position[:, :, root], self.light[:-1]
+            before, after = (np.linalg.norm(x - light, axis=-1) for x in (place[:-1], place[1:]))
+            return (before - after).sum(0)
         if np.isfinite(self.goal).all():
             away = np.linalg.norm(start.mean(0) - self.goal)
             return away - np.linalg.norm(end - self.goal, axis=-1)
@@ -75,15 +83,17 @@ class CrowdMotion(NamedTuple):
 
     def of(self, animals: Int[np.ndarray, " n"]) -> "CrowdMotion":
         """Return the motion of some of the animals."""
-        return self._replace(position=self.position[:, animals], rotation=self.rotation[:, animals])
+        light = None if self.light is None else self.light[:, animals]
+        position, rotation = self.position[:, animals], self.rotation[:, animals]
+        return self._replace(position=position, rotation=rotation, light=light)
 
     def recording(self, animal: int, root: int) -> Recording:
         """Return the motion of one animal, without joints and commands."""
         position, none = self.position[:, animal].astype(float), np.zeros((len(self.time), 0))
-        path, goal = position[:, root], self.goal
-        lit = np.isfinite(goal).all()
-        away = path - goal if lit else (path - path[0])[:, :2]
-        light = np.tile(goal, (len(path), 1))
+        path, light = position[:, root], np.tile(self.goal, (len(position), 1))
+        if self.light is not None:
+            light = self.light[:, animal]
+        away = path - light if np.isfinite(light).all() else (path - path[0])[:, :2]
         return Recording(
             self.time,
             position,
@@ -250,6 +260,7 @@ def compile_crowd_motion(
         # All animals of a generation have equal courses, but reach their lights at other times.
         first = {name: values[..., 0] for name, values in found.items()}
         goal = light_of(simulation, first, trial if several else 0)[0]
-        return CrowdMotion(instants, position[:, sane], rotation[:, sane], goal)
+        light = np.moveaxis(found["light"], 2, 1)[:, sane] if "light" in found else None
+        return CrowdMotion(instants, position[:, sane], rotation[:, sane], goal, light)
 
     return of

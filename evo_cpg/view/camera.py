@@ -105,7 +105,7 @@ class BodyBoxes(NamedTuple):
 
 def follow(
     bodies: BodyBoxes,
-    goal: Float[np.ndarray, "3"],
+    goal: Float[np.ndarray, "*t 3"],
     rate: float,
     aspect: float,
     elevation: float,
@@ -116,7 +116,7 @@ def follow(
 
     Args:
         bodies: places and sizes of the bodies in every frame.
-        goal: place of the light ``(3,)``, m, or NaN without a light.
+        goal: place of the light, in every frame if it moves, m, or NaN without a light.
         rate: frames per second of recorded time.
         aspect: width of the picture over its height.
         elevation: height of the eye above the focus as an angle, rad.
@@ -130,7 +130,8 @@ def follow(
     far = np.linalg.norm(position - centre[:, None], axis=-1)
     radius = float((far + np.linalg.norm(bodies.half_extents, axis=-1)).max())
     lit = bool(np.isfinite(goal).all())
-    bearing = course(centre, goal, radius / 10)
+    first_goal = np.atleast_2d(goal)[0]
+    bearing = course(centre, first_goal, radius / 10)
     focus = centre
     # A camera that circles the animal keeps it in the middle.
     if lit and not isinstance(turn, np.ndarray):
@@ -171,7 +172,7 @@ def follow(
         turns = [sign * angle for angle in _BEARINGS for sign in ((1,) if close else (1, -1))]
         # The first picture shows the light, too, unless the animal would be small in it. Then a
         # close animal goes across the picture, towards the arrow at its edge.
-        for tried, more in ((turns, (goal,)), ([_SIDEWAYS] if close else turns, ())):
+        for tried, more in ((turns, (first_goal,)), ([_SIDEWAYS] if close else turns, ())):
             clear, widths = [], []
             for turned in tried:
                 path = seen(turned, *more)

@@ -178,7 +178,7 @@ _COLOR, _RIM = "#ffd37a", "#4a3a12"
 
 def pointer(
     camera: CameraPath,
-    goal: Float[np.ndarray, "3"] | None,
+    goal: Float[np.ndarray, "*frames 3"] | None,
     look: Look,
     size: tuple[int, int],
     name: str = "light",
@@ -187,7 +187,7 @@ def pointer(
 
     Args:
         camera: the camera in every frame.
-        goal: place of the goal, m, or None without a goal.
+        goal: place of the goal, in every frame if it moves, m, or None without a goal.
         look: look of the world.
         size: width and height of the picture, pixels.
         name: word beside the arrow.
@@ -226,19 +226,19 @@ def pointer(
 
 
 def edge_places(
-    camera: CameraPath, goal: Float[np.ndarray, "3"], aspect: float
+    camera: CameraPath, goal: Float[np.ndarray, "*t 3"], aspect: float
 ) -> Float[np.ndarray, "frames 2"]:
     """Return the places of the arrow's tip, or NaN where the light is in the picture.
 
     Args:
         camera: the camera in every frame.
-        goal: place of the light, m.
+        goal: place of the light, in every frame if it moves, m.
         aspect: width of the picture over its height.
 
     Returns:
         Right and up, from -1 to 1 between the edges of the frame.
     """
-    right, up, depth = in_camera(camera, goal[None, None])[:, 0].T
+    right, up, depth = in_camera(camera, np.atleast_2d(goal)[:, None])[:, 0].T
     half = np.tan(np.radians(camera.view_angle / 2))
     # Behind the camera, only the direction counts.
     scale = half * np.where(depth > 0, depth, 1e-9)

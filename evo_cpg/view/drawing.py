@@ -111,9 +111,12 @@ def _add_world(stage: Stage, skins: bool) -> list[Update]:
     if scene.goal is not None:
         updates.append(add_goal_light(stage, scene.goal))
         if staging is not None and staging.lanes.any():
-            goals = scene.goal + np.zeros((len(staging.lanes), 1, 3))
-            goals = moved_aside(goals, staging.lanes, scene.ground, scene.radius)
-            updates.append(add_lane_lights(stage, goals[:, 0]))
+            goals = np.repeat(scene.goal[:, None], len(staging.lanes), 1)
+            if scene.ghosts is not None and scene.ghosts.light is not None:
+                goals = scene.ghosts.light
+            lanes = staging.lanes, scene.ground, scene.radius
+            goals = moved_aside(goals[:, :, None], *lanes)[:, :, 0]
+            updates.append(add_lane_lights(stage, goals))
     # In a race, trails would cross the lines.
     if staging is None:
         updates.append(add_trail(stage))

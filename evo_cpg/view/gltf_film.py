@@ -63,7 +63,11 @@ def gltf_film(panel: Panel) -> bytes:
         material = glb.material(name, color, glow=True)
         mesh = _add_mesh(glb, name, pv.Sphere(radius=0.075 * scene.radius), material)
         shone = glb.light(name, "point", halo, _LAMP * scene.radius**2)
-        glb.node(name, root, mesh=mesh, translation=scene.goal.tolist(), extensions=shone)
+        place = scene.goal[0].tolist()
+        node = glb.node(name, root, mesh=mesh, translation=place, extensions=shone)
+        if panel.recording.moves_light:
+            times = glb.times(scene.clip.time - scene.clip.time[0])
+            glb.animate(node, "translation", times, scene.goal)
     sun = sun_direction(scene.look, np.array([0.0, 1.0, -0.3]))
     turn = Rotation.align_vectors([sun], [[0.0, 0.0, 1.0]])[0]
     name = _apart(creature, "sun")
@@ -167,7 +171,7 @@ def _add_ground(glb: Glb, root: Node, scene: Scene) -> None:
         # Two triangles are enough for level ground.
         shown = scene.clip.position.reshape(-1, 3)
         if scene.goal is not None:
-            shown = np.concatenate([shown, scene.goal[None]])
+            shown = np.concatenate([shown, scene.goal])
         margin = _MARGIN * scene.radius
         x, y = np.stack([shown.min(0) - margin, shown.max(0) + margin])[:, :2].T
         terrain = Terrain(x, y, np.full((2, 2), float(floor.height)))

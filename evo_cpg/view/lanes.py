@@ -160,7 +160,8 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
         target = goal
         own = np.einsum("tbij,tbi->tbj", recording.rotation, goal - recording.position)
         away = np.linalg.norm(np.maximum(np.abs(own) - box, 0.0), axis=-1).min(1)
-        if away.min() <= _REACHED * length:
+        # A light that moves is never reached for good.
+        if away.min() <= _REACHED * length and not recording.moves_light:
             touching = away <= away.min() + LAMP * length / 2
             arrival = float(recording.time[touching.argmax()])
     elif spacing:

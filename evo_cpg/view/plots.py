@@ -239,9 +239,21 @@ def path_figure(recording: Recording, root_index: int) -> Figure:
     every = (recording.time[-1] - recording.time[0]) / (_SNAPSHOTS - 1)
     dots.set(alpha=0.8, label=f"bodies, every {every:.3g} s")
     above.plot(*root[0], "o", color=INK, ms=6, label="start of the root", zorder=3)
-    lit = bool(np.isfinite(recording.goal).all())
+    light, stands = recording.light[:, :2], recording.appearances
+    lit = len(stands) > 0
     if lit:
-        above.plot(*recording.goal[:2], "*", color=ORANGE, mec=INK, ms=17, label="light", zorder=3)
+        star: dict[str, Any] = {"ls": "", "marker": "*", "color": ORANGE, "mec": INK, "ms": 17}
+        glides = bool(np.any(light[-1] != light[stands[-1]]))
+        names = (
+            "lights in order" if len(stands) > 1 else "light at the start" if glides else "light"
+        )
+        above.plot(*light[stands].T, **star, label=names, zorder=3)
+        for number, place in enumerate(light[stands] if len(stands) > 1 else (), 1):
+            above.annotate(str(number), place, (7, 7), textcoords="offset points", zorder=4)
+        for path in np.split(light, stands[1:]) if glides else ():
+            above.plot(*path.T, color=ORANGE, lw=1)
+        if glides:
+            above.plot(*light[-1], **star | {"mfc": "white"}, label="light at the end", zorder=3)
     above.set_aspect("equal", "datalim")
     above.margins(0.08)
     above.autoscale_view()

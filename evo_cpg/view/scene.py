@@ -31,6 +31,7 @@ class Clip(NamedTuple):
         rotation: rotation from body to world.
         distance: distance from the root to the goal or, without a goal, horizontal distance of the
             root from its start, m.
+        light: place of the light, m, or NaN without a light.
         speed: speed of the mean of the bodies' centres, averaged over the last second, m/s.
         rate: frames per second of recorded time.
     """
@@ -39,6 +40,7 @@ class Clip(NamedTuple):
     position: Float[np.ndarray, "frames b 3"]
     rotation: Float[np.ndarray, "frames b 3 3"]
     distance: Float[np.ndarray, " frames"]
+    light: Float[np.ndarray, "frames 3"]
     speed: Float[np.ndarray, " frames"]
     rate: float
 
@@ -70,7 +72,11 @@ def sample_at(recording: Recording, time: Float[np.ndarray, " frames"], rate: fl
     step = recording.time[after] - recording.time[before]
     weight = np.clip((time - recording.time[before]) / np.where(step > 0, step, 1), 0, 1)
 
-    def between(values: np.ndarray) -> np.ndarray:
+    # Nothing is between two places of a light that jumps.
+    jumps = np.isin(after, recording.appearances)
+    whole = np.where(jumps, weight.round(), weight)
+
+    def between(values: np.ndarray, weight: np.ndarray = weight) -> np.ndarray:
         part = weight.reshape(-1, *(1,) * (values.ndim - 1))
         return (1 - part) * values[before] + part * values[after]
 
@@ -81,7 +87,8 @@ def sample_at(recording: Recording, time: Float[np.ndarray, " frames"], rate: fl
     first = np.maximum(frames - max(round(_SPEED_WINDOW * rate), 1), 0)
     moved = np.linalg.norm((position - position[first]).mean(1), axis=-1)
     speed = moved * rate / np.maximum(frames - first, 1)
-    return Clip(time, position, left @ right, between(recording.distance), speed, rate)
+    distance, light = between(recording.distance, whole), between(recording.light, whole)
+    return Clip(time, position, left @ right, distance, light, speed, rate)
 
 
 def quaternions(rotation: Float[np.ndarray, "t *b 3 3"]) -> Float[np.ndarray, "t *b 4"]:
@@ -324,7 +331,7 @@ class Scene(NamedTuple):
     Attributes:
         creature: the animal.
         clip: motion of the animal. On a wall it has the bodies of all animals.
-        goal: place of the light ``(3,)``, m, or None without a light.
+        goal: place of the light ``(frames, 3)``, m, or None without a light.
         ground: ground that carries the animal, or a level floor below its path.
         stands: whether the ground carries the animal.
         surface: height of the water's surface, m, or None if no surface is seen.
@@ -381,14 +388,14 @@ class Scene(NamedTuple):
         """Return a mesh of the ground that ends ``far`` (m) beyond the path and the light."""
         filmed = self.clip.position.reshape(-1, 3)
         if self.goal is not None:
-            filmed = np.concatenate([filmed, self.goal[None]])
+            filmed = np.concatenate([filmed, self.goal])
         return make_terrain(self.ground.floor, filmed[:, :2], self.radius, far)
 
 
 def scene_of(panel: Panel, clip: Clip) -> Scene:
     """Return the scene that shows an animal over a clip of its recording."""
     creature, surface, stands = panel.creature, panel.surface, panel.ground is not None
-    goal = panel.recording.goal if np.isfinite(panel.recording.goal).all() else None
+    goal = clip.light if np.isfinite(clip.light).all() else None
     radius = animal_radius(creature, clip)
     if surface is not None and surface_is_seen(creature, clip, panel.ground, surface):
         look = SHORE
@@ -403,7 +410,7 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
         ground, marks = panel.ground, Marks(root[0, :2], bearing, mark_spacing(2 * radius))
     else:
         lowest = clip.position[..., 2].min() - max(body.shape.reach for body in creature.bodies)
-        lowest = lowest if goal is None else min(lowest, goal[2])
+        lowest = lowest if goal is None else min(lowest, goal[:, 2].min())
         lowest -= _FLOOR_DEPTH * radius
         if panel.staging is not None and panel.staging.floor is not None:
             lowest = panel.staging.floor
@@ -416,7 +423,8 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
         place, turn = ghosts.position[near], ghosts.rotation[near]
         if staging is not None:
             place = moved_aside(place, staging.lanes, ground, radius)
-        ghosts = CrowdMotion(clip.time, place, turn, ghosts.goal)
+        light = None if ghosts.light is None else ghosts.light[near]
+        ghosts = CrowdMotion(clip.time, place, turn, ghosts.goal, light)
     world = goal, ground, stands, surface, look
     seen = radius, bearing, marks, ghosts, panel.numbers, staging
     return Scene(creature, clip, *world, *seen, flow=panel.flow)

@@ -6,6 +6,7 @@ import numpy as np
 import pyvista as pv
 from jaxtyping import Float
 
+from evo_cpg.simulation.recording import appearances
 from evo_cpg.view.camera import VIEW_ANGLE, level_axes, turned_about_vertical
 from evo_cpg.view.meshes import head_index
 from evo_cpg.view.offscreen import add_faded, spot_texture
@@ -21,7 +22,8 @@ LAMP = 0.075
 
 # Distance by which a light is drawn behind its place, in radii of the animal, so that it does not
 # swallow a head. Width of the halo of a light of another lane in its radius, and its opacity.
-_BEHIND, _LANE_HALO, _LANE_GLOW = 0.5, 9.0, 0.6
+# Opacity of a light that was reached.
+_BEHIND, _LANE_HALO, _LANE_GLOW, _REACHED = 0.5, 9.0, 0.6, 0.3
 # Number of specks in water, and their colour.
 _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 # Time in which the trail fades to a third, s, and its thickness in radii of the animal.
@@ -39,12 +41,15 @@ _DEEP, _BRIGHT = -1.5, 7.0
 _DIM = 1.7
 
 
-def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
-    """Draw the goal: a glowing sphere, its halo, and its light on the floor and on the bodies."""
-    plotter, look, radius = stage.plotter, stage.look, stage.radius
+def add_goal_light(stage: Stage, goals: Float[np.ndarray, "frames 3"]) -> Update:
+    """Draw the goal: a glowing sphere, its halo, and its light on the floor and on the bodies.
+
+    Lights that were reached stay as faint spheres.
+    """
+    plotter, look, radius, goal = stage.plotter, stage.look, stage.radius, goals[0]
     shine = spot_texture(look.halo, look.glow, sharpness=3.0)
     pool = Spots(plotter, shine, stage.ground, _POOL_LIFT * radius, 1, _POOL)
-    pool.lay(goal[None, :2], 1.8 * radius * np.eye(2)[None])
+    wide = 1.8 * radius * np.eye(2)[None]
     core = LAMP * radius
     sphere = pv.Sphere(radius=core, center=goal, theta_resolution=32, phi_resolution=24)
     ball, halos = plotter.add_mesh(sphere, color=look.light, lighting=False), []
@@ -60,30 +65,41 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
     lamp.cone_angle = 90
     lamp.attenuation_values = (1.0, 0.0, (0.7 / radius) ** 2)
     plotter.add_light(lamp)
+    reached = []
+    for end in appearances(goals)[1:]:
+        past = pv.Sphere(radius=0.7 * core, center=goals[end - 1])
+        faint = plotter.add_mesh(past, color=look.light, opacity=_REACHED, lighting=False)
+        reached.append((end, faint))
 
     def face_viewer(shot: Shot) -> None:
-        ahead = goal - shot.eye
+        now = goals[shot.number]
+        pool.lay(now[None, :2], wide)
+        lamp.position = tuple(now)
+        for end, faint in reached:
+            faint.visibility = bool(shot.number >= end)
+        ahead = now - shot.eye
         back = _BEHIND * radius / float(np.linalg.norm(ahead))
         for actor in (ball, *halos):
             # It is larger, so that it looks as large as at its place.
-            actor.position, actor.scale = tuple(back * ahead), 1 + back
+            actor.position, actor.scale = tuple(now - goal + back * ahead), 1 + back
             actor.orientation = (0.0, 0.0, float(np.degrees(shot.turned)))
 
     return face_viewer
 
 
-def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "n 3"]) -> Update:
+def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "frames n 3"]) -> Update:
     """Draw the lights of the other lanes of a race: small spheres, each with a halo."""
     plotter, look, core = stage.plotter, stage.look, LAMP * stage.radius
     sphere = cast(pv.PolyData, pv.Sphere(radius=core, theta_resolution=16, phi_resolution=12))
-    own, faces = np.asarray(sphere.points), sphere.regular_faces
-    cores = plotter.add_mesh(_copies(own, faces, goals), color=look.light, lighting=False)
+    ball, faces = np.asarray(sphere.points), sphere.regular_faces
+    balls = _copies(ball, faces, goals[0])
+    cores = plotter.add_mesh(balls, color=look.light, lighting=False)
     side = _LANE_HALO * core
     square = cast(pv.PolyData, pv.Plane(direction=-stage.sight, i_size=side, j_size=side))
     own, faces = np.asarray(square.points), square.regular_faces
-    mesh = _copies(own, faces, goals)
+    mesh = _copies(own, faces, goals[0])
     around = np.asarray(square.active_texture_coordinates)
-    mesh.active_texture_coordinates = np.tile(around, (len(goals), 1))
+    mesh.active_texture_coordinates = np.tile(around, (goals.shape[1], 1))
     texture = spot_texture(look.halo, _LANE_GLOW, sharpness=3.0)
     shine = plotter.add_mesh(mesh, texture=texture, lighting=False)
     shine.ForceTranslucentOn()
@@ -95,7 +111,9 @@ def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "n 3"]) -> Update:
             for actor in (cores, shine):
                 actor.prop.opacity = float(np.interp(shot.number, appear, (0.0, 1.0)))
         turned = (turned_about_vertical(axis, shot.turned) for axis in np.eye(3))
-        mesh.points = (goals[:, None] + own @ np.stack([*turned])).reshape(-1, 3)
+        now = goals[shot.number][:, None]
+        balls.points = (now + ball).reshape(-1, 3)
+        mesh.points = (now + own @ np.stack([*turned])).reshape(-1, 3)
 
     return face_viewer
 
@@ -149,7 +167,7 @@ def add_particles(stage: Stage) -> None:
     """Draw specks that rest in the water, which make motion visible."""
     scene, path = stage.scene, stage.camera.focus
     if scene.goal is not None:
-        path = np.concatenate([path, scene.goal[None]])
+        path = np.concatenate([path, scene.goal])
     generator = np.random.default_rng(_PARTICLE_SEED)
     # From far away, the edges of a small cloud of specks would be seen.
     around = max(3 * stage.radius, 0.6 * stage.away) if stage.wide else 3 * stage.radius

@@ -1,6 +1,7 @@
 """Measures of gait equal the numbers computed from a recording."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -15,7 +16,14 @@ from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.io.load import load_config
 from evo_cpg.physics.step.world import World
-from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, GaitMeasure, Trial
+from evo_cpg.simulation.measures import (
+    GROUND_MEASURES,
+    MEASURES,
+    GaitMeasure,
+    RootTravel,
+    Trial,
+    no_displacement,
+)
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from tiny_run import REPOSITORY
@@ -68,6 +76,22 @@ def test_frequency_and_amplitude_leave_out_slides():
     assert float(GaitMeasure("frequency").finish(strides, trial)) == 4.0
     swing = {"angle": angle, "square": square}
     assert float(GaitMeasure("amplitude").finish(swing, trial)) == pytest.approx(0.5)
+
+
+def test_travel_counts_stretches_of_a_closed_path():
+    """In 12 s, a root goes once around a square of 2 m, and shakes to and fro once a second."""
+    corners = np.array([[0, 0], [2, 0], [2, 2], [0, 2], [0, 0]])
+    time = np.arange(121) / 10
+    path = np.stack([np.interp(time, 3.0 * np.arange(5), side) for side in corners.T])
+    path[0] += 0.3 * np.sin(2 * np.pi * time)
+    measure, tally = RootTravel(), (no_displacement((), np.float32, 2), np.float32(0))
+    for step in range(120):
+        before, after = (
+            SimpleNamespace(control_step=0.1, state=SimpleNamespace(position=path[:, i]))
+            for i in (step, step + 1)
+        )
+        tally = measure.update(tally, SimpleNamespace(step=step, before=before, after=after))
+    assert float(measure.finish(tally, None)) == pytest.approx(8.0, rel=1e-5)
 
 
 @pytest.mark.slow

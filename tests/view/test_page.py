@@ -62,7 +62,8 @@ def test_the_scene_holds_the_motion():
     meshes = [body["parts"][0] for body in made["bodies"]]
     assert len({(mesh["points"], mesh["triangles"]) for mesh in meshes}) == 1
     assert len({mesh["color"] for mesh in meshes}) > 3
-    assert made["water"] and made["goal"] == pytest.approx(synthetic.GOAL.tolist())
+    light = decoded(made, made["light"], "<f4")
+    assert made["water"] and light == pytest.approx(synthetic.GOAL)
     # Eyes are parts of the head.
     assert [len(body["parts"]) for body in made["bodies"]] == [5] + 9 * [1]
 

@@ -240,7 +240,8 @@ def test_only_a_swimmer_that_bends_sideways_is_seen_from_above():
     for axis, sideways in ((1, True), (2, False)):
         bent = position.copy()
         bent[..., axis] = wave
-        clip = Clip(time[:, 0], bent, turns, np.zeros(count), np.zeros(count), FPS)
+        still = np.full((count, 3), np.nan)
+        clip = Clip(time[:, 0], bent, turns, np.zeros(count), still, np.zeros(count), FPS)
         assert bends_sideways(clip) == sideways
 
 

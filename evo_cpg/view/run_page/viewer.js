@@ -27,6 +27,8 @@ const Viewer = (() => {
       rate: data.rate, count: data.count, duration: (data.count - 1) / data.rate,
       position: array(data.position, "f4"), rotation: array(data.rotation, "i2"),
       focus: array(data.focus, "f4"),
+      // Places of the light, one if it rests.
+      lights: data.light === null ? null : array(data.light, "f4"),
     };
   }
 
@@ -180,8 +182,14 @@ const Viewer = (() => {
       pen.fillRect(0, 0, 128, 128);
       return new THREE.CanvasTexture(picture);
     }
-    if (data.goal) {
-      const light = new THREE.Mesh(
+    const light = new THREE.Group(), arrow = new THREE.Mesh(
+      new THREE.BufferGeometry(),
+      new THREE.MeshBasicMaterial({ color: look.halo, fog: false, depthTest: false }),
+    );
+    const corners = [-0.06, -0.14, 0, 0.06, -0.14, 0, 0, 0, 0].map((x) => x * radius);
+    arrow.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(corners), 3));
+    if (data.light !== null) {
+      const core = new THREE.Mesh(
         new THREE.SphereGeometry(0.09 * radius, 24, 24),
         new THREE.MeshBasicMaterial({ color: look.light, fog: false }),
       );
@@ -189,9 +197,9 @@ const Viewer = (() => {
         map: glow(look.halo), transparent: true, opacity: 0.75, depthWrite: false, fog: false,
       }));
       halo.scale.setScalar(0.9 * radius);
-      light.position.fromArray(data.goal);
-      halo.position.fromArray(data.goal);
-      scene.add(light, halo);
+      light.add(core, halo);
+      arrow.renderOrder = 1;
+      scene.add(light, arrow);
     }
 
     // ---- the animal
@@ -267,7 +275,7 @@ const Viewer = (() => {
       scene.add(cloud);
     }
 
-    const here = new THREE.Vector3(), there = new THREE.Vector3();
+    const here = new THREE.Vector3(), there = new THREE.Vector3(), middle = new THREE.Vector3();
     const turn = new THREE.Quaternion(), next = new THREE.Quaternion();
     // Moves everything to an instant, and returns the place that the camera follows.
     function pose(motion, now) {
@@ -290,7 +298,16 @@ const Viewer = (() => {
         const ahead = [0, 1].map((k) => drift[2 * i + k] * (1 - fraction) + drift[2 * j + k] * fraction);
         map.offset.set(...ahead.map((far, k) => (far - data.tiles.size[k] / 2) / tile));
       }
+      if (motion.lights) {
+        const [one, two] = [i, j].map((k) => Math.min(3 * k, motion.lights.length - 3));
+        here.fromArray(motion.lights, one);
+        there.fromArray(motion.lights, two);
+        // Nothing is between two places of a light that jumps.
+        const jumps = here.distanceTo(there) > 0.3 * radius;
+        light.position.copy(here.lerp(there, jumps ? Math.round(fraction) : fraction));
+      }
       here.fromArray(focus, 3 * i).lerp(there.fromArray(focus, 3 * j), fraction);
+      middle.copy(here);
       sun.target.position.copy(here);
       sun.position.copy(here).add(fromSun);
       if (floor) {
@@ -304,8 +321,24 @@ const Viewer = (() => {
       trail.setDrawRange(Math.max(0, i - 8 * rate), Math.min(i, 8 * rate) + 1);
       return { here, frame: i };
     }
+    // Puts an arrow at the edge of the picture, if the light is outside.
+    function point(camera) {
+      camera.updateMatrixWorld();
+      const { x, y, z } = there.copy(light.position).project(camera);
+      arrow.visible = Math.abs(x) > 1 || Math.abs(y) > 1 || Math.abs(z) > 1;
+      const high = Math.tan((camera.fov / 360) * Math.PI) * camera.position.distanceTo(middle);
+      there.copy(light.position).applyMatrix4(camera.matrixWorldInverse);
+      const edge = Math.min(
+        (0.9 * high * camera.aspect) / Math.abs(there.x), (0.85 * high) / Math.abs(there.y),
+      );
+      const along = Math.atan2(there.y, there.x) - Math.PI / 2;
+      there.set(edge * there.x, edge * there.y, -camera.position.distanceTo(middle));
+      arrow.position.copy(camera.localToWorld(there));
+      arrow.quaternion.copy(camera.quaternion).multiply(turn.setFromAxisAngle(here.set(0, 0, 1), along));
+    }
     function render(renderer, camera) {
       if (sky) sky.position.copy(camera.position);
+      if (data.light !== null) point(camera);
       renderer.render(scene, camera);
     }
     function dispose() {

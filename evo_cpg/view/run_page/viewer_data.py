@@ -113,7 +113,6 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
         "spacing": scene.marks.spacing / CELLS,
         "terrain": terrain,
         "obstacles": obstacles,
-        "goal": None if scene.goal is None else [float(x) for x in scene.goal],
         "surface": None if scene.surface is None else float(scene.surface),
         "water": panel.world == "water" and scene.surface is None,
         "look": {name: getattr(scene.look, name) for name in _LOOK},
@@ -155,7 +154,7 @@ def wall_data(panel: Panel, aspect: float) -> dict[str, Any]:
         "floor": float(scene.ground.level or 0.0),
         "spacing": scene.marks.spacing / CELLS,
         "obstacles": [],
-        **dict.fromkeys(("terrain", "goal", "surface")),
+        **dict.fromkeys(("terrain", "light", "surface")),
         "water": panel.world == "water",
         "look": {name: getattr(scene.look, name) for name in _LOOK},
         "arrays": arrays.written,
@@ -186,12 +185,15 @@ def motion_data(recording: Recording, rate: float, seconds: float) -> dict[str, 
 
 
 def _motion(clip: Clip, arrays: Arrays) -> dict[str, Any]:
+    # A light that rests has one place.
+    light = clip.light if np.ptp(clip.light, axis=0).any() else clip.light[:1]
     return {
         "rate": clip.rate,
         "count": len(clip.time),
         "position": arrays.add(clip.position, "<f4"),
         "rotation": arrays.add(quaternions(clip.rotation) * _SHORT, "<i2"),
         "focus": arrays.add(smooth(clip.position.mean(1), _CALM * clip.rate), "<f4"),
+        "light": arrays.add(light, "<f4") if np.isfinite(light).all() else None,
     }
 
 

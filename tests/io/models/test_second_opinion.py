@@ -183,3 +183,19 @@ def test_a_standing_hexapod_has_equal_heights_in_both_programs():
     assert hard.upright == own.upright == 1.0
     assert hard.path[2, -1] == pytest.approx(own.path[2, -1], abs=2e-3)
     assert np.abs(hard.path[:2, -1] - own.path[:2, -1]).max() < 0.05
+
+
+def test_the_controller_in_the_loop_sees_the_moving_light():
+    """Fed with our own states, it gives our own commands. With a light at rest it would not."""
+    flees = "{type: follow, light: {distance: 0.6, bearing_deg: 60}, speed: 6, flees: 9}"
+    experiment, genes, steps = trial(CONFIG, *PAIR, "simulation.substeps=1", f"task={flees}")
+    simulation = experiment.simulation
+    resting = dataclasses.replace(simulation, task=dataclasses.replace(simulation.task, speed=0.0))
+    off = []
+    for own in (simulation, resting):
+        brain = ControllerInLoop(own, genes)
+        for index in range(40):
+            state = jax.tree.map(lambda x, i=index: x[..., i], steps.before)
+            command = brain.think(state, np.zeros((1, 2)))
+        off.append(np.abs(command.target_rate[:, 0] - steps.target_rate[:, 39]).max())
+    assert off[0] < 1e-5 < 1e-3 < off[1]
