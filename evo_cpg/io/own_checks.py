@@ -6,6 +6,7 @@ change, because each individual is alone in its trial.
 """
 
 import contextlib
+import dataclasses
 import inspect
 import traceback
 from collections.abc import Callable, Sequence
@@ -38,8 +39,9 @@ from evo_cpg.simulation.control_step import (
     snapshot_of,
     transition,
 )
+from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.simulation.task import term_names
+from evo_cpg.simulation.task import CourseStart, term_names
 from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
 
 # Number of individuals: a prime, so that the axis is rarely confused with another axis.
@@ -72,7 +74,10 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
     def methods(part: Any, *key: str | int) -> _Methods:
         return _Methods(part, key, key in own, results)
 
-    methods(simulation.task, "task").call("light", test=_is_light)
+    light = methods(simulation.task, "task").call("light", test=_is_light)
+    if light is None and simulation.task.moves_light:
+        raise KeyProblem(("task", "type"), "moves its light, so `light` must be a place, not None")
+    simulation = dataclasses.replace(simulation, noise=Noise())
     shapes: dict[str, Any] = {}
 
     def go(given: dict[str, Any]) -> Results:
@@ -89,7 +94,15 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
         count = simulation.controller.gene_count
         own_genes = controller.call("random_genes", *draw, test=_is_like(_numbers(count)))
         controller.call("decode", put("own genes", jnp.asarray(own_genes, genes.dtype)))
-        constants, animal = put("start", begin_episode(simulation, genes, None, None))
+        keys, task = None, methods(simulation.task, "task")
+        if simulation.task.moves_light:
+            keys = jnp.zeros((4, _INDIVIDUALS), jnp.uint32)
+            place = jnp.zeros((3, _INDIVIDUALS), genes.dtype)
+            begun = put("position", place), put("light", place)
+            start = CourseStart(*begun, simulation.course_keys(keys))
+            course = task.call("begin_course", start)
+            light = task.call("place_light", course, test=_is_like(_numbers(3)))
+        constants, animal = put("start", begin_episode(simulation, genes, keys, None))
         forces = put("forces", no_forces(simulation, animal.state))
         for i, sensor in enumerate(simulation.extra_sensors):
             snapshot = snapshot_of(simulation, constants, animal.state)
@@ -112,9 +125,14 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
         energy = put("energy", jnp.zeros(_INDIVIDUALS, genes.dtype))
         after, airborne = put("after", animal.state), put("airborne", energy)
         effects = Effects(animal.state, after, observation, command, forces, energy, airborne)
+        if simulation.task.moves_light:
+            effects = effects._replace(light=light, course=animal.course)
         seen = transition(simulation, constants, effects, jnp.int32(0))
         # The methods of the task in the order of a run.
-        task, steps = methods(simulation.task, "task"), simulation.steps
+        steps = simulation.steps
+        if simulation.task.moves_light:
+            moved = animal.course, seen.after, jnp.int32(0)
+            task.call("advance_course", *moved, test=_is_like(animal.course, exact=True))
         each, alone = _numbers(), jax.ShapeDtypeStruct((), jnp.float32)
         tally = task.call("begin", _BATCH, seen.energy.dtype, steps)
         tally = task.call("update", tally, seen, steps, test=_is_like(tally, exact=True))

@@ -39,7 +39,8 @@ class CourseStart(NamedTuple):
 
     def uniform(self, count: int) -> Float[Array, "count *n"]:
         """Return random numbers from 0 to 1, equal for all individuals of a generation."""
-        assert self.keys is not None
+        if self.keys is None:
+            raise ValueError("courses are random only if the task has draws_course = True")
         return uniforms(self.keys, count, _TAG)
 
 

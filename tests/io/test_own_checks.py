@@ -50,6 +50,36 @@ class Unmoved(Go):
         # Not a number only for an animal at rest.
         return terms["energy"] / terms["energy"]
 
+class Carousel(Go):
+    light: object = (3.0, 0.0, 0.0)
+    moves_light = True
+    draws_course = True
+    def begin_course(self, start):
+        return 6.28 * start.uniform(1)
+    def place_light(self, course):
+        x, y = 3 * jnp.cos(course[0]), 3 * jnp.sin(course[0])
+        return jnp.stack([x, y, 0 * x])
+    def advance_course(self, course, after, step):
+        return course + 0.2 * after.control_step
+
+class Dark(Carousel):
+    light: object = None
+
+class Flat(Carousel):
+    def place_light(self, course):
+        return course
+
+class Grown(Carousel):
+    def advance_course(self, course, after, step):
+        return course, step
+
+class Undrawn(Carousel):
+    draws_course = False
+
+class Shared(Carousel):
+    def begin_course(self, start):
+        return start.uniform(1) + start.position[:1].mean()
+
 class Wave(evo.Controller):
     gene_count: int = eqx.field(static=True, default=1)
     def random_genes(self, key, batch, dtype):
@@ -124,3 +154,26 @@ def test_a_fitness_function_that_mixes_individuals_is_refused(load):
     experiment = load("task={type: distance}")
     with pytest.raises(ValueError, match="fitness mixes individuals"):
         experiment.with_fitness(lambda terms: terms["distance"] - terms["distance"].mean())
+
+
+def test_an_own_task_may_move_its_light(load):
+    experiment = load("task={type: 'mixers:Carousel'}")
+    light = experiment.record(0, experiment.random_genomes(0, 1)[0]).recording.light
+    np.testing.assert_allclose(np.linalg.norm(light, axis=1), 3.0, rtol=1e-5)
+    angles = np.unwrap(np.arctan2(light[:, 1], light[:, 0]))
+    np.testing.assert_allclose(np.diff(angles), 0.2 / 60, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("task", "words"),
+    [
+        ("Dark", "must be a place, not None"),
+        ("Flat", r"Flat\.place_light must return"),
+        ("Grown", r"Grown\.advance_course must return"),
+        ("Undrawn", "draws_course = True"),
+        ("Shared", r"Shared\.begin_course mixes individuals"),
+    ],
+)
+def test_wrong_methods_of_moving_lights_are_refused(load, task, words):
+    with pytest.raises(ConfigError, match=words):
+        load(f"task={{type: 'mixers:{task}'}}")

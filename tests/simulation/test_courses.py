@@ -166,7 +166,7 @@ def test_individuals_share_courses_that_change_every_few_generations(every, epoc
 
 def test_the_recorded_light_moves_and_eyes_follow_it():
     # Each light is reached as soon as it appears.
-    made = evo.load(CONFIG, ROAM | {"task.radius": 0.3})
+    made = evo.load(CONFIG, ROAM | {"task.spacing": 2, "task.turn_deg": 60, "task.radius": 30})
     record = made.record(0, made.random_genomes(0, 1)[0])
     recording, light = record.recording, record.recording.light
     away = np.linalg.norm(recording.position[:, 0] - light, axis=1)
@@ -214,7 +214,7 @@ def test_wrong_draws_are_refused_with_their_key(draw, words):
 
 
 def test_the_laboratory_silences_each_sense_on_held_out_courses():
-    made = evo.load(CONFIG, ROAM | {"simulation.seconds": 2})
+    made = evo.load(CONFIG, ROAM | {"simulation.seconds": 6})
     parts, genes = made.parts, made.random_genomes(0, 1)[0]
     champion = Champion(np.asarray(genes), 0.0, 0, {}, {}, 0, 0)
     settings, rows = held_out(parts, "brain_cpg", champion, {}, 5)
@@ -224,7 +224,9 @@ def test_the_laboratory_silences_each_sense_on_held_out_courses():
     assert len(np.unique(keys, axis=1).T) == 5
     own = made._run_trials(np.asarray(genes, np.float32)[:, None], keys, None, 5)
     assert rows[0]["left"] == pytest.approx(float(np.mean(own.terms["left"])), rel=1e-4)
-    assert rows[names.index("all")]["left"] != pytest.approx(rows[0]["left"], rel=1e-4)
+    # The pair hardly moves, so what is left of the way differs little from 1.
+    progress = [1 - rows[names.index(name)]["left"] for name in ("none", "all")]
+    assert progress[0] != pytest.approx(progress[1], rel=0.02)
     with pytest.raises(LabError, match="random"):
         held_out(evo.load(CONFIG, SMALL).parts, "brain_cpg", champion, {}, 5)
 
