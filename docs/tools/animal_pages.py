@@ -275,6 +275,7 @@ TITLES = {
     "swimmer_gaits": "Gaits of the swimmer",
     "two_eyed_swimmer": "Swimmer with two eyes",
     "walker_gaits": "Gaits of a walker",
+    "waypoints": "Fish that swims from light to light",
 }
 
 _STUDIES = (
@@ -296,6 +297,7 @@ _STUDIES = (
     ("eel", "[eel, fish and worm](../swimmers.md)"),
     ("fish", "[eel, fish and worm](../swimmers.md)"),
     ("worm", "[eel, fish and worm](../swimmers.md)"),
+    ("waypoints", "[tasks](../models/tasks.md#lights-in-a-row)"),
 )
 
 

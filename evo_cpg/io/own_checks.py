@@ -98,8 +98,8 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
         if simulation.task.moves_light:
             keys = jnp.zeros((4, _INDIVIDUALS), jnp.uint32)
             place = jnp.zeros((3, _INDIVIDUALS), genes.dtype)
-            begun = put("position", place), put("light", place)
-            start = CourseStart(*begun, simulation.course_keys(keys))
+            first = put("position", place), put("light", place)
+            start = CourseStart(*first, simulation.course_keys(keys))
             course = task.call("begin_course", start)
             light = task.call("place_light", course, test=_is_like(_numbers(3)))
         constants, animal = put("start", begin_episode(simulation, genes, keys, None))
