@@ -126,6 +126,8 @@ class BrainCpgSettings(_InRange):
         axes: special settings of named axes, such as ``x`` or ``limbs/y``.
         joint_rates: True to give the joint rates to the brain. The paper's text lists them as
             inputs, but its Table 2 does not.
+        senses_joints: False to give the brain neither joints nor outputs of the oscillators. Few
+            inputs are easier to weigh by evolution.
         angle_range_deg: A, angle that full output commands to a motor with ``stiffness``, degrees
             (of a slide, 0.0175 m for 1). With 0 such a motor pulls to the neutral pose.
 
@@ -143,6 +145,7 @@ class BrainCpgSettings(_InRange):
     max_rate: float = 5.0
     axes: Mapping[str, AxisSettings] = dataclasses.field(default_factory=dict, hash=False)
     joint_rates: bool = False
+    senses_joints: bool = True
     angle_range_deg: float = 0.0
 
     def __post_init__(self):
@@ -467,7 +470,8 @@ def build_brain_cpg(
     }[settings.drive]
     senses_per_joint = 4 if settings.joint_rates else 3
     input_count = 3 * light_count + pressure_count + depth_count + custom_count
-    sensed = tuple(i for i in range(tree.dof_count) if i not in tree.root_slides)
+    felt = range(tree.dof_count * settings.senses_joints)
+    sensed = tuple(i for i in felt if i not in tree.root_slides)
     input_count += senses_per_joint * len(sensed)
     output_count = 2 * (max(source) + 1) + max(gain_source) + 1
     own = [settings.axes.get(axis, AxisSettings()) for axis in axes]

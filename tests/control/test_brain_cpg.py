@@ -87,6 +87,12 @@ def test_brain_senses_table_2_in_order(chain):
     )
     np.testing.assert_allclose(grown.brain_inputs(state, sense), expected, rtol=0, atol=1e-15)
     assert len(expected) == grown.brain.sizes[0]
+    numb = build_brain_cpg(
+        chain(3, "yz"), 2, 3, BrainCpgSettings(senses_joints=False), depth_count=2
+    )
+    rest = np.concatenate([expected[:9], expected[-2:]])
+    np.testing.assert_array_equal(numb.brain_inputs(state, sense), rest)
+    assert len(rest) == numb.brain.sizes[0]
 
 
 def test_brain_does_not_sense_its_place():
