@@ -27,7 +27,7 @@ from evo_cpg.io.schema.experiment import ExperimentConfig
 from evo_cpg.physics.tree.state import State
 from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.measures import Measures
-from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.noise import Noise, raw_keys
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
@@ -113,7 +113,11 @@ def trace(animal: Animal, nudges: int = 0, engine: str = "auto") -> list[Trace]:
 
         trial = jnp.zeros(count, jnp.int32)
         both = JUDGE, Recorder(count=None)
-        run = jax.jit(lambda genes: rollout(simulation, genes, None, trial, both, begin=begin))
+        keys = None
+        if simulation.draws_course:
+            # All individuals have the same course.
+            keys = jnp.tile(raw_keys(jax.random.key(0))[:, None], count)
+        run = jax.jit(lambda genes: rollout(simulation, genes, keys, trial, both, begin=begin))
         outcome, frames = jax.device_get(run(genes))
     instants = [max(round(part * steps), 1) - 1 for part in INSTANTS]
     dofs = simulation.world.tree.dof_names
