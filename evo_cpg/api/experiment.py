@@ -178,6 +178,8 @@ class Experiment:
         with self._compiling("trials", f"{count} individuals", ("trials", count, *(bodies or ()))):
             if bodies and self.parts.simulation.has_own_bodies:
                 raise ValueError("bodies: the genomes define the bodies. Leave bodies out")
+            if bodies and self.parts.simulation.draws is not None:
+                raise ValueError("bodies: trials draw numbers (courses.draw). Leave bodies out")
             own = self._bodies.trials(bodies, count) if bodies else None
             outcome = own[0](*given, own[1]) if own else self._run_trials(*given)
         shaped = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
@@ -250,6 +252,8 @@ class Experiment:
         parameters = None
         if numbers and self.parts.simulation.has_own_bodies:
             raise ValueError("numbers: the genome defines the body. Leave numbers out")
+        if numbers and self.parts.simulation.draws is not None:
+            raise ValueError("numbers: trials draw numbers (courses.draw). Leave numbers out")
         if numbers:
             parameters = parametrise(self.config, self.source, numbers, smooth=False)
         noise = self._noise(_key(key), 1)

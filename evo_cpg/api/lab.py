@@ -14,6 +14,7 @@ from evo_cpg.analysis.laboratory.settings import KNOBS, LabError
 from evo_cpg.api.progress import working
 from evo_cpg.api.runs import open_champion
 from evo_cpg.files import make_folder, write_table
+from evo_cpg.io.courses import without_draws
 from evo_cpg.io.load import load_config
 from evo_cpg.io.run import Run, class_folders
 from evo_cpg.io.shipped import find_config
@@ -57,17 +58,18 @@ def lab(
     with trusting(trust):
         source = find_config(animal, folders=True)
         if source.is_dir():
-            opened = open_champion(source, number, cores=devices.available_cores()).own
+            opened = open_champion(source, number, cores=devices.available_cores())
             opened.require_configured()
             if courses is not None:
-                return _on_courses(opened, knobs, courses, seconds)
+                return _on_courses(opened.own, knobs, courses, seconds)
+            opened = opened.on_course()
             own, genes = class_folders(opened.folder), opened.champion.genes
             subject = Subject(opened.config, opened.folder.config, own, genes)
         elif courses is not None:
             raise LabError(f"courses: {source} has no champion. Ask a run folder")
         elif number is None:
             devices.use_cores()
-            subject = Subject(load_config(source), source)
+            subject = Subject(without_draws(load_config(source)), source)
         else:
             raise LabError(f"run {number}: {source} is a configuration, not a run folder")
         with working(f"compiling, and simulating {count} setting{'s' if count > 1 else ''}"):

@@ -157,7 +157,7 @@ def probe(
     if min(distances, default=1.0) <= 0:
         raise UsageError(f"distances: must be greater than 0, got {min(distances):g}")
     with trusting(trust):
-        opened = open_champion(run, number).own
+        opened = open_champion(run, number).on_course()
     simulation, genes = opened.experiment.simulation, opened.champion.genes
     if None in simulation.lights:
         raise UsageError(

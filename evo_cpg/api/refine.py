@@ -107,6 +107,11 @@ def refine(
                 f"{keys[0]}: cannot be refined in a run whose bodies evolve. Leave the keys out, "
                 f"or refine a run of the exported body: evo-cpg export {run} animal.yaml"
             )
+        if keys and experiment.simulation.draws is not None:
+            raise UsageError(
+                f"{keys[0]}: cannot be refined in a run that draws numbers (courses.draw). Leave "
+                "the keys out"
+            )
         if keys and experiment.runs > 1:
             raise UsageError(
                 f"{keys[0]}: cannot be refined, because the {experiment.runs} runs of {run} share "

@@ -114,7 +114,7 @@ def sensitivity(
         UsageError: the time does not fit the trial, or the genes are bits.
     """
     with trusting(trust):
-        opened = open_champion(run, number).own
+        opened = open_champion(run, number).on_course()
         # The first trial alone, and of another duration if given.
         config, simulation = opened.config, opened.experiment.simulation
         rate, steps = simulation.control_rate, simulation.steps

@@ -126,8 +126,7 @@ class BrainCpgSettings(_InRange):
         axes: special settings of named axes, such as ``x`` or ``limbs/y``.
         joint_rates: True to give the joint rates to the brain. The paper's text lists them as
             inputs, but its Table 2 does not.
-        senses_joints: False to give the brain neither joints nor outputs of the oscillators. Few
-            inputs are easier to weigh by evolution.
+        senses_joints: False to give the brain neither joints nor outputs of the oscillators.
         angle_range_deg: A, angle that full output commands to a motor with ``stiffness``, degrees
             (of a slide, 0.0175 m for 1). With 0 such a motor pulls to the neutral pose.
 

@@ -1,6 +1,6 @@
 """Courses: numbers of a configuration that are drawn for each trial.
 
-A pattern such as ``world.ground.obstacles.*.position.0`` stands for all numbers whose keys match.
+A pattern such as ``world.ground.obstacles.*.centre.0`` stands for all numbers whose keys match.
 Each of them is uniform in the range, independent of the others. All individuals of a generation
 have equal courses, so that none is fitter by luck.
 """

@@ -12,6 +12,7 @@ import evo_cpg as evo
 from evo_cpg.analysis.laboratory.courses import course_keys, held_out
 from evo_cpg.analysis.laboratory.settings import LabError
 from evo_cpg.io.errors import ConfigError
+from evo_cpg.io.load import dump_config
 from evo_cpg.simulation.courses import Follow, Waypoints
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.simulation.noise import raw_keys
@@ -237,3 +238,22 @@ def test_an_environment_draws_a_course_at_each_reset():
     drawn = [np.concatenate([np.ravel(x) for x in state.inner.drawn]) for state in states]
     np.testing.assert_array_equal(drawn[0], drawn[1])
     assert (drawn[0] != drawn[2]).any()
+
+
+@pytest.mark.parametrize("settings", [ROAM, DRAWN])
+def test_the_laboratory_needs_no_held_out_courses(settings, tmp_path):
+    path = tmp_path / "roam.yaml"
+    path.write_text(dump_config(evo.load(CONFIG, settings).config))
+    answer = evo.lab(path, {"u": [0.2, 0.6], "b": [5.0]}, seconds=0.3)
+    assert len(answer.rows) == 2
+    light = [recording.light for recording in answer.recordings]
+    np.testing.assert_array_equal(light[0][0], light[1][0])
+
+
+def test_numbers_of_a_run_that_draws_them_are_refused():
+    made = evo.load(CONFIG, DRAWN)
+    density = "world.water.density"
+    with pytest.raises(ValueError, match=r"courses\.draw"):
+        made.rollout(0, made.random_genomes(0, 1), {density: [900.0]})
+    with pytest.raises(ValueError, match=r"courses\.draw"):
+        made.fitness_function(0, numbers=[density])

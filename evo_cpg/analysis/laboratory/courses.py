@@ -72,7 +72,7 @@ def held_out(
     measured = {**first, "fitness": fitness.T, **outcome.terms}
     rows = []
     for i, setting in enumerate(settings):
-        means = {name: mean_where(x[i], lived[i]) for name, x in measured.items()}
+        means = {name: _mean(x[i], lived[i]) for name, x in measured.items()}
         if "success" in means:
             # An animal that diverges fails.
             means["success"] *= float(lived[i].mean())
@@ -80,7 +80,7 @@ def held_out(
     return settings, rows
 
 
-def mean_where(values: Float[np.ndarray, " n"], chosen: Bool[np.ndarray, " n"]) -> float:
+def _mean(values: Float[np.ndarray, " n"], chosen: Bool[np.ndarray, " n"]) -> float:
     """Return the mean of some values, or NaN if there are none."""
     return float(values[chosen].mean()) if chosen.any() else float("nan")
 

@@ -3,11 +3,13 @@
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.laboratory.settings import LabError
 from evo_cpg.simulation.batched import BatchedSimulation
+from evo_cpg.simulation.noise import raw_keys
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
@@ -31,8 +33,11 @@ def record_all(
         common, inputs, values = simulation
     else:
         common = simulation
-    recorder, count = Recorder(count=None, full=True), genes.shape[1]
-    shapes = jax.eval_shape(lambda genes: rollout(common, genes, None, None, recorder), genes)
+    recorder, count, keys = Recorder(count=None, full=True), genes.shape[1], None
+    if not common.silent:
+        # All settings have the same course.
+        keys = jnp.tile(raw_keys(jax.random.key(0))[:, None], count)
+    shapes = jax.eval_shape(lambda genes: rollout(common, genes, keys, None, recorder), genes)
     size = sum(math.prod(x.shape) * x.dtype.itemsize for x in jax.tree.leaves(shapes))
     if size > _LARGEST:
         seconds = common.steps / common.control_rate
@@ -41,4 +46,4 @@ def record_all(
             f"of memory. Allowed: up to {_LARGEST / 1e9:g} GB. Ask fewer settings or shorter trials"
         )
     live = compile_trials(common, population_mesh(), None, inputs, recorder)
-    return live(genes, None, None, 1, values)
+    return live(genes, jax.device_get(keys), None, 1, values)
