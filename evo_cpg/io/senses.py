@@ -41,6 +41,9 @@ def build_imperfections(
             having = ", ".join(places)
             problem = f"the creature has no such sense. It has: {having}"
             raise KeyProblem(("creature", "senses", kind), problem)
+        if given.silent:
+            found += [Imperfection(*place, silent=True) for place in places[kind]]
+            continue
         rate = config.simulation.control_rate_hz
         period, delay = _period(kind, given, rate), make_delay(given.delay, 1 / rate)
         found += [Imperfection(*place, given.noise, delay, period) for place in places[kind]]

@@ -1,4 +1,4 @@
-"""Imperfect senses: noise, delay, and a rate below that of the control steps.
+"""Imperfect senses: noise, delay, a rate below that of the control steps, or silence.
 
 A sense is sampled every ``period`` control steps, with normal noise, and held in between. A delay
 between two control steps takes a linear mean of both samples (`evo_cpg.control.feedback.Delay`).
@@ -30,6 +30,7 @@ class Imperfection(eqx.Module):
         noise: standard deviation of the noise of each sample.
         delay: delay of the samples.
         period: number of control steps between two samples.
+        silent: whether all readings are 0.
     """
 
     part: str = eqx.field(static=True)
@@ -38,6 +39,7 @@ class Imperfection(eqx.Module):
     noise: Number = 0.0
     delay: Delay = Delay(0, 1.0)
     period: int = eqx.field(static=True, default=1)
+    silent: bool = eqx.field(static=True, default=False)
 
 
 class SenseMemory(NamedTuple):
@@ -85,7 +87,7 @@ def imperfect(
     for number, (one, memory) in enumerate(zip(imperfections, memories, strict=True)):
         part = getattr(seen, one.part)
         rows = slice(one.first, one.first + one.count)
-        sample = part[rows]
+        sample = jnp.zeros_like(part[rows]) if one.silent else part[rows]
         if keys is not None and not is_none(one.noise):
             sample = sample + one.noise * normals(keys, SENSES + number, one.count, index)
         held = None

@@ -79,6 +79,15 @@ def test_senses_of_a_trial_are_delayed_and_held_and_the_others_are_not():
     np.testing.assert_allclose(found["joint_rate"], perfect["joint_rate"], rtol=1e-5, atol=1e-6)
 
 
+def test_a_silent_sense_reads_0_and_the_others_do_not_change():
+    perfect = seen({})
+    found = seen({"creature.senses": {"light": {"silent": True}, "velocity": {"silent": True}}})
+    assert perfect["light"].any()
+    for name, readings in found.items():
+        expected = perfect[name] * (name not in ("light", "custom"))
+        np.testing.assert_allclose(readings, expected, rtol=1e-5, atol=1e-6)
+
+
 def test_noisy_senses_make_a_trial_random():
     experiment = evo.load(
         CONFIG, SHORT | {"creature.senses": {"joint_angle": {"noise": 0.5}}, "simulation.trials": 2}

@@ -73,11 +73,13 @@ class ImperfectionConfig(Section):
         delay: time from the sense to the controller, s, 0 to 1; until then it reads 0.
         rate_hz: samples per second, held in between; ``control_rate_hz`` must be a multiple; a
             null samples in each control step.
+        silent: whether all readings are 0, for animals that evolve without a sense.
     """
 
     noise: NotNegative = 0.0
     delay: Annotated[float, Field(ge=0, le=LONGEST_DELAY)] = 0.0
     rate_hz: Positive | None = None
+    silent: bool = False
 
 
 class SensesConfig(OpenSection):
@@ -116,7 +118,7 @@ class SensesConfig(OpenSection):
     @property
     def noisy(self) -> bool:
         """Whether any sense has noise."""
-        return any(one is not None and one.noise for _, one in self)
+        return any(one is not None and one.noise and not one.silent for _, one in self)
 
 
 class _OfBody(DescribedSection):
