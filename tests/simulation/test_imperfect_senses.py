@@ -81,8 +81,10 @@ def test_senses_of_a_trial_are_delayed_and_held_and_the_others_are_not():
 
 def test_a_silent_sense_reads_0_and_the_others_do_not_change():
     perfect = seen({})
-    found = seen({"creature.senses": {"light": {"silent": True}, "velocity": {"silent": True}}})
+    silent = {"silent": True, "noise": 0.5, "delay": 0.1}
+    found = seen({"creature.senses": {"light": silent, "velocity": silent}})
     assert perfect["light"].any()
+    assert perfect["custom"].any()
     for name, readings in found.items():
         expected = perfect[name] * (name not in ("light", "custom"))
         np.testing.assert_allclose(readings, expected, rtol=1e-5, atol=1e-6)

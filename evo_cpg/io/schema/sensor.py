@@ -73,7 +73,7 @@ class ImperfectionConfig(Section):
         delay: time from the sense to the controller, s, 0 to 1; until then it reads 0.
         rate_hz: samples per second, held in between; ``control_rate_hz`` must be a multiple; a
             null samples in each control step.
-        silent: whether all readings are 0, for animals that evolve without a sense.
+        silent: whether all readings are 0, so that the other keys have no effect.
     """
 
     noise: NotNegative = 0.0
