@@ -302,6 +302,18 @@ def test_a_sum_or_product_with_other_users_stays_whole():
     assert roots[2].op == "add" and roots[3] in roots[2].operands
 
 
+def test_a_part_is_not_needed_for_its_constant():
+    """Two parts are dead, although one returns the 0 that the third uses."""
+
+    def nested(x):
+        dead = fuse(lambda x: x + x[0] * x[1], x, batch_ndim=0)
+        fuse(lambda x, dead: (jnp.zeros_like(x), dead), x, dead, batch_ndim=0)
+        return fuse(lambda x: jnp.maximum(x, 0.0), x, batch_ndim=0)
+
+    for _, graph in compile.stages(traced(nested)):
+        verify(graph)
+
+
 # Eliminate dead code, check the size, schedule, rewrite.
 
 
