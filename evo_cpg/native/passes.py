@@ -117,8 +117,8 @@ def contract_multiply_adds(graph: Graph) -> Graph:
         reached.update([node.operands[0] for node in nodes if node.op == "opaque"])
 
     reach(_uses_in_part(graph, graph.result_nodes))
-    # Inner parts come before the parts that contain them. A constant does not tell who needs a part,
-    # because all parts share it.
+    # Inner parts come before the parts that contain them. A constant does not show that a part is
+    # needed, because all parts share it.
     for part in reversed(graph.parts):
         if any(node in reached and node.value is None for node in part.results):
             uses = _uses_in_part(graph, part.results)
