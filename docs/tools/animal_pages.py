@@ -276,6 +276,10 @@ TITLES = {
     "two_eyed_swimmer": "Swimmer with two eyes",
     "walker_gaits": "Gaits of a walker",
     "waypoints": "Fish that swims from light to light",
+    "moving_light": "Salamander that follows a moving light",
+    "fleeing_light": "Salamander that chases a light",
+    "cross_current": "Salamander in a cross current",
+    "vortex_street": "Salamander in a vortex street",
 }
 
 _STUDIES = (
@@ -297,7 +301,16 @@ _STUDIES = (
     ("eel", "[eel, fish and worm](../swimmers.md)"),
     ("fish", "[eel, fish and worm](../swimmers.md)"),
     ("worm", "[eel, fish and worm](../swimmers.md)"),
-    ("waypoints", "[tasks](../models/tasks.md#lights-in-a-row)"),
+    *(
+        (name, "[worlds that need a brain](../reproduction/worlds.md)")
+        for name in (
+            "waypoints",
+            "moving_light",
+            "fleeing_light",
+            "cross_current",
+            "vortex_street",
+        )
+    ),
 )
 
 

@@ -18,6 +18,7 @@ _PLACES = {
     "turtle": ("evo_cpg.studies.own_animals", "TURTLE"),
     "animals": ("evo_cpg.studies.animals", "STUDY"),
     "bodies": ("evo_cpg.studies.bodies", "STUDY"),
+    "worlds": ("evo_cpg.studies.worlds", "STUDY"),
     "search": ("evo_cpg.studies.search", "STUDY"),
 }
 # Only a checkout has the study of the program's speed.

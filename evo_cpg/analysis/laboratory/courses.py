@@ -64,7 +64,7 @@ def held_out(
     tree = simulation.world.tree
     genes = [genes_of(controller, tree, setting, champion.genes) for setting in settings]
     changed = dataclasses.replace(simulation, controller=controller)
-    outcome = _trials(experiment, changed, np.stack(genes, -1).astype(np.float32), count)
+    outcome = on_courses(experiment, np.stack(genes, -1).astype(np.float32), count, changed)
     scales = {name: jnp.float32(value) for name, value in champion.scales.items()}
     fitness = jax.device_get(judge_each(simulation.task, outcome, scales))
     lived = np.asarray(outcome.alive)
@@ -116,17 +116,28 @@ def _middle(simulation: Simulation) -> str:
     return tree.names[longest[(len(longest) - 1) // 2]]
 
 
-def _trials(
-    experiment: ExperimentParts, simulation: Simulation, genes: Float[np.ndarray, "g n"], count: int
+def on_courses(
+    experiment: ExperimentParts,
+    genes: Float[np.ndarray, "g n"],
+    count: int,
+    simulation: Simulation | None = None,
 ) -> Outcome:
-    """Return the outcome of all courses, ``(settings, courses)``."""
-    settings, numbers = genes.shape[1], None
+    """Return the outcome of animals on held-out courses, ``(n, courses)``.
+
+    Args:
+        experiment: experiment that draws the courses.
+        genes: genes of the animals.
+        count: number of courses, which are equal for all animals.
+        simulation: simulation to take in place of the experiment's.
+    """
+    simulation = simulation or experiment.simulation
+    animals, numbers = genes.shape[1], None
     keys = course_keys(experiment, count)
     if len(simulation.situations) > 1:
-        numbers = np.tile(np.arange(count) % len(simulation.situations), settings)
+        numbers = np.tile(np.arange(count) % len(simulation.situations), animals)
     live = compile_trials(simulation, population_mesh())
-    found = live(genes, np.tile(keys, settings), numbers, count)
-    return jax.tree.map(lambda x: x.reshape(settings, count), found)
+    found = live(genes, np.tile(keys, animals), numbers, count)
+    return jax.tree.map(lambda x: x.reshape(animals, count), found)
 
 
 def course_keys(experiment: ExperimentParts, count: int) -> UInt32[np.ndarray, "w count"]:
