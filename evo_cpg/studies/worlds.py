@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evo_cpg.analysis.laboratory.courses import on_courses
+from evo_cpg.creature.creature import length_of
 from evo_cpg.simulation.courses import Waypoints
 from evo_cpg.studies.parts import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, middle, tabled
@@ -41,9 +42,9 @@ class World(NamedTuple):
 
 WORLDS = {
     "waypoints": World("lights in a row", 60, 100, ("vertical", "joint_angle", "pressure")),
-    "moving_light": World("a light that turns", 60, 200),
-    "fleeing_light": World("a light that flees", 60, 200),
-    "cross_current": World("a current from any side", 60, 200),
+    "moving_light": World("a light that turns", 60, 100),
+    "fleeing_light": World("a light that flees", 60, 100),
+    "cross_current": World("a current from any side", 60, 100),
     "vortex_street": World("a vortex street", 60, 200),
 }
 
@@ -64,6 +65,13 @@ def _settings(world: World) -> dict[str, tuple[str, ...]]:
     }
 
 
+# The same animals swim straight ahead, because speeds of lights and currents are half of this.
+_STRAIGHT = (
+    "task={type: distance, heading: forward}",
+    "simulation.seconds=20",
+    "simulation.trials=1",
+    "evolution.generations=30",
+)
 # Flow at the head, for the comparison of its velocity with its gradient.
 _FLOWS = {
     "eyes alone": (),
@@ -82,6 +90,7 @@ RUNS = {
         for name, world in WORLDS.items()
         for setting, changes in _settings(world).items()
     },
+    "straight": Runs("moving_light", _STRAIGHT, 5),
     **{name: Runs("vortex_street", changes, _FLOW_RUNS) for name, changes in _FLOWS.items()},
 }
 
@@ -125,6 +134,20 @@ def _held_out(workshop: Workshop, name: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array(success), np.array(far)
 
 
+def straight(workshop: Workshop) -> list[Table]:
+    """Return a table of the speed of swimmers that evolve to swim straight ahead."""
+    member = workshop.member("straight")
+    seconds = member.config.simulation.seconds
+    speeds = [each.terms["forward"] / seconds for each in workshop.champions("straight")]
+    length = length_of(member.config.creature.build())
+    row = {
+        "champions": str(len(speeds)),
+        "speed, m/s": middle(speeds, 2),
+        "speed, lengths/s": middle(np.array(speeds) / length, 2),
+    }
+    return [tabled([row])]
+
+
 def _part(name: str, world: World) -> Part:
     names = tuple(f"{name} {setting}" for setting in _settings(world))
     return Part(world.title, names, partial(compared, names=names, prefix=f"{name} "))
@@ -136,6 +159,7 @@ STUDY = Study(
     RUNS,
     {
         **{name: _part(name, world) for name, world in WORLDS.items()},
+        "straight": Part("speed straight ahead", ("straight",), straight),
         "flow": Part(
             "sense of the flow's velocity and of its gradient in a vortex street",
             tuple(_FLOWS),
