@@ -276,6 +276,7 @@ TITLES = {
     "two_eyed_swimmer": "Swimmer with two eyes",
     "walker_gaits": "Gaits of a walker",
     "waypoints": "Fish that swims from light to light",
+    "land_waypoints": "Salamander that walks from light to light",
     "moving_light": "Salamander that follows a moving light",
     "fleeing_light": "Salamander that chases a light",
     "cross_current": "Salamander in a cross current",
@@ -309,6 +310,7 @@ _STUDIES = (
             "fleeing_light",
             "cross_current",
             "vortex_street",
+            "land_waypoints",
         )
     ),
 )

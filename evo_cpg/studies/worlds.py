@@ -46,6 +46,7 @@ WORLDS = {
     "fleeing_light": World("a light that flees", 60, 100),
     "cross_current": World("a current from any side", 60, 100),
     "vortex_street": World("a vortex street", 60, 200),
+    "land_waypoints": World("lights in a row on land", 40, 100, runs=3),
 }
 
 
@@ -72,11 +73,14 @@ _STRAIGHT = (
     "simulation.trials=1",
     "evolution.generations=30",
 )
-# Flow at the head, for the comparison of its velocity with its gradient.
+# Flow at the head, for the comparison of its velocity with its gradient. The street is stronger than
+# in `vortex_street`, where eyes alone suffice.
+_STRONG = "world.water.street.circulation=2.5"
 _FLOWS = {
-    "eyes alone": (),
+    "eyes alone": (_STRONG,),
     **{
         f"eyes and {reading} of the flow": (
+            _STRONG,
             f"creature.sensors=[{{type: flow, body: head, reading: {reading}}}]",
         )
         for reading in ("velocity", "gradient")
