@@ -42,7 +42,7 @@ class World(NamedTuple):
 
 WORLDS = {
     "waypoints": World("lights in a row", 60, 100, ("vertical", "joint_angle", "pressure")),
-    "moving_light": World("a light that turns", 60, 100),
+    "moving_light": World("a light that turns", 60, 200),
     "fleeing_light": World("a light that flees", 60, 100),
     "cross_current": World("a current from any side", 60, 100),
     "vortex_street": World("a vortex street", 60, 200),
@@ -70,11 +70,12 @@ def _settings(world: World) -> dict[str, tuple[str, ...]]:
 _STRAIGHT = (
     "task={type: distance, heading: forward}",
     "simulation.seconds=20",
+    "courses.draw={}",
     "simulation.trials=1",
     "evolution.generations=30",
 )
-# Flow at the head, for the comparison of its velocity with its gradient. The street is stronger than
-# in `vortex_street`, where eyes alone suffice.
+# Flow at the head, for the comparison of its velocity with its gradient. The street is stronger
+# than in `vortex_street`, where eyes alone suffice.
 _STRONG = "world.water.street.circulation=2.5"
 _FLOWS = {
     "eyes alone": (_STRONG,),
