@@ -13,7 +13,7 @@ from evo_cpg.control.couplings import uncoupled
 from evo_cpg.control.matsuoka import parts
 from evo_cpg.physics.water.added_mass import AddedMass
 from evo_cpg.physics.water.reactive_thrust import ReactiveThrust
-from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.noise import Noise, raw_keys
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 
@@ -127,7 +127,8 @@ def is_light_in_water(simulation: Simulation) -> bool:
 def about_step(simulation: Simulation) -> str:
     """Return a warning of a physics step at which random individuals diverge, or "".
 
-    Some random individuals run for at most `_TEST_SECONDS` seconds without noise. With plain JAX
+    Some random individuals run for at most `_TEST_SECONDS` seconds without noise, each on its own
+    course if courses are drawn. With plain JAX
     nothing is tested, because compiling their trials would take minutes.
     """
     if simulation.engine.name == "jax":
@@ -135,10 +136,11 @@ def about_step(simulation: Simulation) -> str:
     steps = min(simulation.steps, math.ceil(_TEST_SECONDS * simulation.control_rate))
     tested = dataclasses.replace(simulation, steps=steps, rules=None, noise=Noise())
     genes = simulation.genome.random(jax.random.key(0), (_TESTED,))
+    keys = None if tested.silent else raw_keys(jax.random.split(jax.random.key(0), _TESTED))
     now, found = simulation.substeps, ""
     for more in (factor * now for factor in (1, *_FINER)):
         finer = dataclasses.replace(tested, substeps=more)
-        lost = int((~jax.jit(functools.partial(rollout, finer))(genes).alive).sum())
+        lost = int((~jax.jit(functools.partial(rollout, finer))(genes, keys).alive).sum())
         if not lost:
             return found and (
                 f"{found}, because the physics step of {simulation.step_length:.2g} s is too long. "

@@ -1,5 +1,7 @@
 """Warnings of a physics step that is too long, from trials of random individuals."""
 
+import shutil
+
 import pytest
 import yaml
 
@@ -62,8 +64,11 @@ def test_thin_plates_get_a_number_of_substeps(cli, folder):
         "within 2 s, because the physics step of 0.017 s is too long. With simulation.substeps: 2 "
         "none diverges\n"
     )
-    err = cli.refuses("train", "x.yaml", "evolution.generations=1", "--out", "run")
-    assert "all of generation 0 diverged. simulation.substeps: 1: 8 of 8 random" in err
+    drawn = "courses={draw: {simulation.start_heading_deg: [-90, 90]}}"
+    for more in ((), (drawn,)):
+        err = cli.refuses("train", "x.yaml", "evolution.generations=1", *more, "--out", "run")
+        assert "all of generation 0 diverged. simulation.substeps: 1: 8 of 8 random" in err
+        shutil.rmtree("run")
 
 
 @pytest.mark.parametrize("name", ["eel", "fish", "salamander_swim", "hexapod"])
