@@ -72,7 +72,7 @@ _STRAIGHT = (
     "simulation.seconds=20",
     "courses.draw={}",
     "simulation.trials=1",
-    "evolution.generations=30",
+    "evolution.generations=60",
 )
 # Flow at the head, for the comparison of its velocity with its gradient. The street is stronger
 # than in `vortex_street`, where eyes alone suffice.
