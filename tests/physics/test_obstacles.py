@@ -189,6 +189,25 @@ def test_an_ellipsoid_moved_by_its_gap_touches_a_box(x64):
     assert near > 0.5 * count
 
 
+def test_a_distant_box_is_distant(x64):
+    """A box beside the path of a slender ellipsoid is not nearer than the ball around it."""
+    count, rng = 200, np.random.default_rng(5)
+    axes, directions = placed(rng, count)
+    half = np.array([0.2, 1.2, 2.0])
+    centre = directions / np.abs(directions / half).max(1)[:, None] * 2
+    box = RoundedBoxes(
+        jnp.zeros((3, count)),
+        columns(np.tile(np.eye(3), (count, 1, 1))),
+        columns(np.tile(half, (count, 1))),
+        jnp.zeros(count),
+    )
+    semi = columns(np.tile(SEMI_AXES, (count, 1)))
+    gap, _ = quick_jit(nearest_to_box)(columns(centre), columns(axes), semi, box)
+    distance = np.linalg.norm(np.maximum(np.abs(centre) - half, 0), axis=1)
+    assert (gap > distance - SEMI_AXES.max() - 1e-9).all()
+    assert (gap < distance - SEMI_AXES.min() + 1e-9).all()
+
+
 @pytest.mark.slow
 def test_a_capsule_lies_across_a_beam_at_any_angle(x64):
     """Compare with the closed form: contact at both edges on top of the beam."""

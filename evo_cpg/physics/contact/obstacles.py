@@ -12,7 +12,8 @@ passes through the point q and has the normal n towards the ellipsoid:
 The nearest point to a ball is the root of one equation (Eberly 2013). For a box, q is the point of
 the box with the least |A^-1 R^T (q - c)|, which is 1 on the surface of the ellipsoid. The box lies
 behind the tangent plane at q of the ellipsoid scaled up to q. This gap is exact at contact, and
-never greater than the distance.
+never greater than the distance. Neither is the distance of the box from the ball around the
+ellipsoid. The larger of both is taken.
 """
 
 from typing import NamedTuple
@@ -326,6 +327,10 @@ def nearest_to_box(
     normal = pull / jnp.sqrt(dot(pull, pull) + _FLOOR)[None]
     reach = semi_axes * matvec(matmul(jnp.swapaxes(axes, 0, 1), box.axes), normal)
     gap = dot(normal, here - point) - jnp.sqrt(dot(reach, reach) + _FLOOR)
+    # Far away, the plane may pass close by the ellipsoid. The ball around it then tells more.
+    outside = jnp.maximum(inside, 0.0)
+    apart = jnp.sqrt(dot(outside, outside) + _FLOOR) - semi_axes.max(0)
+    gap = jnp.where(inside.max(0) > 0, jnp.maximum(gap, apart), gap)
     return gap, matvec(box.axes, normal)
 
 
