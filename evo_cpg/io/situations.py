@@ -197,49 +197,56 @@ def _start_height(
     def search() -> float | None:
         gap, numbers = _gaps.of(world)
         here = height
-        # Except on level ground, raising the creature by the missing clearance is too little.
-        for _ in range(_START_STEPS):
-            reached, rise = gap(numbers, x, y, heading, here)
-            missing = start_clearance - float(reached)
-            if abs(missing) < accuracy(here):
-                return here + missing / float(rise)
-            here += missing
+        # In float64, like `followed`, so that both agree where drawn numbers do not matter.
+        with jax.enable_x64(True):
+            # Except on level ground, raising the creature by the missing clearance is too little.
+            for _ in range(_START_STEPS):
+                reached, rise = gap(numbers, x, y, heading, here)
+                missing = start_clearance - float(reached)
+                if abs(missing) < accuracy(here):
+                    return here + missing / float(rise)
+                here += missing
         return None
 
-    def followed(found: float) -> Number:
+    @functools.cache
+    def followed(found: float) -> tuple[Number, Condition]:
+        """Return the height as a function of traced numbers, and whether it is found."""
         if not is_traced(world, x, y, heading, height):
-            return found
+            return found, True
 
         stopped: list[Any] = jax.tree.map(
             lambda leaf: jax.lax.stop_gradient(leaf) if is_traced(leaf) else leaf,
             [world, x, y, heading],
         )
-
-        def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            count, here, missing = carry
-            here = here + missing / _gap(*stopped, height=here)[1]
-            return count + 1, here, clearance - _gap(*stopped, height=here)[0]
-
-        begin = jnp.asarray(found, float)
         clearance = jax.lax.stop_gradient(jnp.asarray(start_clearance, float))
-        missing = clearance - _gap(*stopped, height=begin)[0]
-        _, here, _ = jax.lax.while_loop(
-            lambda carry: (abs(carry[2]) >= accuracy(found)) & (carry[0] < _START_STEPS),
+
+        def misses(missing: Array) -> Array:
+            return abs(missing) >= accuracy(found)
+
+        def step(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+            count, here, missing, rise = carry
+            here = here + missing / rise
+            reached, rise = _gap(*stopped, height=here)
+            return count + 1, here, clearance - reached, rise
+
+        # Tracing a gap takes seconds, so the first step stays in place, and only it has a gap.
+        begin = jnp.asarray(found, float)
+        _, here, missing, _ = jax.lax.while_loop(
+            lambda carry: (carry[0] == 0) | (misses(carry[2]) & (carry[0] < _START_STEPS)),
             step,
-            (jnp.asarray(0), begin, missing),
+            (jnp.asarray(0), begin, jnp.zeros_like(begin), jnp.ones_like(begin)),
         )
         # This Newton step makes the height depend on the traced numbers.
         reached, rise = _gap(world, x, y, heading, here)
-        return here + (start_clearance - reached) / jax.lax.stop_gradient(rise)
+        return here + (start_clearance - reached) / jax.lax.stop_gradient(rise), ~misses(missing)
 
     def stands(found: float | None) -> Condition:
-        if found is None or not is_traced(world, x, y, heading, height):
+        if found is None:
             return not is_traced(world, x, y, heading, height)
-        here = followed(found)
-        return abs(start_clearance - _gap(world, x, y, heading, here)[0]) < accuracy(here)
+        return followed(found)[1]
 
     found = searched(search, stands)
-    return None if found is None else followed(found)
+    return None if found is None else followed(found)[0]
 
 
 def _gap(

@@ -199,6 +199,19 @@ def test_a_drawn_trial_equals_one_with_its_numbers():
             assert values[0, i] == pytest.approx(alone.terms[name][0, 0], rel=2e-4, abs=1e-5)
 
 
+def test_a_distant_drawn_block_leaves_the_start_alone():
+    """The start height then differs between courses only by rounding, so it is no drawn number."""
+    wall = {"type": "block", "centre": [2.5, 0, 0], "size": [0.4, 2.4, 4]}
+    ground = {"floor": {"type": "plane", "height": -0.51}, "obstacles": [wall]}
+    changes = {"world.ground": ground, "simulation.start_clearance": 0.5}
+    drawn = {"courses.draw": {"world.ground.obstacles.0.heading_deg": [-20, 20]}}
+    simulation = evo.load(
+        CONFIG, SMALL | changes | drawn | {"simulation.trials": 2}
+    ).parts.simulation
+    keys = np.random.default_rng(0).integers(2**32, size=(2, 50), dtype=np.uint32)
+    assert all(np.isfinite(values).all() for values in simulation.draws.values(keys))
+
+
 @pytest.mark.parametrize(
     ("draw", "words"),
     [
