@@ -280,6 +280,7 @@ TITLES = {
     "moving_light": "Salamander that follows a moving light",
     "fleeing_light": "Salamander that chases a light",
     "cross_current": "Salamander in a cross current",
+    "reef": "Salamander in a reef",
     "vortex_street": "Salamander in a vortex street",
 }
 
@@ -310,6 +311,7 @@ _STUDIES = (
             "fleeing_light",
             "cross_current",
             "vortex_street",
+            "reef",
             "land_waypoints",
         )
     ),

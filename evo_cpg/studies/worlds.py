@@ -19,8 +19,9 @@ from evo_cpg.studies.workshop import Workshop
 
 _COURSES = 200
 _EVOLVED, _RANDOM, _BLIND, _CONSTANT = "evolved", "random search", "blind", "constant brain"
+_DEAF = "without touch and rays"
 # Number of runs of each control.
-_CONTROLS = {_RANDOM: 3, _BLIND: 2, _CONSTANT: 2}
+_CONTROLS = {_RANDOM: 3, _BLIND: 2, _CONSTANT: 2, _DEAF: 2}
 
 
 class World(NamedTuple):
@@ -31,6 +32,7 @@ class World(NamedTuple):
         generations, population: size of its search, for random search at equal evaluations.
         senses: kinds of senses of its animal, without the eyes.
         runs: number of evolved runs.
+        deaf: kinds of senses of a further control, which evolves without them.
     """
 
     title: str
@@ -38,6 +40,7 @@ class World(NamedTuple):
     population: int
     senses: tuple[str, ...] = ("vertical", "joint_angle")
     runs: int = 5
+    deaf: tuple[str, ...] = ()
 
 
 WORLDS = {
@@ -46,6 +49,14 @@ WORLDS = {
     "fleeing_light": World("a light that flees", 60, 100),
     "cross_current": World("a current from any side", 60, 100),
     "vortex_street": World("a vortex street", 60, 200),
+    "reef": World(
+        "a reef",
+        50,
+        100,
+        ("vertical", "joint_angle", "pressure", "rays"),
+        runs=3,
+        deaf=("pressure", "rays"),
+    ),
     "land_waypoints": World("lights in a row on land", 40, 100, runs=3),
 }
 
@@ -57,13 +68,14 @@ def _silent(*kinds: str) -> tuple[str, ...]:
 def _settings(world: World) -> dict[str, tuple[str, ...]]:
     """Return the changes of each setting."""
     size = f"generations: {world.generations}, population: {world.population}"
-    return {
+    found = {
         _EVOLVED: (),
         _RANDOM: (f"evolution={{type: random, {size}}}",),
         _BLIND: _silent("light"),
         # Joints show the spinal cord's rhythm, so a brain that senses them is not constant.
         _CONSTANT: (*_silent("light", *world.senses), "controller.senses_joints=false"),
     }
+    return found | ({_DEAF: _silent(*world.deaf)} if world.deaf else {})
 
 
 # The same animals swim straight ahead, because speeds of lights and currents are half of this.
