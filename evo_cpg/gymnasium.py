@@ -8,6 +8,8 @@ Each number of an action is from -1 to 1, over the range of its command. Reading
 of the observation space are clipped to them.
 """
 
+import copy
+import functools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from evo_cpg.api.environment import Environment
+from evo_cpg.api.environment import Environment, Session
 from evo_cpg.api.experiment import Experiment, load
 from evo_cpg.io.shipped import shipped_names
 from evo_cpg.native.engine import using
@@ -140,8 +142,17 @@ def _experiment(config: str | Path | Experiment, overrides: Mapping[str, Any] | 
     return load(config, dict(overrides or {}))
 
 
+# Libraries make several animals of one experiment, and tracing each would take seconds.
+@functools.lru_cache(maxsize=8)
+def _made(experiment: Experiment, actions: str | None, trial: int) -> tuple[_Spaces, Session]:
+    spaces = _Spaces(experiment, actions, trial)
+    return spaces, spaces.environment.session()
+
+
 class AnimalEnv(gym.Env[np.ndarray, np.ndarray]):
     """One animal. Its steps are native code, without JAX, so that a loop in Python is fast.
+
+    Animals of the same `evo_cpg.Experiment` share this code, so that only the first is compiled.
 
     Args:
         config: file or name of a configuration, or an experiment.
@@ -165,9 +176,12 @@ class AnimalEnv(gym.Env[np.ndarray, np.ndarray]):
         actions: str | None = None,
         trial: int = 0,
     ):
-        self._spaces = _Spaces(_experiment(config, overrides), actions, trial)
-        self.action_space, self.observation_space = self._spaces.actions, self._spaces.observations
-        self._session = self._spaces.environment.session()
+        self._spaces, session = _made(_experiment(config, overrides), actions, trial)
+        spaces = self._spaces.actions, self._spaces.observations
+        self.action_space, self.observation_space = copy.deepcopy(spaces)
+        self._session, stepper = copy.copy(session), copy.copy(session._stepper)
+        self._session._stepper = stepper
+        stepper.separate()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

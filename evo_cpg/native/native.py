@@ -144,12 +144,21 @@ class Stepper:
         def filled(x: jax.Array) -> np.ndarray:
             return np.concatenate([x, *[x[..., -1:]] * more], -1) if more else np.array(x)
 
-        self.leaves, self._other = ([filled(x) for x in found] for _ in range(2))
-        self._given, self._scratch = filled(given), np.zeros(max(native.scratch, 1), np.uint8)
-        lanes = 1 if count is None else count + more
+        self.leaves, self._given = [filled(x) for x in found], filled(given)
+        self._scratch = np.zeros(max(native.scratch, 1), np.uint8)
+        self._lanes = 1 if count is None else count + more
         self._run = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(native.address)
+        self.separate()
+
+    def separate(self) -> None:
+        """Copy all arrays, so that a shallow copy of a stepper has a state of its own.
+
+        A shallow copy has the same machine code, so that nothing is traced or compiled again.
+        """
+        self.leaves, self._other = ([x.copy() for x in self.leaves] for _ in range(2))
+        self._given, self._scratch = self._given.copy(), self._scratch.copy()
         self._frames = [
-            call_frame([*one, self._given], [*two, self._scratch], lanes)
+            call_frame([*one, self._given], [*two, self._scratch], self._lanes)
             for one, two in ((self.leaves, self._other), (self._other, self.leaves))
         ]
         self._addresses = [frame.ctypes.data for frame in self._frames]

@@ -119,6 +119,21 @@ def test_only_animals_that_have_ended_restart(animals):
     assert (after[1] != before[1]).any()
 
 
+def test_animals_of_one_experiment_share_their_code():
+    """The second is not traced again, and the first's steps do not change its motion."""
+    experiment = evo.load(CONFIG, NOISY)
+    first, second = AnimalEnv(experiment), AnimalEnv(experiment)
+    assert first._spaces is second._spaces and first._session._reset is second._session._reset
+    actions = actions_of(first.action_space, 4)
+    first.reset(seed=1)
+    second.reset(seed=1)
+    alone = [first.step(action)[0] for action in actions]
+    first.reset(seed=2)
+    for action, seen in zip(actions, alone, strict=True):
+        np.testing.assert_array_equal(second.step(action)[0], seen)
+        first.step(-action)
+
+
 def test_divergence_terminates():
     """An animal that falls in a vacuum counts as diverged at 100 m/s, after 0.4 s."""
     falling = {k: v for k, v in SMALL.items() if not k.startswith("world")}
