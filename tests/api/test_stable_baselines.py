@@ -18,8 +18,8 @@ def test_documented_program_learns_to_run():
     assert block
     names: dict = {}
     exec(block[1].replace("300_000", "100_000"), names)
-    # Untrained policies stay within 0.1 m, and three seeds learned 12 to 16 m.
-    assert names["distance"] > 5
+    # Untrained policies stay within 0.1 m, and three seeds learned 27 to 40 m.
+    assert names["distance"] > 10
 
 
 @pytest.mark.slow
