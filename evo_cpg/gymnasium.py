@@ -179,9 +179,7 @@ class AnimalEnv(gym.Env[np.ndarray, np.ndarray]):
         self._spaces, session = _made(_experiment(config, overrides), actions, trial)
         spaces = self._spaces.actions, self._spaces.observations
         self.action_space, self.observation_space = copy.deepcopy(spaces)
-        self._session, stepper = copy.copy(session), copy.copy(session._stepper)
-        self._session._stepper = stepper
-        stepper.separate()
+        self._session = session.twin()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -6,6 +6,7 @@ is the change, in one control step, of the fitness that the trial would have if 
 Averages in that fitness are over the whole trial.
 """
 
+import copy
 import dataclasses
 from typing import Any
 
@@ -298,6 +299,13 @@ class Session:
         diverged = not value[here.inner.alive]
         ends = diverged, not diverged and bool(value[here.done])
         return value[here.obs].copy(), float(value[here.reward]), *ends, {}
+
+    def twin(self) -> "Session":
+        """Return a session with the same machine code and a state of its own."""
+        found = copy.copy(self)
+        found._stepper = copy.copy(self._stepper)
+        found._stepper.separate()
+        return found
 
     @property
     def metrics(self) -> dict[str, float]:
