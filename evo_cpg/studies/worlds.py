@@ -24,7 +24,7 @@ _DEAF = "without touch and rays"
 _CONTROLS = {_RANDOM: 3, _BLIND: 2, _CONSTANT: 2, _DEAF: 2}
 
 
-class World(NamedTuple):
+class _World(NamedTuple):
     """World of the study.
 
     Attributes:
@@ -44,12 +44,12 @@ class World(NamedTuple):
 
 
 WORLDS = {
-    "waypoints": World("lights in a row", 60, 100, ("vertical", "joint_angle", "pressure")),
-    "moving_light": World("a light that turns", 60, 200),
-    "fleeing_light": World("a light that flees", 60, 100),
-    "cross_current": World("a current from any side", 60, 100),
-    "vortex_street": World("a vortex street", 60, 200),
-    "reef": World(
+    "waypoints": _World("lights in a row", 60, 100, ("vertical", "joint_angle", "pressure")),
+    "moving_light": _World("a light that turns", 60, 200),
+    "fleeing_light": _World("a light that flees", 60, 100),
+    "cross_current": _World("a current from any side", 60, 100),
+    "vortex_street": _World("a vortex street", 60, 200),
+    "reef": _World(
         "a reef",
         50,
         100,
@@ -57,7 +57,7 @@ WORLDS = {
         runs=3,
         deaf=("pressure", "rays"),
     ),
-    "land_waypoints": World("lights in a row on land", 40, 100, runs=3),
+    "land_waypoints": _World("lights in a row on land", 40, 100, runs=3),
 }
 
 
@@ -65,7 +65,7 @@ def _silent(*kinds: str) -> tuple[str, ...]:
     return tuple(f"creature.senses.{kind}.silent=true" for kind in kinds)
 
 
-def _settings(world: World) -> dict[str, tuple[str, ...]]:
+def _settings(world: _World) -> dict[str, tuple[str, ...]]:
     """Return the changes of each setting."""
     size = f"generations: {world.generations}, population: {world.population}"
     found = {
@@ -165,7 +165,7 @@ def straight(workshop: Workshop) -> list[Table]:
     return [tabled([row])]
 
 
-def _part(name: str, world: World) -> Part:
+def _part(name: str, world: _World) -> Part:
     names = tuple(f"{name} {setting}" for setting in _settings(world))
     return Part(world.title, names, partial(compared, names=names, prefix=f"{name} "))
 

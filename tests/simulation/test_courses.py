@@ -199,6 +199,7 @@ def test_a_drawn_trial_equals_one_with_its_numbers():
             assert values[0, i] == pytest.approx(alone.terms[name][0, 0], rel=2e-4, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_distant_drawn_block_leaves_the_start_alone():
     """The start height then differs between courses only by rounding, so it is no drawn number."""
     wall = {"type": "block", "centre": [2.5, 0, 0], "size": [0.4, 2.4, 4]}
