@@ -13,6 +13,7 @@ _PLACES = {
     "iwadate2010": ("evo_cpg.studies.iwadate2010", "STUDY"),
     "fukui2003": ("evo_cpg.studies.fukui2003", "STUDY"),
     "salamander": ("evo_cpg.studies.salamander", "STUDY"),
+    "amphibian": ("evo_cpg.studies.amphibian", "STUDY"),
     "hexapod": ("evo_cpg.studies.own_animals", "HEXAPOD"),
     "starfish": ("evo_cpg.studies.own_animals", "STARFISH"),
     "turtle": ("evo_cpg.studies.own_animals", "TURTLE"),
