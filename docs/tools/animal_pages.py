@@ -294,6 +294,7 @@ _STUDIES = (
     ("hexapod_tripod", "[a gait for a walker](../walker.md)"),
     ("hexapod", "[the study of the hexapod](../reproduction/hexapod.md)"),
     ("iwadate2010_salamander", "[the study of the salamander](../reproduction/salamander.md)"),
+    ("salamander_amphibious", "[the study of the amphibian](../reproduction/amphibian.md)"),
     ("salamander", "[the study of the salamander](../reproduction/salamander.md)"),
     ("two_eyed", "[the study of the salamander](../reproduction/salamander.md)"),
     ("starfish", "[the study of the starfish](../reproduction/starfish.md)"),
