@@ -28,6 +28,9 @@ _LIGHT = 5.0
 # that it tries.
 _TESTED, _TEST_SECONDS, _FINER = 8, 5.0, (2, 4, 8, 16)
 
+# Random courses that are tested.
+_COURSES = 64
+
 # Most oscillators in the example of a ring.
 _IN_RING = 4
 
@@ -124,12 +127,30 @@ def is_light_in_water(simulation: Simulation) -> bool:
     return bool(water > _LIGHT * np.sum(world.tree.mass))
 
 
+def about_courses(simulation: Simulation) -> str:
+    """Return a warning if some random courses are refused, or "".
+
+    All individuals count as diverged on such a course.
+    """
+    if simulation.draws is None:
+        return ""
+    keys = raw_keys(jax.random.split(jax.random.key(0), _COURSES))
+    numbers = simulation.draws.values(np.asarray(simulation.course_keys(keys)))
+    refused = int(np.isnan(np.concatenate(numbers)).any(0).sum())
+    if not refused:
+        return ""
+    return (
+        f"courses.draw: {refused} of {_COURSES} random courses are refused, because a number is "
+        "not allowed or changes the form of the model. Narrow the ranges"
+    )
+
+
 def about_step(simulation: Simulation) -> str:
     """Return a warning of a physics step at which random individuals diverge, or "".
 
     Some random individuals run for at most `_TEST_SECONDS` seconds without noise, each on its own
-    course if courses are drawn. With plain JAX
-    nothing is tested, because compiling their trials would take minutes.
+    course if courses are drawn. With plain JAX nothing is tested, because compiling their trials
+    would take minutes.
     """
     if simulation.engine.name == "jax":
         return ""

@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from evo_cpg.analysis.verdict import Check
-from evo_cpg.api.advice import about_step
+from evo_cpg.api.advice import about_courses, about_step
 from evo_cpg.api.experiment import Experiment
 from evo_cpg.api.machine import warn_of_gpu
 from evo_cpg.api.progress import progress, working
@@ -191,6 +191,7 @@ def evolve_run(run: Run, on_generation: Callable[[Rows], object]) -> Trained:
     size, start = experiment.strategy.population, done.generation if done else 0
     last = "" if silent else "choosing the champion"
     limit = run.config.audit.half_step if run.config.audit.after_training else None
+    lost: list[float] = []  # first generation in which all individuals diverged
     with ChampionRecorder(experiment, folder, limit) as recorder:
         with progress("generations", experiment.generations, start, last=last) as show:
 
@@ -206,9 +207,10 @@ def evolve_run(run: Run, on_generation: Callable[[Rows], object]) -> Trained:
                 show(
                     f"{fitness}  diverged {diverged:3d}  {speed:6.0f} k steps/s", rows[0]["seconds"]
                 )
-                if rows[0]["generation"] == 0 and all(row["diverged"] == size for row in rows):
-                    step = about_step(experiment.simulation)
-                    advise(f"{folder.path}: all of generation 0 diverged. {step}".rstrip())
+                if not lost and all(row["diverged"] == size for row in rows):
+                    lost.append(number := rows[0]["generation"])
+                    why = about_courses(experiment.simulation) or about_step(experiment.simulation)
+                    advise(f"{folder.path}: all of generation {number} diverged. {why}".rstrip())
                 on_generation(rows)
 
             found = train_generations(experiment, folder, report, on_compiled=recorder.compile)

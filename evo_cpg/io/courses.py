@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, UInt32
 from typing_extensions import override
 
+from evo_cpg.creature.algebra.decisions import Undecidable
 from evo_cpg.io.batched import NumbersOfPlan
 from evo_cpg.io.errors import ConfigError, KeyProblem, nearest
 from evo_cpg.io.numbers import number_at, number_keys, with_numbers
@@ -47,7 +48,7 @@ class Drawn(NumbersOfPlan, CourseBuilder):
         """Make the plan from courses of the whole range.
 
         Raises:
-            KeyProblem: a pattern matches no number.
+            KeyProblem: a pattern matches no number, or the form of the model depends on a number.
             ConfigError: a course is not allowed, or courses differ in more than numbers.
         """
         self._origin = config.model_dump_json(), str(source)
@@ -59,6 +60,13 @@ class Drawn(NumbersOfPlan, CourseBuilder):
         super().__init__(
             without_draws(config), source, dict(zip(self.ranges, samples.T, strict=True))
         )
+        try:
+            with jax.enable_x64(True):
+                jax.eval_shape(self._one, jax.ShapeDtypeStruct((2,), jnp.uint32))
+        except (Undecidable, jax.errors.JAXTypeError):
+            keys = ", ".join(self.ranges)
+            problem = f"the form of the model depends on one of them, so it cannot be drawn: {keys}"
+            raise KeyProblem(("courses", "draw"), problem) from None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the configuration alone, because programs cannot be pickled."""

@@ -19,18 +19,16 @@ RUNS = {"amphibian": Runs("salamander_amphibious", (), 5)}
 
 
 def crossings(workshop: Workshop) -> list[Table]:
-    """Return a row for each champion: distance left, new trials that reach the light, and tilt."""
+    """Return a row for each champion: distance left (trials that reach the light), and tilt."""
     found = workshop.kept("crossings", ["amphibian"], lambda: _measured(workshop))
     rows, both = [], 0
     for champion, left, reached, tilt in zip(workshop.champions("amphibian"), *found, strict=True):
         both += max(left[:2]) <= _REACHED and tilt < _BELLY_DOWN
         row = {"": f"seed {workshop.member('amphibian').experiment.seed + champion.run}"}
         for name, own, part in zip(_SITUATIONS, left, reached, strict=True):
-            row[f"{name}: left, median"] = percent(own)
-            row[f"{name}: trials"] = f"{100 * part:.0f} %"
-        rows.append(row | {"largest tilt of the head, degrees": f"{tilt:.0f}"})
-    words = f"into the water and back ({_REACHED:.0%} left), tilt below {_BELLY_DOWN} degrees"
-    rows.append({"": f"{words}: {both} of {len(rows)}"})
+            row[name] = f"{percent(own)} ({100 * part:.0f} %)"
+        rows.append(row | {"largest tilt, degrees": f"{tilt:.0f}"})
+    rows.append({"": f"both ways, belly down: {both} of {len(rows)}"})
     return [tabled(rows)]
 
 

@@ -11,6 +11,7 @@ import pytest
 import evo_cpg as evo
 from evo_cpg.analysis.laboratory.courses import course_keys, held_out
 from evo_cpg.analysis.laboratory.settings import LabError
+from evo_cpg.api.advice import about_courses
 from evo_cpg.io.errors import ConfigError
 from evo_cpg.io.load import dump_config
 from evo_cpg.simulation.courses import Follow, Waypoints
@@ -226,6 +227,27 @@ def test_a_distant_drawn_block_leaves_the_start_alone():
 def test_wrong_draws_are_refused_with_their_key(draw, words):
     with pytest.raises(ConfigError, match=words):
         evo.load(CONFIG, SMALL | {"courses.draw": draw})
+
+
+FUKUI = CONFIG.parent / "fukui2003_model1.yaml"
+
+
+@pytest.mark.slow
+def test_numbers_that_decide_the_form_are_refused():
+    with pytest.raises(ConfigError, match=r"cannot be drawn: world\.ground\.floor\.slope_deg"):
+        evo.load(FUKUI, {"courses.draw": {"world.ground.floor.slope_deg": [0, 5]}})
+
+
+@pytest.mark.slow
+def test_refused_courses_are_counted_in_a_warning():
+    """A block that begins near the quadruped decides which foot touches first."""
+    block = {"type": "block", "centre": [1.0, 0, 0], "size": [0.5, 0.5, 1]}
+    changes = {"world.ground": {"floor": {"type": "plane"}, "obstacles": [block]}}
+    key = "world.ground.obstacles.0.centre.0"
+    for ends, refused in (((0.1, 1), True), ((2, 3), False)):
+        made = evo.load(FUKUI, changes | {"simulation.trials": 2, "courses.draw": {key: ends}})
+        found = about_courses(made.parts.simulation)
+        assert found.startswith("courses.draw: ") == refused
 
 
 def test_the_laboratory_silences_each_sense_on_held_out_courses():
