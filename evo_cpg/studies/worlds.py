@@ -46,7 +46,7 @@ class _World(NamedTuple):
 WORLDS = {
     "waypoints": _World("lights in a row", 60, 100, ("vertical", "joint_angle", "pressure")),
     "moving_light": _World("a light that turns", 60, 200),
-    "fleeing_light": _World("a light that flees", 60, 100),
+    "fleeing_light": _World("a light that flees", 60, 200),
     "cross_current": _World("a current from any side", 60, 200),
     "vortex_street": _World("a vortex street", 60, 200),
     "reef": _World(
