@@ -191,11 +191,12 @@ def evolve_run(run: Run, on_generation: Callable[[Rows], object]) -> Trained:
     size, start = experiment.strategy.population, done.generation if done else 0
     last = "" if silent else "choosing the champion"
     limit = run.config.audit.half_step if run.config.audit.after_training else None
-    lost: list[float] = []  # first generation in which all individuals diverged
+    warned = False
     with ChampionRecorder(experiment, folder, limit) as recorder:
         with progress("generations", experiment.generations, start, last=last) as show:
 
             def report(rows: Rows) -> None:
+                nonlocal warned
                 # A run in which every individual diverged has no best.
                 best = [row["best"] for row in rows if math.isfinite(row["best"])] or [math.nan]
                 fitness = f"best {best[0]:8.4f}  mean {rows[0]['mean']:8.4f}"
@@ -207,8 +208,8 @@ def evolve_run(run: Run, on_generation: Callable[[Rows], object]) -> Trained:
                 show(
                     f"{fitness}  diverged {diverged:3d}  {speed:6.0f} k steps/s", rows[0]["seconds"]
                 )
-                if not lost and all(row["diverged"] == size for row in rows):
-                    lost.append(number := rows[0]["generation"])
+                if not warned and all(row["diverged"] == size for row in rows):
+                    warned, number = True, rows[0]["generation"]
                     why = about_courses(experiment.simulation) or about_step(experiment.simulation)
                     advise(f"{folder.path}: all of generation {number} diverged. {why}".rstrip())
                 on_generation(rows)

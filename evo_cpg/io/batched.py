@@ -35,6 +35,9 @@ from evo_cpg.simulation.simulation import NumberBuilder, Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.training.devices import Layout, population_mesh, run_on, sharded
 
+# Errors of building with traced numbers, on which the form of the model depends.
+UNTRACEABLE = (Undecidable, jax.errors.JAXTypeError, TypeError, ValueError)
+
 
 class BodyPlan:
     """The common part of bodies that differ in some numbers, and the program that builds them.
@@ -79,7 +82,7 @@ class BodyPlan:
         try:
             with jax.enable_x64(True):
                 values, fits = jax.device_get(self._run(columns))
-        except (Undecidable, jax.errors.JAXTypeError, TypeError, ValueError) as error:
+        except UNTRACEABLE as error:
             self.hindrance = str(error).partition("\n")[0]
             return [np.zeros(shape) for shape in shapes], none
         return list(map(np.array, values)), fits

@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Array, UInt32
 from typing_extensions import override
 
-from evo_cpg.creature.algebra.decisions import Undecidable
-from evo_cpg.io.batched import NumbersOfPlan
+from evo_cpg.io.batched import UNTRACEABLE, NumbersOfPlan
 from evo_cpg.io.errors import ConfigError, KeyProblem, nearest
 from evo_cpg.io.numbers import number_at, number_keys, with_numbers
 from evo_cpg.io.schema.experiment import ExperimentConfig
@@ -63,7 +62,7 @@ class Drawn(NumbersOfPlan, CourseBuilder):
         try:
             with jax.enable_x64(True):
                 jax.eval_shape(self._one, jax.ShapeDtypeStruct((2,), jnp.uint32))
-        except (Undecidable, jax.errors.JAXTypeError):
+        except UNTRACEABLE:
             keys = ", ".join(self.ranges)
             problem = f"the form of the model depends on one of them, so it cannot be drawn: {keys}"
             raise KeyProblem(("courses", "draw"), problem) from None
