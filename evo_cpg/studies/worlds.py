@@ -87,13 +87,17 @@ _STRAIGHT = (
     "evolution.generations=60",
 )
 # Flow at the head, for the comparison of its velocity with its gradient. The street is stronger
-# than in `vortex_street`, where eyes alone suffice.
-_STRONG = "world.water.street.circulation=2.5"
+# than in `vortex_street`, where eyes alone suffice, and has no current.
+_STRONG = (
+    "world.water.current=[0, 0, 0]",
+    "world.water.street.circulation=2.5",
+    "world.water.street.speed=0.6",
+)
 _FLOWS = {
-    "eyes alone": (_STRONG,),
+    "eyes alone": _STRONG,
     **{
         f"eyes and {reading} of the flow": (
-            _STRONG,
+            *_STRONG,
             f"creature.sensors=[{{type: flow, body: head, reading: {reading}}}]",
         )
         for reading in ("velocity", "gradient")
