@@ -19,9 +19,9 @@ from evo_cpg.studies.workshop import Workshop
 
 _COURSES = 200
 _EVOLVED, _RANDOM, _BLIND, _CONSTANT = "evolved", "random search", "blind", "constant brain"
-_DEAF = "without touch and rays"
+_DEAF, _OPEN = "without touch and rays", "from open water"
 # Number of runs of each control.
-_CONTROLS = {_RANDOM: 3, _BLIND: 2, _CONSTANT: 2, _DEAF: 2}
+_CONTROLS = {_RANDOM: 3, _BLIND: 2, _CONSTANT: 2, _DEAF: 2, _OPEN: 2}
 
 
 class _World(NamedTuple):
@@ -33,6 +33,7 @@ class _World(NamedTuple):
         senses: kinds of senses of its animal, without the eyes.
         runs: number of evolved runs.
         deaf: kinds of senses of a further control, which evolves without them.
+        has_obstacles: whether a last control evolves without obstacles, and then meets them.
     """
 
     title: str
@@ -41,6 +42,7 @@ class _World(NamedTuple):
     senses: tuple[str, ...] = ("vertical", "joint_angle")
     runs: int = 5
     deaf: tuple[str, ...] = ()
+    has_obstacles: bool = False
 
 
 WORLDS = {
@@ -56,6 +58,7 @@ WORLDS = {
         ("vertical", "joint_angle", "pressure", "rays"),
         runs=3,
         deaf=("pressure", "rays"),
+        has_obstacles=True,
     ),
     "land_waypoints": _World("lights in a row on land", 40, 100, runs=3),
 }
@@ -75,7 +78,11 @@ def _settings(world: _World) -> dict[str, tuple[str, ...]]:
         # Joints show the spinal cord's rhythm, so a brain that senses them is not constant.
         _CONSTANT: (*_silent("light", *world.senses), "controller.senses_joints=false"),
     }
-    return found | ({_DEAF: _silent(*world.deaf)} if world.deaf else {})
+    if world.deaf:
+        found[_DEAF] = _silent(*world.deaf)
+    if world.has_obstacles:
+        found[_OPEN] = ("world.ground.obstacles=[]",)
+    return found
 
 
 # The same animals swim straight ahead, because speeds of lights and currents are half of this.
@@ -136,11 +143,12 @@ def _held_out(workshop: Workshop, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the fraction of successes of each champion, and its distance from the goal.
 
     The distance is the mean from the light, m, or the number of legs that are left. An animal that
-    diverges fails, and has no distance.
+    diverges fails, and has no distance. Animals from open water are measured among the obstacles.
     """
+    arena = name.replace(_OPEN, _EVOLVED)
 
     def measure() -> list[list[float]]:
-        experiment = workshop.member(name).experiment
+        experiment = workshop.member(arena).experiment
         genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
         found = on_courses(experiment, genes, _COURSES)
         terms, alive, task = found.terms, np.asarray(found.alive), experiment.simulation.task
@@ -151,7 +159,7 @@ def _held_out(workshop: Workshop, name: str) -> tuple[np.ndarray, np.ndarray]:
         success = (alive * terms["success"]).mean(1)
         return [success.tolist(), np.nanmean(np.where(alive, far, np.nan), 1).tolist()]
 
-    success, far = workshop.kept(f"held_out_{name}".replace(" ", "_"), [name], measure)
+    success, far = workshop.kept(f"held_out_{name}".replace(" ", "_"), [name, arena], measure)
     return np.array(success), np.array(far)
 
 
