@@ -455,7 +455,9 @@ def _variations(
     if described(simulation.engine)["engine"] == "native":
         plain = dataclasses.replace(simulation, engine=Engine("jax"))
         found["other_engine"] = Variation("plain JAX", (plain,))
-    if simulation.lights[0] is not None and simulation.sensors.eye_bodies:
+    # A blind animal may swim as far as others and still miss every light that moves.
+    moves = simulation.task.moves_light
+    if simulation.lights[0] is not None and simulation.sensors.eye_bodies and not moves:
         found["blind"] = Variation("blind", (blinded(simulation),), draws)
     return found
 

@@ -1,6 +1,7 @@
-"""Film of a run's story: the first generation, later ones, a race, and the champion.
+"""Film of a run's story: its champion, the first generation, later ones, a race, the champion.
 
-A race is between champions of the run. Each is clearly behind the next one.
+Takes of generations have equal lengths, because only then does their distance show progress. A race
+is between champions of the run. Each is clearly behind the next one.
 """
 
 import math
@@ -22,7 +23,7 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.crowd import CrowdMotion, compile_crowd_motion, populations_at
 from evo_cpg.training.devices import available_cores
-from evo_cpg.training.lineage import champion_at, representatives
+from evo_cpg.training.lineage import representatives
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.view.captions import Words
 from evo_cpg.view.lanes import Course, course_of, in_lanes, tank_of
@@ -30,20 +31,20 @@ from evo_cpg.view.output import check_size, output_path
 from evo_cpg.view.scene import Panel, animal_radius, panel_of, sample
 from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, story_film
 
-# Seconds for the whole story, the title before anything moves, the first crowd's motion, each later
-# crowd's motion, and the race. The champion takes the rest.
-_WHOLE, _TITLE, _FIRST, _CROWD, _RACE = 15.0, 1.7, 3.2, 1.8, 3.4
-# Time without words after the title, s, and the fraction of the first crowd's motion before its
-# second words.
-_PAUSE, _PART = 0.1, 0.45
-# Time in which the camera leaves the title, time before it turns to the winner of the race, and
-# time in which it does, s.
-_LEAVE, _STAY, _FOLLOW = 1.2, 0.2, 1.2
-# A generation runs for as long as the champion takes for this many of its own lengths, in this much
-# film, s. Allowed speeds of the film.
-_LENGTHS, _RUN, _SLOWEST, _FASTEST = 4.0, 3.0, 1.0, 6.0
+# Seconds for the whole story, the champion under the title, each crowd's motion, and the race. The
+# champion takes the rest.
+_WHOLE, _TITLE, _CROWD, _RACE = 15.0, 1.9, 2.3, 3.2
+# Time without words after the title, s.
+_PAUSE = 0.1
+# Time before the camera turns to the winner of the race, and time in which it does, s.
+_STAY, _FOLLOW = 0.2, 1.2
+# A generation runs for as long as the champion takes for this many of its own lengths, because in
+# less time luck at the start decides who is ahead. Allowed speeds of the film.
+_LENGTHS, _SLOWEST, _FASTEST = 5.5, 1.0, 6.0
 # Speed of the film when the champion arrives, and time that is shown after it has arrived, s.
 _SLOW, _AFTER = 0.5, 1.8
+# Largest speed of the film with a champion that has to reach more than one place.
+_QUICK = 6.0
 # Time in the race after the winner's arrival and before the next take appears, s. Least distance
 # between two animals of the race, in their length.
 _WON, _APART = 0.1, 0.45
@@ -67,7 +68,7 @@ class Cast(NamedTuple):
         speed: speed of the film for the crowds.
         random: whether the first generation is random.
         selects: whether only the best have children.
-        crowds: numbers and animals of the shown generations, the best first.
+        crowds: numbers and animals of the shown generations, the leader first.
         racers: generations and motion of earlier champions in the race.
     """
 
@@ -136,10 +137,13 @@ def story(
     away = np.linalg.norm(track - track[0], axis=-1)
     there = int((away >= min(_LENGTHS * length, 0.9 * away.max())).argmax())
     # A short trial must not end before its take.
-    fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_FIRST + DISSOLVE))
-    speed = float(min(max(recording.time[there] / _RUN, _SLOWEST), fastest))
+    fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_CROWD + DISSOLVE))
+    speed = float(min(max(recording.time[there] / _CROWD, _SLOWEST), fastest))
     chosen = generations_of(opened.folder.newest, opened.champion.generation)
-    crowds = _crowds(opened, trial, chosen, speed * _FIRST)
+    if recording.moves_light:
+        # The champion needs the time for its lights.
+        chosen = chosen[::2]
+    crowds = _crowds(opened, trial, chosen, speed * _CROWD)
     random = opened.folder.load_start() is None
     selects = not isinstance(opened.experiment.strategy, RandomSearch)
     aim = ""
@@ -168,38 +172,35 @@ def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], 
     )  # fmt: skip
     recording, root = panel.recording, panel.creature.root_index
     every = [crowd for _, crowd in cast.crowds]
-    tank = tank_of(panel, course, every, speed * _FIRST, aspect)
-    takes: list[Take] = []
+    tank = tank_of(panel, course, every, speed * _CROWD)
+    above = panel.surface is None or (recording.position[..., 2] >= panel.surface)
+    still = tank.staging(0)._replace(under=bool(np.mean(above) < 1 - _SUBMERGED))
+    alone = panel._replace(staging=still)
+    # The film opens with the champion at full speed, half of the time to its goal.
+    middle = float(recording.time[0] + max(0.5 * (cast.end - recording.time[0]) - _TITLE / 2, 0.0))
+    bare = panel._replace(staging=still._replace(track=None))
+    takes = [Take(bare, _TITLE, middle, 1.0, goal=tank.goal)]
     captions: list[str] = []
 
     def add(animal: Recording, others: CrowdMotion, names: tuple[str, ...], race: bool) -> None:
         """Add a take of the lanes."""
-        first = not takes
-        moves = _RACE if race else _FIRST if first else _CROWD
-        hold = _TITLE if first else DISSOLVE
-        end, appear = hold + moves, None
+        seconds = _RACE if race else _CROWD
         views = [(0.0, tank.wide)]
-        if first:
-            views = [(_TITLE - 0.2, tank.title), (_TITLE + _LEAVE, tank.wide)]
-            appear = round(_TITLE * FPS), round((_TITLE + 0.6 * _LEAVE) * FPS)
         if race:
-            begin = hold + (_LEAVE if first else _STAY)
-            last = tank.behind(animal, others, cast.end)
-            turned = end if tank.near else begin + _FOLLOW
-            views = [*views[: 1 if first else 0], (begin, tank.wide), (turned, last)]
-        staging = tank.staging(others.count)._replace(names=names, appear=appear)
+            begin, last = DISSOLVE + _STAY, tank.behind(animal, others, cast.end)
+            turned = DISSOLVE + seconds if tank.near else begin + _FOLLOW
+            views = [(begin, tank.wide), (turned, last)]
+        staging = tank.staging(others.count)._replace(names=names)
         crowd = others if others.count else None
         seen = panel._replace(recording=animal, crowd=crowd, staging=staging)
-        # The first take shares no frames with a take before it.
-        seconds = hold + moves - DISSOLVE / 2 if first else moves
         # The winner is at the goal before the next take appears.
-        pace = cast.end / (moves - EASE / 2 - DISSOLVE - _WON) if race else speed
+        pace = cast.end / (seconds - EASE / 2 - DISSOLVE - _WON) if race else speed
         stop = cast.end if race else None
-        takes.append(Take(seen, seconds, 0.0, pace, views, hold, tank.goal, stop))
+        takes.append(Take(seen, seconds, 0.0, pace, views, DISSOLVE, tank.goal, stop))
 
     for generation, animals in cast.crowds:
         leader, others = in_lanes(animals, root, cast.heading, tank.others)
-        add(leader, others, ("best",), race=False)
+        add(leader, others, ("ahead",), race=False)
         words = "The first generation" + (" moves at random" if cast.random else "")
         plural = "s" if generation != 1 else ""
         captions.append(f"After {generation} generation{plural}" if generation else words)
@@ -209,23 +210,27 @@ def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], 
         *some, last = *names[1:], names[0]
         captions.append(f"A race of generations {', '.join(some)} and {last}")
     seconds = _WHOLE - sum(take.seconds for take in takes)
-    alone = panel._replace(staging=tank.staging(0))
-    # Without crowds, this take is longer.
-    before = seconds if course.arrival is None else seconds - _AFTER
-    start = max(cast.end - _SLOW * before, float(recording.time[0]))
-    shown = (recording.time >= start) & (recording.time <= start + _SLOW * seconds)
-    below = recording.position[shown, ..., 2] < (panel.surface or 0.0)
-    if panel.surface is not None and below.mean() > _SUBMERGED:
-        alone = alone._replace(staging=tank.staging(0)._replace(under=True))
-    takes.append(Take(alone, seconds, start, _SLOW, goal=tank.goal, stop=course.arrival))
-    plural = "s" if final != 1 else ""
-    captions.append(f"After {final} generation{plural}, in slow motion")
-    ends = [float(end) for end in np.cumsum([take.seconds for take in takes])]
+    plural, arrival = "s" if final != 1 else "", course.arrival
+    last = f"After {final} generation{plural}"
+    first, duration = float(recording.time[0]), float(np.ptp(recording.time))
+    if recording.moves_light:
+        pace = min(max(duration / seconds, 1.0), _QUICK)
+        start = first
+        last += f", {pace:.3g} times as fast" if pace > 1 else ""
+    else:
+        # The animal never stops in the picture.
+        pace, before = _SLOW, seconds if arrival is None else seconds - _AFTER
+        start = max(min(cast.end - pace * before, first + duration - pace * seconds), first)
+        last += ", in slow motion"
+    captions.append(last)
+    views = [(0.0, tank.whole(recording, start, start + pace * seconds))]
+    takes.append(Take(alone, seconds, start, pace, views, goal=tank.goal))
+    ends = [float(end) for end in np.cumsum([take.seconds for take in takes[1:]]) + _TITLE]
     if len(cast.crowds) > 1 and cast.selects:
-        ends.insert(0, _TITLE + _PART * _FIRST)
+        ends.insert(0, _TITLE + _CROWD / 2)
         captions.insert(1, "Only the best have children")
-    if course.arrival is not None:
-        there = (course.arrival - start) / _SLOW
+    if arrival is not None:
+        there = (arrival - start) / _SLOW
         ends.insert(-1, _WHOLE - seconds + max(there, DISSOLVE + 1.0))
         place = "the light" if course.finish is None else f"{course.finish:g} m"
         captions.append(f"It reaches {place}.")
@@ -265,26 +270,19 @@ def _crowds(
     except RunFolderError as error:
         advise(f"the story leaves out the first generations: {error}")
         return []
-    motion = compile_crowd_motion(experiment, seconds, 2 * FPS * _FIRST / seconds, run, trial)
-    earlier = _earlier_champions(opened)
-    crowds = []
+    motion = compile_crowd_motion(experiment, seconds, 2 * FPS * _CROWD / seconds, run, trial)
+    crowds, root = [], experiment.creature.root_index
     with working("replaying the first generations"):
         for genes, generation in zip(every, chosen, strict=True):
-            own = np.split(genes, experiment.runs, axis=1)[run].copy()
-            best = champion_at(earlier, generation)
-            if best is not None:
-                # The best comes first. A search without elites may have lost the best individual
-                # so far. Then it replaces the first one.
-                same = np.flatnonzero((own == best.genes[:, None]).all(0))
-                own[:, same[:1]] = own[:, :1]
-                own[:, 0] = best.genes
-            crowd = motion(own, generation)
-            if best is None:
-                root = experiment.creature.root_index
+            # All swim the champion's course.
+            own = np.split(genes, experiment.runs, axis=1)[run]
+            crowd = motion(own, opened.champion.generation)
+            if crowd.count:
+                # The first is the one ahead when the take ends, because viewers see nothing else.
                 leader = crowd.advance(root, experiment.simulation.task.heading).argmax()
-                crowd = crowd.of(np.argsort(np.arange(crowd.count) != leader, kind="stable"))
-            crowds.append((generation, crowd))
-    return [(generation, crowd) for generation, crowd in crowds if crowd.count]
+                leads = np.argsort(np.arange(crowd.count) != leader, kind="stable")
+                crowds.append((generation, crowd.of(leads)))
+    return crowds
 
 
 def _racers(

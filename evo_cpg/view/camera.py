@@ -55,8 +55,8 @@ _AROUND = np.radians(14.0)
 CAMERAS = ("follow", *_ASPECTS, "orbit")
 # The camera of an overview: angle between the line of sight and the way of the animals.
 ACROSS = np.radians(68.0)
-# Upper end of the part of the frame for an overview: below a title, and without one.
-_UNDER_TITLE, _UNTITLED = 0.5, 0.86
+# Upper end of the part of the frame for an overview.
+_ABOVE = 0.86
 # Largest distance of an overview, in lengths of what it shows, and number of halvings of the
 # interval in which its least distance lies. Number of shifts that bring the points into the middle.
 _FARTHEST, _HALVINGS, _SHIFTS = 12.0, 14, 24
@@ -199,7 +199,6 @@ def overview(
     bearing: float,
     elevation: float,
     aspect: float,
-    titled: bool = False,
     view_angle: float = VIEW_ANGLE,
 ) -> CameraPath:
     """Return one frame of a camera that is turned to one side and shows some points.
@@ -210,10 +209,8 @@ def overview(
             left to the upper right of the picture.
         elevation: height of the eye above the focus as an angle, rad.
         aspect: width of the picture over its height.
-        titled: whether the upper part of the frame is left for a title.
         view_angle: full vertical angle of view, degrees.
     """
-    above = _UNDER_TITLE if titled else _UNTITLED
     sight = _direction(bearing + ACROSS, elevation)
     middle = (points.min(0) + points.max(0)) / 2
     far = _FARTHEST * float(np.linalg.norm(np.ptp(points, axis=0)))
@@ -227,11 +224,11 @@ def overview(
             if not np.isfinite(place).all():
                 break
             low, most = place.min(0), place.max(0)
-            off = (low + most) / 2 - [0.0, (above - _BELOW) / 2]
+            off = (low + most) / 2 - [0.0, (_ABOVE - _BELOW) / 2]
             # A full shift would overshoot for points farther away than the focus.
             path = _moved(path, 1.0, off / 2, aspect)
         place = np.nan_to_num(project(path, points[None], aspect)[0], nan=np.inf)
-        if ((place > [-_ROOM, -_BELOW]) & (place < [_ROOM, above])).all():
+        if ((place > [-_ROOM, -_BELOW]) & (place < [_ROOM, _ABOVE])).all():
             far, best = half, path
         else:
             near = half

@@ -168,7 +168,7 @@ def legend_of(panel: Panel) -> list[tuple[str, str]]:
 
 # Places of the arrow's tip, from the middle to the edges: sideways, down and up. The captions are
 # below.
-_SIDEWAYS, _DOWN, _UP = 0.93, 0.6, 0.88
+_SIDEWAYS, _DOWN, _UP, _UNDER_TITLE = 0.93, 0.6, 0.88, 0.3
 # Length and half width of the arrow, and height of the letters, as fractions of the picture's
 # height.
 _ARROW, _HALF_WIDTH, _WORD = 0.055, 0.026, 0.032
@@ -182,6 +182,7 @@ def pointer(
     look: Look,
     size: tuple[int, int],
     name: str = "light",
+    titled: bool = False,
 ) -> Callable[[np.ndarray, int], None]:
     """Return a function that draws the arrow to a goal (m) into a frame, if the goal is outside.
 
@@ -191,6 +192,7 @@ def pointer(
         look: look of the world.
         size: width and height of the picture, pixels.
         name: word beside the arrow.
+        titled: whether a title is at the top.
 
     Returns:
         A function of a picture, bytes ``(height, width, 3)``, bottom row first, and its number.
@@ -199,6 +201,8 @@ def pointer(
         return lambda picture, number: None
     width, height = size
     tips = edge_places(camera, goal, width / height)
+    if titled:
+        tips[:, 1] = np.minimum(tips[:, 1], _UNDER_TITLE)
 
     def draw_into(picture: np.ndarray, number: int) -> None:
         tip = tips[number]
@@ -428,22 +432,21 @@ def placed_tags(camera: CameraPath, scene: Scene, size: tuple[int, int]) -> list
     low, high = (np.array([[-_TAG_ASIDE, -_TAG_DOWN], [_TAG_ASIDE, _TAG_UP]]) + 1) / 2 * size
     tags: list[Tag] = []
 
-    def add(name: str, place: np.ndarray, opacity: np.ndarray) -> None:
+    def add(name: str, place: np.ndarray) -> None:
+        opacity = np.ones(count)
         width = font(letters).getlength(name)
         half = np.array([width / 2 + _BORDER * letters, _HIGH * letters])
         sideways = half * [1, 0]
-        hidden = ((place - sideways < low) | (place + sideways > high)).any(-1)
+        # Places behind the camera are not numbers, and are hidden.
+        hidden = ~((place - sideways >= low) & (place + sideways <= high)).all(-1)
         for tag in tags:
             close = (np.abs(place - tag.middle) < half + tag.half).all(-1)
             hidden |= close & (tag.opacity > 0)
         if hidden.any():
             away = np.abs(np.arange(count)[:, None] - np.flatnonzero(hidden)).min(1)
-            opacity = np.minimum(opacity, np.clip(away / _FADING, 0.0, 1.0))
+            opacity = np.clip(away / _FADING, 0.0, 1.0)
         tags.append(Tag(name, place, half, opacity))
 
-    appear = np.ones(count)
-    if staging.appear is not None:
-        appear = np.interp(np.arange(count), staging.appear, (0.0, 1.0))
     bodies = scene.clip.position[:, None]
     if scene.ghosts is not None:
         bodies = np.concatenate([bodies, scene.ghosts.position], 1)
@@ -456,12 +459,12 @@ def placed_tags(camera: CameraPath, scene: Scene, size: tuple[int, int]) -> list
         # Nothing stands between the viewer and the first animal, so its name is below it.
         up = spots[..., 1].max(1) + out if animal else spots[..., 1].min(1) - out
         # A word does not shake with the strokes of its animal.
-        add(name, smooth(np.stack([spots[..., 0].mean(1), up], -1), _STEADY), appear)
+        add(name, smooth(np.stack([spots[..., 0].mean(1), up], -1), _STEADY))
     if (track := staging.track) is not None:
         along = track.spacing * np.arange(1, track.lines + 1)
         lines = np.array([track.at(each, -track.right - _BESIDE * scene.radius) for each in along])
         lines[:, 2] = scene.level or 0.0
         places = (project(camera, lines[None].repeat(count, 0), aspect) + 1) / 2 * size
         for number, each in enumerate(along):
-            add(f"{each:g} m", places[:, number], np.ones(count))
+            add(f"{each:g} m", places[:, number])
     return tags

@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.crowd import CrowdMotion
-from evo_cpg.view.camera import BodyBoxes, course, overview, project
-from evo_cpg.view.look import STYLES
+from evo_cpg.view.camera import BodyBoxes, course
 from evo_cpg.view.scene import Panel, Staging, Track, mark_spacing, sample
 from evo_cpg.view.scenery import LAMP
 from evo_cpg.view.story import FPS, GLIDE, Overview
@@ -32,9 +31,10 @@ _IN_VIEW, _LEAST = 5.0, 1.5
 _BEHIND, _BEYOND, _BESIDE, _UPRIGHT = 0.25, 0.3, 0.45, 0.3
 # Elevation of the view of the lanes, rad: in water, and on land, where it shows a sky.
 _IN_WATER, _ON_LAND = np.radians(24.0), np.radians(12.0)
-# Least part of the picture's width for the animal next to its goal, in the view of the title. Room
-# ahead of the animal for an arrow, and behind it or its goal, in lengths.
-_SMALLEST, _AHEAD, _BACK = 0.15, 0.6, 0.2
+# Elevation of a view of the whole path, rad.
+_WHOLE = np.radians(40.0)
+# Room ahead of the animal for an arrow, in lengths.
+_AHEAD = 0.6
 # Lengths behind the first animal of a race that its last view shows, before it, to its right, and
 # above animals.
 _TRAILING, _BEFORE, _RIGHT, _AROUND = 4.5, 1.4, 0.8, 0.2
@@ -88,7 +88,6 @@ class Tank(NamedTuple):
         others: number of animals beside the first one.
         track: lines across the lanes, or None.
         floor: height of the floor under swimmers, m, or None.
-        title: view of the first animal, and of its goal if it is near.
         wide: view of all lanes.
         near: whether this view shows the goal.
         goal: place of the last line that the champion passes, m, and its name, or None.
@@ -99,7 +98,6 @@ class Tank(NamedTuple):
     others: int
     track: Track | None
     floor: float | None
-    title: Overview
     wide: Overview
     near: bool
     goal: tuple[Float[np.ndarray, "3"], str] | None
@@ -118,6 +116,20 @@ class Tank(NamedTuple):
         ahead = own[along[: len(own)].argmax()] + room[0]
         points = [*seen, *(seen + upright), ahead, ahead + room[1]]
         return self.wide._replace(points=np.array(points), follows=not self.near)
+
+    def whole(self, animal: Recording, begin: float, end: float) -> Overview | None:
+        """Return a view of an animal's path and of the lights between two instants (s).
+
+        It is None for a light at rest, for which the camera follows the animal.
+        """
+        if not animal.moves_light:
+            return None
+        shown = (animal.time >= begin) & (animal.time <= end)
+        points = np.concatenate([animal.position[shown].reshape(-1, 3), animal.light[shown]])
+        # The longest side of the path lies across the picture.
+        sides = np.linalg.svd(points[:, :2] - points[:, :2].mean(0), full_matrices=False)[2]
+        along = sides[0] * np.sign(sides[0] @ (animal.light[-1] - animal.light[0])[:2] or 1.0)
+        return Overview(points, float(np.arctan2(along[1], along[0])), _WHOLE)
 
     def staging(self, others: int) -> Staging:
         """Return the arrangement of some animals beside the first one. Few have wide lanes."""
@@ -174,9 +186,7 @@ def course_of(panel: Panel, length: float, forward: bool) -> Course:
     return Course(*path_ahead, corners, length, float(lane), spacing, *goal_ahead)
 
 
-def tank_of(
-    panel: Panel, course: Course, crowds: Sequence[CrowdMotion], seconds: float, aspect: float
-) -> Tank:
+def tank_of(panel: Panel, course: Course, crowds: Sequence[CrowdMotion], seconds: float) -> Tank:
     """Return the lanes for a champion and its earlier generations.
 
     Args:
@@ -184,7 +194,6 @@ def tank_of(
         course: its course.
         crowds: the generations.
         seconds: length of a crowd's motion, s.
-        aspect: width of the picture over its height.
     """
     start, ahead, corners = course.start, course.ahead, course.corners
     length, target, finish = course.length, course.target, course.finish
@@ -214,16 +223,6 @@ def tank_of(
         # On the viewer's side, captions are below.
         sides = _NEARER * length, lane * (_LANES - 1) + _NEARER * length
         track = Track(start, course.bearing, course.spacing, lines, *sides, finish)
-    # The title is above the animal at its start, and its goal if the animal stays large.
-    tail = start + (along.min() - _BACK * length) * ahead
-    fore = start + (along.max() + _AHEAD * length) * ahead
-    elevation = STYLES[panel.world].side_elevation
-    title = Overview(np.array([*corners, tail, fore]), course.bearing, elevation, titled=True)
-    if target is not None:
-        both = np.array([*corners, tail, target + _BACK * length * ahead])
-        seen = overview(both, course.bearing, elevation, aspect, titled=True)
-        if np.ptp(project(seen, corners[None], aspect)[0, :, 0]) / 2 >= _SMALLEST:
-            title = title._replace(points=both)
     floor = None
     if not land:
         # The floor is below the champion, its goal and most of the crowds.
@@ -235,7 +234,7 @@ def tank_of(
         floor = float(lowest - reach - _FLOOR * length)
     goal = None if target is None or finish is None else (target, f"{finish:g} m")
     others = _LANES - 1 if lane else _PILED
-    return Tank(course, lane, others, track, floor, title, wide, near, goal)
+    return Tank(course, lane, others, track, floor, wide, near, goal)
 
 
 def in_lanes(

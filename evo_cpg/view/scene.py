@@ -221,7 +221,6 @@ class Staging(NamedTuple):
         track: lines on the floor, or None.
         floor: height of the floor under swimmers, m, or None for the usual one.
         names: words above the animal and each other one, or none.
-        appear: first and last frame in which the other animals appear.
         under: whether the camera is below the surface of the water.
     """
 
@@ -229,7 +228,6 @@ class Staging(NamedTuple):
     track: Track | None = None
     floor: float | None = None
     names: tuple[str, ...] = ()
-    appear: tuple[float, float] | None = None
     under: bool = False
 
 

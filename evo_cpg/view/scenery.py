@@ -23,7 +23,14 @@ LAMP = 0.075
 # Distance by which a light is drawn behind its place, in radii of the animal, so that it does not
 # swallow a head. Width of the halo of a light of another lane in its radius, and its opacity.
 # Opacity of a light that was reached.
-_BEHIND, _LANE_HALO, _LANE_GLOW, _REACHED = 0.5, 9.0, 0.6, 0.3
+_BEHIND, _LANE_HALO, _LANE_GLOW, _REACHED = 0.5, 9.0, 0.6, 0.5
+# A light farther from the camera than this, in radii of the animal, does not become smaller.
+_FAR = 18.0
+# A light flares when a body is nearer than this, in radii of the animal. Growth of its sphere and
+# of its brightness.
+_NEAR, _SWELL, _FLARE = 0.35, 0.9, 2.0
+# Brightness of a light.
+_INTENSITY = 0.9
 # Number of specks in water, and their colour.
 _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 # Time in which the trail fades to a third, s, and its thickness in radii of the animal.
@@ -44,7 +51,8 @@ _DIM = 1.7
 def add_goal_light(stage: Stage, goals: Float[np.ndarray, "frames 3"]) -> Update:
     """Draw the goal: a glowing sphere, its halo, and its light on the floor and on the bodies.
 
-    Lights that were reached stay as faint spheres.
+    It flares when a body is near, so that viewers see that the animal arrives. Lights that were
+    reached stay as faint spheres.
     """
     plotter, look, radius, goal = stage.plotter, stage.look, stage.radius, goals[0]
     shine = spot_texture(look.halo, look.glow, sharpness=3.0)
@@ -60,28 +68,35 @@ def add_goal_light(stage: Stage, goals: Float[np.ndarray, "frames 3"]) -> Update
         halos.append(plotter.add_mesh(halo, texture=texture, lighting=False))
     for actor in (ball, *halos):
         actor.origin = tuple(goal)
-    lamp = pv.Light(position=goal, color=look.halo, intensity=0.9, light_type="scene light")
+    lamp = pv.Light(position=goal, color=look.halo, light_type="scene light")
     lamp.positional = True
     lamp.cone_angle = 90
     lamp.attenuation_values = (1.0, 0.0, (0.7 / radius) ** 2)
     plotter.add_light(lamp)
     reached = []
     for end in appearances(goals)[1:]:
-        past = pv.Sphere(radius=0.7 * core, center=goals[end - 1])
+        past = pv.Sphere(radius=core, center=goals[end - 1])
         faint = plotter.add_mesh(past, color=look.light, opacity=_REACHED, lighting=False)
+        faint.origin = tuple(goals[end - 1])
         reached.append((end, faint))
 
     def face_viewer(shot: Shot) -> None:
         now = goals[shot.number]
         pool.lay(now[None, :2], wide)
         lamp.position = tuple(now)
-        for end, faint in reached:
-            faint.visibility = bool(shot.number >= end)
         ahead = now - shot.eye
-        back = _BEHIND * radius / float(np.linalg.norm(ahead))
+        distance = float(np.linalg.norm(ahead))
+        far = max(distance / (_FAR * radius), 1.0)
+        for end, faint in reached:
+            faint.visibility, faint.scale = bool(shot.number >= end), far
+        back = _BEHIND * radius / distance
+        away = np.linalg.norm(shot.position - now, axis=-1).min(initial=np.inf)
+        near = float(np.exp(-((away / (_NEAR * radius)) ** 2)))
+        lamp.intensity = _INTENSITY * (1 + _FLARE * near)
+        # It is larger, so that it looks as large as at its place.
+        scale = far * (1 + back) * (1 + _SWELL * near)
         for actor in (ball, *halos):
-            # It is larger, so that it looks as large as at its place.
-            actor.position, actor.scale = tuple(now - goal + back * ahead), 1 + back
+            actor.position, actor.scale = tuple(now - goal + back * ahead), scale
             actor.orientation = (0.0, 0.0, float(np.degrees(shot.turned)))
 
     return face_viewer
@@ -93,7 +108,7 @@ def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "frames n 3"]) -> Upd
     sphere = cast(pv.PolyData, pv.Sphere(radius=core, theta_resolution=16, phi_resolution=12))
     ball, faces = np.asarray(sphere.points), sphere.regular_faces
     balls = _copies(ball, faces, goals[0])
-    cores = plotter.add_mesh(balls, color=look.light, lighting=False)
+    plotter.add_mesh(balls, color=look.light, lighting=False)
     side = _LANE_HALO * core
     square = cast(pv.PolyData, pv.Plane(direction=-stage.sight, i_size=side, j_size=side))
     own, faces = np.asarray(square.points), square.regular_faces
@@ -103,13 +118,8 @@ def add_lane_lights(stage: Stage, goals: Float[np.ndarray, "frames n 3"]) -> Upd
     texture = spot_texture(look.halo, _LANE_GLOW, sharpness=3.0)
     shine = plotter.add_mesh(mesh, texture=texture, lighting=False)
     shine.ForceTranslucentOn()
-    staging = stage.scene.staging
-    appear = None if staging is None else staging.appear
 
     def face_viewer(shot: Shot) -> None:
-        if appear is not None:
-            for actor in (cores, shine):
-                actor.prop.opacity = float(np.interp(shot.number, appear, (0.0, 1.0)))
         turned = (turned_about_vertical(axis, shot.turned) for axis in np.eye(3))
         now = goals[shot.number][:, None]
         balls.points = (now + ball).reshape(-1, 3)

@@ -164,14 +164,23 @@ class Draped:
         self.mesh["rgb"] = skin.colors
         self.mesh.point_data.active_normals = skin.normals.astype(np.float32)
 
-    def move(self, position: np.ndarray, rotation: np.ndarray) -> None:
-        """Lay the skin over bodies with centres ``(b, 3)`` and rotations ``(b, 3, 3)``."""
+    def laid(self, position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return points ``(n, 3)`` and unit normals of the skin over bodies.
+
+        Args:
+            position: centres of the bodies ``(b, 3)``, m.
+            rotation: their rotations ``(b, 3, 3)``.
+        """
         skin = self._skin
         turn = rotation[skin.bodies]
         centre = np.einsum("nk,nki->ni", skin.weights, position[skin.bodies])
-        self.mesh.points = centre + np.einsum("nkij,nkj->ni", turn, self._points)
         normals = np.einsum("nkij,nkj->ni", turn, self._normals)
         normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+        return centre + np.einsum("nkij,nkj->ni", turn, self._points), normals
+
+    def move(self, position: np.ndarray, rotation: np.ndarray) -> None:
+        """Lay the skin over bodies, see `laid`."""
+        self.mesh.points, normals = self.laid(position, rotation)
         self.mesh.point_data.active_normals = normals.astype(np.float32)
         self.mesh.Modified()
 

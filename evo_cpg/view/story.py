@@ -47,7 +47,6 @@ class Overview(NamedTuple):
         points: the points, m.
         bearing: direction in which the animals go, from the x axis, rad.
         elevation: height of the camera above the horizon, rad.
-        titled: whether the upper part of the picture is left for a title.
         follows: whether the view moves with the animal, so that it shows the points in the last
             frame.
     """
@@ -55,7 +54,6 @@ class Overview(NamedTuple):
     points: Float[np.ndarray, "n 3"]
     bearing: float
     elevation: float
-    titled: bool = False
     follows: bool = False
 
 
@@ -136,7 +134,8 @@ class StoryFrames:
             wide = any(view is not None for _, view in take.views)
             stage = Stage(plotter, scene, camera, self._scale, wide=wide)
             goal, name = (scene.goal, "light") if take.goal is None else take.goal
-            point = pointer(camera, goal, scene.look, self.rendered, name)
+            # The first take has the title at its top.
+            point = pointer(camera, goal, scene.look, self.rendered, name, titled=number == 0)
             ahead = np.ones(end - first, bool)
             if take.goal is not None:
                 # No arrow points back to a finish.
@@ -193,7 +192,7 @@ def camera_of(take: Take, scene: Scene, aspect: float) -> CameraPath:
         if view is None:
             paths.append(camera_path(scene, "follow", aspect, close=True))
             continue
-        path = overview(view.points, view.bearing, view.elevation, aspect, view.titled)
+        path = overview(view.points, view.bearing, view.elevation, aspect)
         if view.follows:
             centre = smooth(scene.clip.position.mean(1), SMOOTHING * scene.clip.rate)
             moved = centre - centre[-1]

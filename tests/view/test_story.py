@@ -163,16 +163,16 @@ def test_a_light_is_the_goal_and_has_no_finish():
     lit = PANEL._replace(recording=synthetic.with_light(WALK, np.array([1.0, 1.0, 0.2])))
     course = course_of(lit, 0.5, forward=False)
     assert course.finish is None and course.bearing == pytest.approx(np.pi / 4, abs=0.05)
-    tank = tank_of(lit, course, [], 1.0, 16 / 9)
+    tank = tank_of(lit, course, [], 1.0)
     assert tank.near and tank.track is None
     far = lit._replace(recording=synthetic.with_light(WALK, np.array([90.0, 90.0, 0.2])))
-    tank = tank_of(far, course_of(far, 0.5, forward=False), [], 1.0, 16 / 9)
+    tank = tank_of(far, course_of(far, 0.5, forward=False), [], 1.0)
     assert not tank.near and tank.track is not None
 
 
 @pytest.mark.parametrize("aspect", [16 / 9, 9 / 16])
 def test_no_lane_is_closer_to_the_next_than_the_animal_is_wide(aspect):
-    tank = tank_of(PANEL, course_of(PANEL, 0.5, forward=True), [], 1.0, aspect)
+    tank = tank_of(PANEL, course_of(PANEL, 0.5, forward=True), [], 1.0)
     lanes = tank.staging(tank.others).lanes
     corners = tank.course.corners
     assert tank.others >= 3
@@ -203,10 +203,15 @@ def test_a_story_has_crowds_a_race_and_an_arrival():
     material = Cast(PANEL, 20, "forward", aim, course, 1.0, True, True, crowds, racers)
     takes, words = story_of(material, None, 16 / 9)
     assert sum(take.seconds for take in takes) == pytest.approx(15.0)
-    assert len(takes) == 5
+    assert len(takes) == 6
     keys = ["walk", aim, "first", "best", "2 ", "7 ", "0, 7 and 20", "slow", f"{course.finish:g} m"]
     assert all(key in each.text for key, each in zip(keys, words, strict=True))
-    race, arrival = takes[3:]
+    # Only takes of equal length show progress.
+    assert len({(take.seconds, take.speed, take.start) for take in takes[1:4]}) == 1
+    # The first frame shows motion, and so does the last one.
+    for still in (takes[0], takes[-1]):
+        assert (np.diff(clip_of(still, round(still.seconds * FPS)).time) > 0).all()
+    race, arrival = takes[4:]
     staging = race.panel.staging
     assert staging is not None and staging.names == ("20", "0", "7")
     # The winner is at the goal before the next take appears, and the words come after it.
@@ -288,3 +293,9 @@ def test_no_word_crosses_another():
     for one, two in itertools.combinations(tags, 2):
         close = (np.abs(one.middle - two.middle) < one.half + two.half).all(-1)
         assert not (close & (one.opacity > 0) & (two.opacity > 0)).any()
+
+
+def test_names_of_animals_behind_the_camera_are_hidden():
+    camera, scene = staged((0.05, 0.1), ("100", "0", "2"))
+    away = camera._replace(focus=2 * camera.position - camera.focus)
+    assert all((tag.opacity == 0).all() for tag in placed_tags(away, scene, SIZE))
