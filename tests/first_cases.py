@@ -9,6 +9,7 @@ import pytest
 
 # Number of fast cases by the name of the test.
 FAST = {
+    "test_a_constant_brain_senses_nothing": 2,
     "test_a_population_around_an_individual_keeps_it": 3,
     "test_a_search_improves_with_finite_genes": 4,
     "test_a_state_survives_conversion_to_arrays": 3,
@@ -23,6 +24,7 @@ FAST = {
     "test_displaced_volume_and_moment_are_exact": 3,
     "test_displaced_volume_and_moment_in_any_position": 3,
     "test_distance_is_exact": 2,
+    "test_each_individual_writes_to_its_own_places": 2,
     "test_each_posture_is_held_for_its_period": 3,
     "test_fault_is_found_in_its_part_and_pass": 2,
     "test_frequency_and_lag_equal_simulation": 1,
@@ -39,6 +41,7 @@ FAST = {
     "test_return_values_of_an_own_strategy_are_checked": 5,
     "test_terminal_velocity_equals_the_closed_form": 2,
     "test_the_rhythm_follows_its_equations": 1,
+    "test_unused_genes_are_zero_in_tidy_plans": 2,
     "test_up_direction_is_converted": 1,
     "test_vmap_and_derivatives_agree_with_jax": 1,
     "test_wrong_input_is_one_line_and_exit_code_2": 2,

@@ -333,6 +333,7 @@ def test_second_opinions_of_a_still_animal_say_nothing():
     assert Verdict(tuple(checks)).confirmed is None
 
 
+@pytest.mark.slow
 def test_torque_above_the_limit_is_flagged(honest):
     made, trials = honest
     tree = made.simulation.world.tree

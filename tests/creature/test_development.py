@@ -75,6 +75,7 @@ def poses(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     return centres, attitudes
 
 
+@pytest.mark.slow
 def test_recursion_grows_a_straight_snake():
     plan = grown(graph_of([{"recursion": 4}], [(0, {"to": 0})]))
     length = 2 * plan.half[0, 0]
@@ -184,6 +185,7 @@ def plans() -> Plan:
     return as_numpy(develop(BOUNDS)(random_graphs(2)))
 
 
+@pytest.mark.slow
 def test_joints_are_on_surfaces_and_normals(plans):
     child = np.nonzero(plans.parent >= 0)
     half = plans.half[child[0], plans.parent[child]]
@@ -263,6 +265,7 @@ def test_no_boxes_overlap_except_parents(plans):
     assert len(apart) > 5 * COUNT and apart.all()
 
 
+@pytest.mark.slow
 def test_parts_are_refused_only_for_overlaps():
     rng = np.random.default_rng(0)
     shape = COUNT, LAYOUT.nodes, LAYOUT.connections

@@ -142,6 +142,7 @@ def bodies_of(genes: np.ndarray) -> np.ndarray:
     return genes[~CONTROL]
 
 
+@pytest.mark.slow
 def test_protected_elites_are_the_best_of_their_topologies():
     """Trees that are compared joint by joint are the oracle. Then come the others, best first."""
     plans = plans_of(WATER, 4, 0.1)

@@ -250,6 +250,7 @@ def test_refused_courses_are_counted_in_a_warning():
         assert found.startswith("courses.draw: ") == refused
 
 
+@pytest.mark.slow
 def test_the_laboratory_silences_each_sense_on_held_out_courses():
     made = evo.load(CONFIG, ROAM | {"simulation.seconds": 6})
     parts, genes = made.parts, made.random_genomes(0, 1)[0]

@@ -145,6 +145,7 @@ def test_rays_end_where_geometry_says():
     assert distances((shore,), [3, 0, -0.5], [-1, 0, 0]) == pytest.approx(2.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_rays_never_pass_thin_walls():
     """Random rays through many thin walls end at the wall that a fine walk along them meets."""
     draw = np.random.default_rng(0)

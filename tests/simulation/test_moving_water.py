@@ -103,6 +103,7 @@ def trial(*settings):
     return build_experiment(config, CONFIG).simulation
 
 
+@pytest.mark.slow
 def test_native_code_agrees_on_changing_water():
     simulation = trial(*STREAMS, "simulation.seconds=0.5")
     genes = simulation.genome.random(jax.random.key(0), (3,))
@@ -114,6 +115,7 @@ def test_native_code_agrees_on_changing_water():
         np.testing.assert_allclose(value, plain[name], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_impulse_of_changing_water_is_explained():
     simulation = trial(*STREAMS, "simulation.seconds=0.5")
     genes = simulation.genome.random(jax.random.key(0), (1,))

@@ -113,6 +113,7 @@ def test_limits_scale_with_the_size_and_mass_of_the_animal():
     assert limb.joint_rate == pytest.approx(10 * np.sqrt(9.81 / 0.42)) and limb.speed is None
 
 
+@pytest.mark.slow
 def test_rules_of_plans_are_a_tenth_stricter():
     plans = plans_of(WATER, 3, 0.1)
     found, inputs = plans.developed(random_genes(plans, 1)), plans.inputs(3)

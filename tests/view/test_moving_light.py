@@ -79,6 +79,7 @@ def test_a_path_shows_how_its_lights_move():
     assert "light at the end" in [text.get_text() for text in above.get_legend().get_texts()]
 
 
+@pytest.mark.slow
 def test_pages_and_scenes_move_the_light():
     panel, scene, _ = scene_with(CIRCLE)
     made = viewer_data(panel)

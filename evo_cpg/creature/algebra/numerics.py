@@ -113,9 +113,23 @@ Triple = tuple[Number, Number, Number]
 TABLES = ("heights", "meshes", "triangles")
 
 
+# Types of values that contain no JAX array.
+_PLAIN = frozenset({np.ndarray, np.float64, float, int, bool, str, type(None)})
+
+
 def is_traced(*values: Any) -> bool:
     """Return whether any number in the values, nested or not, is a JAX array or a mixed array."""
-    return any(isinstance(x, (jax.Array, MixedArray)) for x in jax.tree.leaves(values))
+    for x in values:
+        # Most values are plain, and a model asks a hundred thousand times.
+        if type(x) in _PLAIN:
+            continue
+        if type(x) in (list, tuple):
+            found = is_traced(*x)
+        else:
+            found = any(isinstance(y, (jax.Array, MixedArray)) for y in jax.tree.leaves(x))
+        if found:
+            return True
+    return False
 
 
 class _Namespace:
@@ -128,7 +142,7 @@ class _Namespace:
         known = getattr(self._known, name)
 
         def call(*args: Any, **options: Any) -> Any:
-            if is_traced(args, options):
+            if is_traced(*args, *options.values()):
                 # Jitted JAX functions refuse a `MixedArray`.
                 args, options = jax.tree.map(
                     lambda x: jnp.asarray(x) if isinstance(x, MixedArray) else x, (args, options)
