@@ -277,7 +277,6 @@ def test_a_tripod_loses_energy_and_stays_shallow(tumbling):
     assert 0.02 < (deep > -1e-3).mean() < 0.5
 
 
-@pytest.mark.slow
 def test_an_impact_of_many_limbs_adds_no_energy():
     """Tripods hit the ground at 10 m/s while their legs swing at some 10 rad/s.
 
