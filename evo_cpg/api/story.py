@@ -28,7 +28,7 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.view.captions import Words
 from evo_cpg.view.lanes import Course, course_of, in_lanes, tank_of
 from evo_cpg.view.output import check_size, output_path
-from evo_cpg.view.scene import Panel, animal_radius, panel_of, sample
+from evo_cpg.view.scene import Panel, Track, animal_radius, panel_of, sample
 from evo_cpg.view.story import DISSOLVE, EASE, FPS, Take, story_film
 
 # Seconds for the whole story, the champion under the title, each crowd's motion, and the race. The
@@ -173,13 +173,17 @@ def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], 
     recording, root = panel.recording, panel.creature.root_index
     every = [crowd for _, crowd in cast.crowds]
     tank = tank_of(panel, course, every, speed * _CROWD)
-    above = panel.surface is None or (recording.position[..., 2] >= panel.surface)
-    still = tank.staging(0)._replace(under=bool(np.mean(above) < 1 - _SUBMERGED))
-    alone = panel._replace(staging=still)
+
+    def alone(start: float, seconds: float, track: Track | None) -> Panel:
+        """Return the champion alone, seen from below the surface if it dives in this time."""
+        shown = (recording.time >= start) & (recording.time <= start + seconds)
+        below = recording.position[shown, ..., 2] < (panel.surface or 0.0)
+        under = panel.surface is not None and bool(below.mean() > _SUBMERGED)
+        return panel._replace(staging=tank.staging(0)._replace(track=track, under=under))
+
     # The film opens with the champion at full speed, half of the time to its goal.
     middle = float(recording.time[0] + max(0.5 * (cast.end - recording.time[0]) - _TITLE / 2, 0.0))
-    bare = panel._replace(staging=still._replace(track=None))
-    takes = [Take(bare, _TITLE, middle, 1.0, goal=tank.goal)]
+    takes = [Take(alone(middle, _TITLE, None), _TITLE, middle, 1.0, goal=tank.goal)]
     captions: list[str] = []
 
     def add(animal: Recording, others: CrowdMotion, names: tuple[str, ...], race: bool) -> None:
@@ -224,7 +228,8 @@ def story_of(cast: Cast, title: str | None, aspect: float) -> tuple[list[Take], 
         last += ", in slow motion"
     captions.append(last)
     views = [(0.0, tank.whole(recording, start, start + pace * seconds))]
-    takes.append(Take(alone, seconds, start, pace, views, goal=tank.goal))
+    own = alone(start, pace * seconds, tank.track)
+    takes.append(Take(own, seconds, start, pace, views, goal=tank.goal))
     ends = [float(end) for end in np.cumsum([take.seconds for take in takes[1:]]) + _TITLE]
     if len(cast.crowds) > 1 and cast.selects:
         ends.insert(0, _TITLE + _CROWD / 2)
@@ -274,14 +279,14 @@ def _crowds(
     crowds, root = [], experiment.creature.root_index
     with working("replaying the first generations"):
         for genes, generation in zip(every, chosen, strict=True):
-            # All swim the champion's course.
+            # All move on the champion's course.
             own = np.split(genes, experiment.runs, axis=1)[run]
             crowd = motion(own, opened.champion.generation)
             if crowd.count:
                 # The first is the one ahead when the take ends, because viewers see nothing else.
                 leader = crowd.advance(root, experiment.simulation.task.heading).argmax()
-                leads = np.argsort(np.arange(crowd.count) != leader, kind="stable")
-                crowds.append((generation, crowd.of(leads)))
+                others = np.delete(np.arange(crowd.count), leader)
+                crowds.append((generation, crowd.of(np.append(leader, others))))
     return crowds
 
 

@@ -242,8 +242,9 @@ def compile_crowd_motion(
         trial: number of the trial.
 
     Returns:
-        A function of the genomes of the run's population, and the number of its generation, which
-        selects the noise. It compiles at its first call. Animals that diverge are left out.
+        A function of the genomes of the run's population, and the number of the generation whose
+        courses and noise they get. It compiles at its first call. Animals that diverge are left
+        out.
     """
     simulation, record = experiment.simulation, compile_motions(experiment, seconds, rate)
     individuals = np.arange(min(experiment.strategy.population, _MOST))

@@ -246,7 +246,7 @@ def in_lanes(
     first animals of a population would not, because these are the elites.
 
     Args:
-        crowd: the animals, the best first.
+        crowd: the animals, the leader first.
         root: number of the root body.
         heading: ``forward`` if only displacement along x counts.
         count: number of other animals.

@@ -299,3 +299,16 @@ def test_names_of_animals_behind_the_camera_are_hidden():
     camera, scene = staged((0.05, 0.1), ("100", "0", "2"))
     away = camera._replace(focus=2 * camera.position - camera.focus)
     assert all((tag.opacity == 0).all() for tag in placed_tags(away, scene, SIZE))
+
+
+def test_all_lights_of_a_champion_are_in_one_view():
+    """The light stands at two places, one after the other. A light at rest has no such view."""
+    places = np.array([[2.0, 3.0, 0.2], [-4.0, 1.0, 0.2]])
+    late = WALK.time > WALK.time.mean()
+    moved = synthetic.with_light(WALK, places[0])._replace(light=places[late.astype(int)])
+    tank = tank_of(PANEL, course_of(PANEL, 0.5, forward=True), [], 1.0)
+    assert tank.whole(synthetic.with_light(WALK, places[0]), 0.0, 9.0) is None
+    view = tank.whole(moved, 0.0, 9.0)
+    assert view is not None
+    path = overview(view.points, view.bearing, view.elevation, 16 / 9)
+    assert np.abs(project(path, places[None], 16 / 9)).max() < 1
